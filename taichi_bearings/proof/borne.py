@@ -1,19 +1,36 @@
-"""Which contacts with oblique normals rest at every minimum, although loops beside them cannot roll as they are stored.
+"""Proof that contacts which can roll exactly rest at every minimum, beside loops that cannot: part of theorem 8.
 
-Letters: N spheres, E contacts; X the contacts that can roll exactly, q of them, on spheres with n unknowns; K (3 q, n)
-the matrix of their slips; F the friction at hand, F* optimal friction, f = F* - F; c the m coordinates of friction
-along loops (loops.py); k the number of contacts whose f is only bounded; Z (n, z) the motions of X without any slip; R
-here a matrix of forces, not a number of samples.
+What is proven. Some contacts, called X, can all roll at once, exactly (exact_motions.py). They rest at every minimum if
+some friction G on X, below every friction limit, does for the optimal friction F*: it exerts the same torques on free
+spheres (resting.py). Contacts beside X may belong to loops of which only bounds on the friction are known (loops.py).
+So G is sought for all friction that these bounds allow, at once.
 
-Contacts of loops.py rest where they bear less than their friction whatever f is. Each part of X rests by theorem 8
-(resting.py) if it can bear what is left to it. For each load L that f and c bring to the spheres of X, R solves K^T R =
--L. So G = F + sum R f, a sum over loads, stays inside all discs where |F| and the sizes of all R f together are below
-mu F_n. Without rounding K^T (G - F*) would be 0. The exact residual lies in the range of K^T, so it is orthogonal to
-all motions Z. The computed residual may have a part Z a: that is rounding alone, and is subtracted before the size of
-the residual is taken. Then G can be corrected by forces no larger than that size over the least singular value of K
-that is not 0, of which exact_motions.py has a floor.
+Symbols
+    N spheres, E contacts. X : the contacts that can roll exactly, q of them, on spheres with n unknowns.
+    K : (3 q, n), slips of X from the unknowns; K^T G are the torques of friction G on X.
+    Z : (n, z), all motions of the spheres of X in which X does not slip: K Z = 0.
+    F : friction at hand. F* : optimal friction. f = F* - F, on the k other contacts known by a bound on its size alone.
+    c : (m,), friction that circulates along loops beside X, known to lie in intervals (loops.py).
+    L : loads, the torques on the unknowns of X by a unit of each component of f on other contacts, and of each c.
+    R : (3 q, loads), friction on X that bears each load: K^T R = -L but for a residual. (R is no number of samples
+        here.)
 
-R is found by springs, which are the weaker the less friction a contact has left, in several trials; any R would do.
+The proof
+1. Without any R: contacts of loops rest if the bound on |F*| that loops.py gives is below mu F_n
+   (`at_rest_beside_loops`).
+2. For each load find R by springs at the contacts of X. Any R would do; springs that are weaker where a contact has
+   less friction left make the bounds of step 4 better, so several stiffnesses are tried.
+3. Then G = F + sum of R f over f of other contacts + sum of R c. Its size at a contact of X is at most |F + R (middles
+   of c)| + sum of |R| (half lengths of c) + sum of |R| (bounds on f).
+4. G does not quite balance: it leaves residuals of R and rounding. The torques of G - F* as they are exactly lie in the
+   range of K^T, so they are orthogonal to Z; any part along Z that is computed is rounding and is bounded as such. The
+   rest is taken away by a correction of G no larger than its size over the least singular value of K that is not 0;
+   exact_motions.py has a floor of it.
+5. X falls into parts that share no free sphere. All contacts of a part rest if all of them stay below mu F_n.
+
+Example. A sphere of X has two contacts of X that have 3 and 1 of their friction left, F = 0, and both can bear the same
+force of a third contact, of which only |f| <= 3 is known. Equal springs take 1.5 each, more than the second contact has
+left. Springs in proportion to the squares of the friction left, 9 to 1, take 2.7 and 0.3: both contacts rest.
 """
 
 from __future__ import annotations
@@ -28,22 +45,24 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.exact_motions import ExactMotions
-from taichi_bearings.proof.loops import Doubts, Piece, blocks, both, sizes
+from taichi_bearings.proof.loops import FrictionBounds, Piece, block_norms, tangent_rows, weighted_lengths
 from taichi_bearings.proof.resting import known_friction
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor
 from taichi_bearings.proof.springs import slip_rows
 
-FORCES_AT_ONCE = 64  # contacts whose loads are carried at once
+# Choices of which R to try. Nothing that is proven depends on them, as any R is valid.
+FORCES_AT_ONCE = 64  # other contacts for whose loads R is computed at once
 MOST_TRIALS, SPARED = 10, 0.7  # trials of R; springs are weakened by (load of a contact / friction left) to this power
-LEAST_ROOM, LEAST_BORNE = 1e-4, 1e-2  # friction left, and load, over the largest; smaller ones count as this large
+LEAST_MARGIN, LEAST_BORNE = 1e-4, 1e-2  # friction left, and load, over the largest; smaller ones count as this large
 YIELDING, CARRYING_STEPS = -1e-13, 3  # minus what is added to the diagonal, to hold motions; steps that correct it
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """Mask (E,) of contacts that are proven to rest at every minimum, of a network whose components mix.
+    """Return the mask (E,) of contacts that are proven to rest at every minimum, in a packing with oblique normals.
 
-    far : (E,), bound on how far slips of minima are from the given ones; infinite where none is known.
+    bounds : the network, its friction balanced by springs, and these springs.
+    far : (E,), bound on |slip at any minimum - given slip|; infinite where none is known.
     """
     network, springs = bounds.network, bounds.springs
     found = np.zeros(len(network.acts), dtype=bool)
@@ -52,149 +71,165 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
         return found
     known, off = known_friction(bounds, far)
     rests = network.counts & ~known & ((network.holding - length(bounds.friction)).lower() > 0)
-    # X among the contacts that have friction left, and what f and F* are at most.
+    # X is chosen among the contacts that have friction left. Then bounds on |f| and |F*|: mu F_n, and eta (|y| + far).
     exact = ExactMotions.of(network, springs.number, rests)
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
-    doubts = Doubts(network, springs.number, exact, bounds.friction, known, off * UP, limit * UP)
-    # Contacts of loops beside X rest where they cannot bear all their friction; parts of X where they can bear the
-    # rest.
-    left_out = doubts.split()
-    for piece in left_out:
+    friction_bounds = FrictionBounds(network, springs.number, exact, bounds.friction, known, off * UP, limit * UP)
+    # Step 1: contacts in loops beside X rest where they surely bear less than their limit. Steps 2 to 5: parts of X.
+    pieces_of_q = friction_bounds.split_into_pieces()
+    for piece in pieces_of_q:
         found[piece.contacts] = piece.largest < network.holding.least[piece.contacts]
     found &= rests
     if exact.contacts.any():
-        found[exact.contacts] = Borne(doubts, left_out).rests()
+        found[exact.contacts] = ExactlyRolling(friction_bounds, pieces_of_q).rests()
     return found
 
 
 @dataclass(frozen=True)
-class Borne:
-    """What is left to X to bear. doubts : bounds on f everywhere. left_out : the pieces of contacts beside X."""
+class ExactlyRolling:
+    """The contacts X that can roll exactly, and what the other contacts may load on them.
 
-    doubts: Doubts
-    left_out: list[Piece]
+    friction_bounds : bounds on f = F* - F and on F* for all contacts.
+    pieces_of_q : the loops beside X, with intervals of their friction c.
+    """
+
+    friction_bounds: FrictionBounds
+    pieces_of_q: list[Piece]
 
     @cached_property
     def columns(self) -> np.ndarray:
-        """Numbers (n,) of the unknowns of the spheres of X, among all unknowns."""
-        return np.flatnonzero(self.doubts.exact.spheres[self.doubts.sphere])
+        """(n,), which of all unknowns belong to spheres of X."""
+        return np.flatnonzero(self.friction_bounds.exact.spheres[self.friction_bounds.sphere])
 
     @cached_property
     def contacts(self) -> np.ndarray:
-        """Numbers (q,) of the contacts of X."""
-        return np.flatnonzero(self.doubts.exact.contacts)
+        """(q,), indices of the contacts of X."""
+        return np.flatnonzero(self.friction_bounds.exact.contacts)
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """The matrix K (3 q, n), without rounding; the three rows of a contact follow each other."""
-        whole = slip_rows(self.doubts.network, self.doubts.number)
-        at = self.contacts[:, None] + np.arange(3) * len(self.doubts.off)
+        """The matrix K (3 q, n), exact; the three rows of a contact follow each other."""
+        whole = slip_rows(self.friction_bounds.network, self.friction_bounds.number)
+        at = self.contacts[:, None] + np.arange(3) * len(self.friction_bounds.most_change)
         return sparse.csr_array(whole[at.ravel()][:, self.columns])
 
     @cached_property
     def motions(self) -> sparse.csr_array:
-        """Z (n, z), all motions of the spheres of X in which X does not slip."""
-        of = self.doubts.exact.motions
+        """The matrix Z (n, z) of all motions of the spheres of X in which no contact of X slips."""
+        of = self.friction_bounds.exact.motions
         if of is None:
             return sparse.csr_array((len(self.columns), 0))
         return sparse.csr_array(of.motion[:, : len(of.choices.chosen)])
 
     @cached_property
     def part(self) -> np.ndarray:
-        """(n,), number of the part of X to which each unknown belongs."""
-        network = self.doubts.network
+        """(n,), number of the part of X to which each unknown belongs. Parts share no free sphere."""
+        network = self.friction_bounds.network
         first, second = network.graph.contact[:, self.contacts]
         inner = network.free[first] & network.free[second]
-        return pieces(len(network.free), first[inner], second[inner])[self.doubts.sphere[self.columns]]
+        return pieces(len(network.free), first[inner], second[inner])[self.friction_bounds.sphere[self.columns]]
 
     @cached_property
     def others(self) -> np.ndarray:
-        """Numbers (k,) of the contacts whose f is only bounded: all that count, except X and the contacts of pieces."""
-        found = self.doubts.network.counts & ~self.doubts.exact.contacts
-        for piece in self.left_out:
+        """(k,), indices of the contacts whose f is known by a bound on its size alone: those that can dissipate and
+        belong neither to X nor to a piece of loops."""
+        found = self.friction_bounds.network.counts & ~self.friction_bounds.exact.contacts
+        for piece in self.pieces_of_q:
             found[piece.contacts] = False
         return np.flatnonzero(found)
 
     @cached_property
     def loads(self) -> tuple[sparse.csc_array, sparse.csc_array]:
-        """Loads L on the unknowns of X: (n, 2 k) of the two tangential components of f of each other contact, including
-        what f makes the pieces bear, and (n, m) of the loop coordinates c of all pieces."""
-        rows, own = self.doubts.rows[:, self.columns], both(self.others)
+        """Loads L on the unknowns of X, as two matrices: (n, 2 k) for the two tangential components of f on each other
+        contact, including the change of friction that f causes in the pieces of loops, and (n, m) for the friction c
+        along all loops."""
+        rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.others)
         place = np.full(rows.shape[0], -1)
         place[own] = np.arange(len(own))
-        found, loops = [rows[own].T], [sparse.csr_array((len(self.columns), 0))]
-        for piece in self.left_out:
-            to_spheres, at = rows[both(piece.contacts)].T, place[both(piece.others)]
+        found, by_loops = [rows[own].T], [sparse.csr_array((len(self.columns), 0))]
+        for piece in self.pieces_of_q:
+            to_spheres, at = rows[tangent_rows(piece.contacts)].T, place[tangent_rows(piece.others)]
             row, column = np.indices(piece.by_others.shape).reshape(2, -1)
             shape = (len(piece.by_others), len(own))
             by_others = sparse.csr_array((piece.by_others.ravel(), (row, at[column])), shape=shape)
             found.append(to_spheres @ by_others)
-            loops.append(sparse.csr_array(to_spheres @ piece.along))
-        return sparse.csc_array(sum(found[1:], found[0])), sparse.csc_array(sparse.hstack(loops))
+            by_loops.append(sparse.csr_array(to_spheres @ piece.loops))
+        return sparse.csc_array(sum(found[1:], found[0])), sparse.csc_array(sparse.hstack(by_loops))
 
     @cached_property
     def rounding(self) -> float:
-        """Bound on the relative rounding error of sums as long as any here, over the sum of the sizes of their terms: 4
-        units for each term, and 64 terms more."""
+        """Bound on the rounding error of any sum here over the sum of the sizes of its terms: no sum has more than 2 k
+        + n + 64 terms, and 4 roundings are allowed for each."""
         return float(4 * (2 * len(self.others) + len(self.columns) + 64) * EPS)
 
     @cached_property
-    def unsure(self) -> np.ndarray:
-        """(n,), bound on the torques on X that neither f of the others nor c accounts for, as they are rounding."""
-        more = self.rounding * self.doubts.off
-        for piece in self.left_out:
-            more[piece.contacts] += piece.rounded + self.rounding * piece.near
-        return (self.doubts.left_over + self.doubts.around(more))[self.doubts.sphere[self.columns]] * UP
+    def unknown_torques(self) -> np.ndarray:
+        """(n,), bound on torques on X that neither f of the others nor c describes: what F leaves over, and
+        rounding."""
+        more = self.rounding * self.friction_bounds.most_change
+        for piece in self.pieces_of_q:
+            more[piece.contacts] += piece.by_rounding + self.rounding * piece.most_off_loops
+        return (self.friction_bounds.left_over + self.friction_bounds.sum_at_spheres(more))[
+            self.friction_bounds.sphere[self.columns]
+        ] * UP
 
     @cached_property
-    def room(self) -> np.ndarray:
-        """(q,), the friction that each contact of X has left, mu F_n - |F|."""
-        holding, force = self.doubts.network.holding.least[self.contacts], self.doubts.friction[self.contacts]
+    def margin(self) -> np.ndarray:
+        """(q,), friction that each contact of X has left, mu F_n - |F|."""
+        holding, force = (
+            self.friction_bounds.network.holding.least[self.contacts],
+            self.friction_bounds.friction[self.contacts],
+        )
         return np.asarray(holding - np.linalg.norm(force, axis=1))
 
     def rests(self) -> np.ndarray:
-        """(q,) mask of the contacts of X that are proven to rest."""
-        room = np.maximum(self.room, LEAST_ROOM * self.room.max())
-        carrying, off = Carrying.of(self, room**2), self.doubts.off[self.others]
-        found = np.zeros(len(room), dtype=bool)
-        if carrying is None:
+        """Return the mask (q,) of the contacts of X that are proven to rest, by steps 2 to 5."""
+        margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
+        springs, most_change = SpringsOfX.of(self, margin**2), self.friction_bounds.most_change[self.others]
+        found = np.zeros(len(margin), dtype=bool)
+        if springs is None:
             return found
-        borne, missed = np.zeros(len(room)), self.unsure.copy()
-        # Sizes of R f for other contacts, whose f may have any direction: each norm times the bound on f, summed.
-        for begin in range(0, len(off), FORCES_AT_ONCE):
-            own, some = off[begin : begin + FORCES_AT_ONCE], slice(2 * begin, 2 * (begin + FORCES_AT_ONCE))
-            force, left = carrying.carried(self.loads[0][:, some].toarray(), np.repeat(own, 2))
-            borne += blocks(force, 3) @ own
-            missed += left
-        # Loop coordinates c are known within intervals: their middles move G, and half their lengths add to its size.
-        middle, half = (
+        by_others, residual = np.zeros(len(margin)), self.unknown_torques.copy()
+        # Sum of |R f| over other contacts: f may have any direction, so the norm of R times the bound on |f|.
+        for begin in range(0, len(most_change), FORCES_AT_ONCE):
+            own, some = most_change[begin : begin + FORCES_AT_ONCE], slice(2 * begin, 2 * (begin + FORCES_AT_ONCE))
+            force, left = springs.forces_for(self.loads[0][:, some].toarray(), np.repeat(own, 2))
+            by_others += block_norms(force, 3) @ own
+            residual += left
+        # Friction c along loops is known within intervals: their middles shift G, their half lengths add to its size.
+        middle, half_length = (
             np.concatenate([np.zeros(0), *of])
-            for of in ([p.middle for p in self.left_out], [p.half for p in self.left_out])
+            for of in ([p.middle for p in self.pieces_of_q], [p.half_length for p in self.pieces_of_q])
         )
         for _ in range(MOST_TRIALS):
-            force, left = carrying.carried(self.loads[1].toarray(), np.abs(middle) + half)
+            force, left = springs.forces_for(self.loads[1].toarray(), np.abs(middle) + half_length)
             moved = (force @ middle).reshape(-1, 3)
-            largest = np.linalg.norm(self.doubts.friction[self.contacts] + moved, axis=1) + sizes(force, half, 3)
-            found |= self._bears(largest + borne, missed + left)
-            if found.all() or not len(half):
+            largest = np.linalg.norm(self.friction_bounds.friction[self.contacts] + moved, axis=1) + weighted_lengths(
+                force, half_length, 3
+            )
+            found |= self._bears(largest + by_others, residual + left)
+            if found.all() or not len(half_length):
                 break
             # Try again with weaker springs where contacts bear much of the friction that they have left.
-            share = (np.linalg.norm(moved, axis=1) + sizes(force, half, 3)) / np.maximum(
-                room - borne, LEAST_ROOM * room
+            share = (np.linalg.norm(moved, axis=1) + weighted_lengths(force, half_length, 3)) / np.maximum(
+                margin - by_others, LEAST_MARGIN * margin
             )
-            eased = carrying.weight * np.maximum(share / share.max(), LEAST_BORNE) ** -SPARED
-            carrying = Carrying.of(self, eased)
-            if carrying is None:
+            eased = springs.weight * np.maximum(share / share.max(), LEAST_BORNE) ** -SPARED
+            springs = SpringsOfX.of(self, eased)
+            if springs is None:
                 break
         return found
 
-    def _bears(self, largest: np.ndarray, missed: np.ndarray) -> np.ndarray:
-        """(q,) mask of the contacts in parts none of whose contacts bears too much. largest : (q,), sizes of G before
-        it is corrected. missed : (n,), torques that the correction has to take up."""
-        network, part = self.doubts.network, self.part
-        corrected = np.sqrt(np.bincount(part, missed**2)) / self.doubts.exact.floor * UP
+    def _bears(self, largest: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """Return the mask (q,) of the contacts whose whole part stays below its friction limits.
+
+        largest : (q,), bound on |G| at each contact, before G is corrected.
+        residual : (n,), torques that the correction has to take away.
+        """
+        network, part = self.friction_bounds.network, self.part
+        corrected = np.sqrt(np.bincount(part, residual**2)) / self.friction_bounds.exact.floor * UP
         of_sphere = np.zeros(len(network.free), dtype=np.intp)
-        of_sphere[self.doubts.sphere[self.columns]] = part
+        of_sphere[self.friction_bounds.sphere[self.columns]] = part
         first, second = network.graph.contact[:, self.contacts]
         own = of_sphere[np.where(network.free[first], first, second)]
         bears = (largest + corrected[own]) * UP < network.holding.least[self.contacts]
@@ -202,47 +237,49 @@ class Borne:
 
 
 @dataclass(frozen=True)
-class Carrying:
-    """Springs at the contacts of X, which carry loads.
+class SpringsOfX:
+    """Springs at the contacts of X, by which friction R that bears a load is found.
 
-    weight : (q,), stiffnesses.
-    scale : (n,), by which unknowns are multiplied in the factorised matrix.
-    factor : of the scaled K^T weight K.
+    loaded : the contacts X.
+    weight : (q,), stiffness of the spring at each contact.
+    scale : (n,), factors that give all columns of the factorised matrix a diagonal of 1.
+    factor : Cholesky factor of the scaled K^T weight K.
     """
 
-    borne: Borne
+    loaded: ExactlyRolling
     weight: np.ndarray
     scale: np.ndarray
     factor: Factor
 
     @classmethod
-    def of(cls, borne: Borne, weight: np.ndarray) -> Carrying | None:
-        """Springs with stiffnesses `weight` (q,); None if the factorisation fails."""
-        rows = sparse.csr_array(sparse.diags_array(np.sqrt(np.repeat(weight, 3))) @ borne.rows)
+    def of(cls, loaded: ExactlyRolling, weight: np.ndarray) -> SpringsOfX | None:
+        """Make springs with the stiffnesses `weight` (q,) at the contacts of `loaded`; None if the factorisation
+        fails."""
+        rows = sparse.csr_array(sparse.diags_array(np.sqrt(np.repeat(weight, 3))) @ loaded.rows)
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))
         rows = sparse.csr_array(rows @ sparse.diags_array(scale))
-        place = borne.doubts.network.graph.place[borne.doubts.sphere[borne.columns]].T
+        place = loaded.friction_bounds.network.graph.place[loaded.friction_bounds.sphere[loaded.columns]].T
         factor = Elimination.of((rows.T @ rows).tocsc(), place).factorised(YIELDING)
-        return None if factor is None else cls(borne, weight, scale, factor)
+        return None if factor is None else cls(loaded, weight, scale, factor)
 
-    def carried(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """R (3 q, m) for loads (n, m), and a bound (n,) on the torque that it does not take up, motions Z apart, when
-        each load is multiplied by a number of size up to `most` (m,)."""
-        rows, weight, scale = self.borne.rows, np.repeat(self.weight, 3)[:, None], self.scale[:, None]
-        force, (left, moves) = np.zeros((rows.shape[0], load.shape[1])), self._across(load)
-        for _ in range(CARRYING_STEPS):  # iterative refinement
+    def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return R (3 q, m) that bears the loads (n, m), and a bound (n,) on the torques that it leaves over, except
+        along Z, if each load is multiplied by a number whose size is at most `most` (m,)."""
+        rows, weight, scale = self.loaded.rows, np.repeat(self.weight, 3)[:, None], self.scale[:, None]
+        force, (left, amounts) = np.zeros((rows.shape[0], load.shape[1])), self._without_motions(load)
+        for _ in range(CARRYING_STEPS):  # each step bears what the one before has left over
             force -= weight * (rows @ (scale * self.factor.solve(scale * left)))
-            left, moves = self._across(load + rows.T @ force)
-        motions = self.borne.motions
-        summed = abs(rows).T @ (np.abs(force) @ most) + np.abs(load) @ most + abs(motions) @ (np.abs(moves) @ most)
-        return force, np.abs(left) @ most + (self.borne.rounding + 2 * motions.shape[1] * EPS) * summed
+            left, amounts = self._without_motions(load + rows.T @ force)
+        # Rounding: the sizes of all terms of load + K^T R and of its part along Z, times the bound on a sum's error.
+        motions = self.loaded.motions
+        summed = abs(rows).T @ (np.abs(force) @ most) + np.abs(load) @ most + abs(motions) @ (np.abs(amounts) @ most)
+        return force, np.abs(left) @ most + (self.loaded.rounding + 2 * motions.shape[1] * EPS) * summed
 
-    def _across(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Loads (n, m) without their part along the motions Z, and the amount (z, m) of each motion that was in
-        them."""
-        motions = self.borne.motions
+    def _without_motions(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the loads (n, m) without their part along the motions Z, and the amounts (z, m) of Z in that part."""
+        motions = self.loaded.motions
         if not motions.shape[1]:
             return load, np.zeros((0, load.shape[1]))
-        moves = np.linalg.solve((motions.T @ motions).toarray(), motions.T @ load)
-        return load - motions @ moves, moves
+        amounts = np.linalg.solve((motions.T @ motions).toarray(), motions.T @ load)
+        return load - motions @ amounts, amounts

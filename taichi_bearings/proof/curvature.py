@@ -1,20 +1,37 @@
-"""The only minimum near given spins, where only the domains of contacts that do not slip may move: theorem 7.
+"""Proof that one minimum exists near given spins, where components do not mix (lattices, discs): theorem 7.
 
-Letters: n slipping contacts, m of them with two components of slip; u (unknowns,), the change of the spins of all free
-domains from the given spins; v, other unknowns of which u are sums; z (two components) the slip of a contact, w its
-change; g the slope of the power at the given spins; h the squares by which changes v are measured; tau a proven floor;
-rho a radius. A domain is a set of spheres that contacts without slip make turn as one in a component. A contact is
-"curved" if it slips in two components: only then can the direction of its slip change.
+What is proven. Some contacts are taken to rest. Spheres that they join turn as one in a component: such a set is a
+*domain*. Only free domains may move, each by one number. Then near the given spins there is exactly one minimum of the
+power, and a bound on how much each slip changes on the way to it (`nearest_minimum`). If the resting contacts can bear
+what the others leave to them, it is a minimum over all spins (`bearable`).
 
-The power is a convex function of u. Let its curvature at the given spins be at least tau times the positive diagonal h,
-in the variables v. While |w| <= |z| / 4, friction of size 1 resists by (n(z + w) - n(z)) . w >= 0.72 b^2 / |z|, where n
-is the direction of a slip and b the part of w across z. So on the surface sum h v^2 = rho^2, with rho > |g| / (0.72
-tau) in the norm of 1 / h, the power rises outwards if no slip changes by more than a quarter on the way there: all
-minima are inside. Inside, directions of slip differ little. Two minima would differ by slips along these directions
-alone, which the curvature excludes: there is just one. Damping eta adds eta w . w to what resists, whatever the slip.
+Symbols
+    n : number of slipping contacts. m : number of those that slip in two components; they are called *curved*, since
+        only their slip, a vector in a plane, can change its direction.
+    u : (unknowns,), change of the spin of each free domain. v : other unknowns, of which u are sums (`_clusters`).
+    z : slip of a contact at the given spins (one or two components), w : its change, t : unit vector across z.
+    g : slope of the power at the given spins; in words, the torque on each domain.
+    H : curvature of the power at the given spins, the sum of (mu F_n / |z|) (w . t)^2 + eta |w|^2.
+    h : positive numbers, one for each v; the diagonal of H. tau : proven number with H >= tau h as quadratic forms.
+    rho : radius; (sum of h v^2)^1/2 is the size of a change v.
 
-This minimum, with resting contacts held at rest, is the minimum of the whole power if the friction of the resting
-contacts can be put in balance there.
+The proof
+1. Friction of size 1 has the direction n(z) = z / |z|. While |w| <= |z| / 4 it resists a change by (n(z + w) - n(z)) .
+   w >= 0.72 (w . t)^2 / |z|. With |z| = 1, L = |z + w| and a the part of w along z, the left side is (w . t)^2 (L + 1)
+   / (L (L + 1 + a)), least at L = 5/4 and a = 1/4: (9/4) / (5/4 x 5/2) = 0.72. Damping resists by eta |w|^2.
+2. So along v the power grows at least like -|g| |v| + 0.72 tau |v|^2, with |v| measured by h and |g| by 1 / h. It rises
+   outwards on the surface |v| = rho for any rho > |g| / (0.72 tau), if no slip changes by more than a quarter on the
+   way. As the power is convex, all minima are inside.
+3. Two minima inside would differ by a motion that changes every slip along its own direction alone, as the power is
+   straight between them. Directions inside differ little from n(z), so the part of this motion across z is small, and
+   its curvature H would be less than tau h: a contradiction. There is just one (`Curvature.remains`).
+
+Example. One free sphere slips along three contacts with mu F_n = 1 past driven spheres, whose spins (two components)
+are the corners of an equilateral triangle with its centre at 0, at distance 1. The power is |u - a_1| + |u - a_2| + |u
+- a_3| (Fermat's problem). At u = 0 all |z| = 1 and the unit vectors cancel: g = 0. H is the sum of 1 - n n^T, that is
+3/2 of the identity, so h = 3/2 and tau = 1. Given spins with an error d have |g| = (3/2) d / (3/2)^1/2, and with 1.5
+for 1 / 0.72 the minimum is proven to be within rho / h^1/2 = 1.5 d in each component, as long as that changes no slip
+by more than a quarter.
 """
 
 from __future__ import annotations
@@ -32,7 +49,7 @@ from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, 
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination
 
-MOST_SLIP_TURN = 0.25  # largest change of a slip, over its size, for which 0.72 above holds
+MOST_SLIP_TURN = 0.25  # largest change of a slip, over its size, for which 0.72 of step 1 holds
 CURVATURE_TRIALS = 4  # number of trials, each but the first from spins that a step of Newton's method has improved
 RIGID_STIFFNESS = 10.0  # stiffness mu F_n / |z| over the median, beyond which a contact holds a cluster together
 CURVATURE_SHARE = 1e-7  # first guess of tau, which most networks exceed by far
@@ -42,20 +59,23 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Slipping:
-    """The n contacts of a network that slip, and the unknowns that change their slips: one for each free domain of each
-    component. The number -1 stands for a driven domain, and for a component in which a contact does not slip.
+    """The n contacts of a network that slip, and the unknowns that change their slips.
 
-    unknowns : their number.
-    felt : (2, n), the one or two components in which each contact slips, -1 for none.
-    lower, upper : (2, n), unknown of the domain at the first and at the second sphere, for either component in `felt`.
-    curved : (m,), numbers (0 to n - 1) of the contacts that slip in two components; of the other contacts one entry of
+    There is one unknown for each free domain of each component. The number -1 stands for a driven domain, and for a
+    component in which a contact does not slip.
+
+    unknowns : number of unknowns.
+    felt : (2, n), the one or two spin components that make each contact slip, -1 for none.
+    lower, upper : (2, n), unknown of the domain of the first and of the second sphere, for either component in `felt`.
+    curved : (m,), indices (0 to n - 1) of the contacts that slip in two components; for all others one entry of
         `difference` is exactly 0.
-    difference : signed spin of the second sphere less that of the first, one enclosure (n,) for each row of `felt`: the
-        slip.
-    strength : (n,), mu F_n.
+    difference : the slip z, two enclosures (n,), one for each row of `felt`: signed spin of the second sphere less that
+        of the first, in units of the network. Signed means multiplied by the sign +1 or -1 by which neighbours differ,
+        so equal signed spins roll.
+    strength : (n,), friction limits mu F_n.
     damping : (n,), eta; None for laws without damping.
-    own : (n,), numbers of these contacts among all of the network.
-    place : (d, n), where a contact is in its sample.
+    own : (n,), indices of these contacts among all contacts of the network.
+    place : (d, n), position of each contact; used only to order the elimination.
     """
 
     unknowns: int
@@ -71,15 +91,15 @@ class Slipping:
 
     @classmethod
     def of(cls, motion: Motion, domain: dict[int, np.ndarray] | None = None) -> Slipping:
-        """Collect the contacts that take part and do not rest in a motion.
+        """Collect the contacts that can dissipate and do not rest in a motion.
 
-        motion : says which contacts rest, and how spheres turn.
-        domain : by component, the number (N,) of the domain of each sphere, where what does not move has the domain of
-            a driven sphere; if not given, the domains that the resting contacts of `motion` make.
+        motion : the network, and which contacts rest.
+        domain : by component, the label (N,) of the domain of each sphere; spheres that shall not move have the label
+            of a driven sphere. If None, the domains that the resting contacts of `motion` make.
         """
         network, unknowns, number = motion.network, 0, {}
         some = np.flatnonzero(network.counts & ~motion.rests)
-        ends, felt = network.graph.contact[:, some], _slots(network, some)
+        ends, felt = network.graph.contact[:, some], _slipping_components(network, some)
         for k in network.needed:
             own = motion.domain[k] if domain is None else domain[k]
             # A domain gets an unknown if a slipping contact joins it to another domain and no sphere of it is driven.
@@ -91,6 +111,7 @@ class Slipping:
             unknowns += int(free.sum())
         lower, upper = np.full((2, len(some)), -1), np.full((2, len(some)), -1)
         difference = [Enclosure.exact(np.zeros(len(some))) for _ in range(2)]
+        # Slips, and the unknowns that change them, for both places of a component in `felt`.
         for slot in range(2):
             for k in network.needed:
                 mine = np.flatnonzero(felt[slot] == k)
@@ -113,19 +134,18 @@ class Slipping:
 
     @cached_property
     def direction(self) -> tuple[Enclosure, Enclosure]:
-        """The two components of the unit vector along the slip of each curved contact, (m,) each."""
+        """Unit vector n(z) along the slip of each curved contact: two components, (m,) each."""
         size = self.size.at(self.curved)
         return self.difference[0].at(self.curved) / size, self.difference[1].at(self.curved) / size
 
     @cached_property
     def stiffness(self) -> Enclosure:
-        """Friction over slip speed, mu F_n / |z|, of each curved contact, (m,)."""
+        """mu F_n / |z| of each curved contact, (m,): by how much friction changes with a slip across z."""
         return self.strength.at(self.curved) / self.size.at(self.curved)
 
     @cached_property
     def pulls(self) -> tuple[Enclosure, Enclosure]:
-        """The two components of the force of each contact, friction along the slip and damping times the slip, (n,)
-        each."""
+        """Force of each contact, mu F_n z / |z| + eta z: two components, (n,) each."""
         found = [self.strength.signed(np.sign(part.high)) for part in self.difference]
         for pull, along in zip(found, self.direction, strict=True):
             pull.put(self.curved, self.strength.at(self.curved) * along)
@@ -134,8 +154,8 @@ class Slipping:
         return found[0], found[1]
 
     def change(self, slot: int) -> sparse.csr_array:
-        """Matrix (n, unknowns) with entries 1, -1 and 0: how the difference of spins of each contact changes with the
-        unknowns. slot : 0 or 1, which of the two components in `felt`."""
+        """Return the matrix (n, unknowns) with entries 1, -1 and 0 that gives w, the change of the slip, from the
+        unknowns. slot : 0 or 1, for the first or the second component in `felt`."""
         ends = np.stack([self.upper[slot], self.lower[slot]], axis=1)
         kept = (ends >= 0) & (ends[:, :1] != ends[:, 1:])  # a contact within one domain has no difference
         begin = np.append(0, np.cumsum(kept[:, 0].astype(np.int8) + kept[:, 1]))
@@ -143,7 +163,7 @@ class Slipping:
         return sparse.csr_array((signs, ends[kept], begin), shape=(len(ends), self.unknowns))
 
     def moved(self, step: np.ndarray) -> Slipping:
-        """The same contacts after the unknowns have changed by `step` (unknowns,)."""
+        """Return these contacts with their slips after the unknowns have changed by `step` (unknowns,)."""
         by = np.append(step, 0.0)
         difference = tuple(
             part + (Enclosure.exact(by[upper]) - Enclosure.exact(by[lower]))
@@ -152,7 +172,8 @@ class Slipping:
         return replace(self, difference=(difference[0], difference[1]))
 
     def slope(self) -> Enclosure:
-        """The slope g of the power, (unknowns,): the torque that the slipping contacts exert on each free domain."""
+        """Return the slope g (unknowns,) of the power: the torque that the slipping contacts exert on each free
+        domain."""
         owner, pulls = [], []
         for slot in range(2):
             for pull, end in ((self.pulls[slot], self.upper[slot]), (-self.pulls[slot], self.lower[slot])):
@@ -162,7 +183,8 @@ class Slipping:
         return grouped_sum(joined(pulls), np.concatenate(owner), self.unknowns)
 
     def blocks(self) -> np.ndarray:
-        """(unknowns,), the number of the block of each unknown: contacts join only unknowns of one block."""
+        """Return for each unknown the number (unknowns,) of its block. A contact changes with unknowns of one block
+        only, so the proof holds for each block by itself."""
         ends = np.concatenate([self.lower, self.upper])
         some = ends.max(axis=0)  # an unknown of the contact if it has any
         pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
@@ -170,10 +192,10 @@ class Slipping:
         return pieces(self.unknowns, first, second)
 
 
-def _slots(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
-    """(2, k), the components in which contacts may slip, in two places: the components that are needed, or, if all
-    three are, the two across the normal of each contact; -1 where a contact does not slip in a component. some :
-    numbers (k,) of contacts."""
+def _slipping_components(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
+    """Return the spin components that make contacts slip, (2, k): the one or two components that the problem needs, or,
+    if it needs all three, the two that are not along the normal. -1 where there is none. some : (k,), indices of the
+    contacts."""
     if len(network.needed) == 3:
         axis = np.argmax(np.abs(network.graph.normal[some]), axis=1)
         return np.stack([(axis + 1) % 3, (axis + 2) % 3])
@@ -183,16 +205,19 @@ def _slots(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
-    """The contacts at spins near the minimum, and the share (n,) by which each slip there differs from them at most;
-    None if no such share can be proven. contacts : those of the given spins; the returned ones may have been moved by
-    steps of Newton's method."""
+    """Prove that one minimum is near, and return the contacts at spins close to it, and for each slip the share (n,) of
+    its size by which it differs at most from the slip at the minimum. None if that is not proven.
+
+    contacts : slips at the given spins. The returned contacts may have been moved by up to CURVATURE_TRIALS - 1 steps
+        of Newton's method.
+    """
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.place[0]))
     for number in range(CURVATURE_TRIALS):
         curvature = Curvature.of(contacts)
         if curvature is None:
             return None
-        turn = _changes_of_slips(contacts, curvature, number == CURVATURE_TRIALS - 1)
+        turn = _bound_on_changes(contacts, curvature, number == CURVATURE_TRIALS - 1)
         if turn is not None:
             return contacts, turn
         step = curvature.newton_step(contacts.slope().value)
@@ -204,22 +229,25 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
     return None
 
 
-def _changes_of_slips(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
-    """The share (n,) of its size by which each slip at the minimum may differ from that of `contacts`; None if it is
-    not proven. curvature : that at `contacts`. last : whether there is no further trial. Before the last one, tau is
-    proven (which is costly) only if the radius that it would give looks small enough."""
+def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
+    """Return a bound (n,) on |slip at the minimum - slip| / |slip| for each contact, by steps 2 and 3; None if it is
+    not proven.
+
+    contacts : slips at the spins that are tried. curvature : H at these spins.
+    last : whether no further trial follows. Else tau, which costs an elimination, is computed only if the bound would
+        be small enough with the usual value of tau.
+    """
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
-    # Theorem: sum h v^2 <= rho^2 at the minimum. 1.5 is above 1 / 0.72, and each block has a radius of its own, as no
-    # contact joins two of them.
+    # Step 2: rho = 1.5 |g| / tau, as 1.5 > 1 / 0.72 = 1.39. Each block has a radius of its own.
     def turn(tau: float) -> np.ndarray:
-        """(n,), bound on the change of each slip over its size, if `tau` is a floor."""
+        """Return the bound (n,) on the change of each slip over its size that would follow from the floor `tau`."""
         radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
-        reach = radius[block] / root  # largest change of each variable
+        reach = radius[block] / root  # largest |v| of each variable, as h v^2 <= rho^2
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
 
-    if not (last or (turn(CURVATURE_SHARE / 2) <= MOST_SLIP_TURN).all()):
+    if not (last or (turn(CURVATURE_SHARE / 2) <= MOST_SLIP_TURN).all()):  # proven_floor proves half of its guess
         return None
     found = turn(curvature.tau)
     return found if curvature.remains(contacts, found) else None
@@ -227,56 +255,61 @@ def _changes_of_slips(contacts: Slipping, curvature: Curvature, last: bool) -> n
 
 @np.errstate(all="ignore")
 def rises(contacts: Slipping, turn: np.ndarray) -> bool:
-    """True if the power has curvature in all directions wherever each slip differs from that of `contacts` by a share
-    of up to `turn` (n,)."""
+    """Return True if the power is proven to have positive curvature along every motion of the unknowns, wherever each
+    slip differs from that of `contacts` by no more than the share `turn` (n,) of its size."""
     curvature = Curvature.of(contacts) if contacts.unknowns else None
     return contacts.unknowns == 0 or (curvature is not None and curvature.remains(contacts, turn))
 
 
 def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[int, np.ndarray] | None = None) -> bool:
-    """True if the friction of the contacts that rest in a motion can be put in balance inside all friction discs.
+    """Return True if some friction of the resting contacts balances all torques and stays below every friction limit.
 
-    contacts, turn : those that slip near a minimum, and the share (n,) by which each slip there differs.
-    unsure : by component, (N,), how far the friction of other contacts at each sphere may be from what it has to be.
+    motion : the network, and which contacts rest.
+    contacts, turn : the slipping contacts, and the share (n,) of its size by which each slip differs at the minimum at
+        most.
+    unsure : by component, (N,), how far the friction that other contacts exert on each sphere may be from what is
+        required of them, in units of force; None for nowhere.
     """
-    network, left = motion.network, {}
+    network, added_by_domain = motion.network, {}
     moment, torques = network.own_moment, network.own_torques
-    off = _unsure(motion, contacts, turn)
+    off = _change_of_friction(motion, contacts, turn)
     for k in network.needed:
-        # Bound the torque on each sphere that resting contacts have to take up: what the given friction leaves over,
-        # and how far friction of slipping contacts may be from that at the minimum.
+        # Bound on the torque on each sphere that resting contacts have to take up in addition to the friction which
+        # they have: what the given friction leaves over, and what slipping contacts change on the way to the minimum.
         residual = np.where(network.free, torques[k].most if unsure is None else torques[k].most + unsure[k], 0.0)
         for slot in range(2):
             some = contacts.felt[slot] == k
             for end in network.graph.contact[:, contacts.own[some]]:
                 residual += np.bincount(end, off[slot, some], len(residual))
         residual[~network.free] = 0.0
-        # It travels through contacts of the domain, along a tree, so no contact carries more than the sum over the
-        # domain.
+        # These torques add up to 0 on each free domain, or a driven sphere of the domain takes the rest. Forces along a
+        # tree of its contacts balance them, none larger than the sum of their sizes over the domain.
         domain = motion.domain[k]
-        left[k] = np.bincount(domain, residual)[domain] * UP
+        added_by_domain[k] = np.bincount(domain, residual)[domain] * UP
+    # Compare the stored friction and what is added to it, a vector of the components, with the friction limit.
     still = np.flatnonzero(motion.rests & network.counts)
     feels = {k: network.feels[k][still] for k in network.needed}
-    borne = length([moment[k].at(still).where(feels[k]) for k in network.needed])
-    room = network.holding.at(still) - borne
+    stored_size = length([moment[k].at(still).where(feels[k]) for k in network.needed])
+    margin = network.holding.at(still) - stored_size
     first = network.graph.contact[0, still]
-    more = np.sqrt(sum(np.where(feels[k], left[k][first], 0.0) ** 2 for k in network.needed))
-    bears = np.any(list(feels.values()), axis=0)
-    return bool((~bears | ((room.high > 0) & (room.least > more * UP))).all())
+    added = np.sqrt(sum(np.where(feels[k], added_by_domain[k][first], 0.0) ** 2 for k in network.needed))
+    takes_part = np.any(list(feels.values()), axis=0)
+    return bool((~takes_part | ((margin.high > 0) & (margin.least > added * UP))).all())
 
 
-def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
-    """(2, n), how far each component of the friction of slipping contacts, as it was given, may be from that at the
-    minimum. contacts, turn : as of :func:`bearable`."""
+def _change_of_friction(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
+    """Return a bound (2, n) on the size of the difference between the stored friction of each slipping contact and its
+    friction at the minimum, for either component in `contacts.felt`. motion, contacts, turn : arguments of
+    :func:`bearable`."""
     network, found = motion.network, np.zeros(contacts.felt.shape)
     for slot in range(2):
-        said = Enclosure.exact(np.zeros(len(contacts.own)))
+        stored = Enclosure.exact(np.zeros(len(contacts.own)))
         for k in network.needed:
             some = np.flatnonzero(contacts.felt[slot] == k)
             own = contacts.own[some]
-            said.put(some, network.moment[k].at(own).signed(network.sign[k][network.graph.contact[1, own]]))
-        found[slot] = (contacts.pulls[slot] - said).most
-        # A slip that changes by a share t of its size changes its unit vector by at most 2 t.
+            stored.put(some, network.moment[k].at(own).signed(network.sign[k][network.graph.contact[1, own]]))
+        found[slot] = (contacts.pulls[slot] - stored).most
+        # A slip that changes by a share t of its size changes its unit vector by at most 2 t, and eta z by t eta |z|.
         found[slot, contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
         if contacts.damping is not None:
             found[slot] += turn * (contacts.damping * contacts.size).most
@@ -285,12 +318,12 @@ def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Form:
-    """A quadratic form A^T A in n unknowns, scaled such that every column of A has length 1, up to rounding.
+    """A quadratic form x^T A^T A x in n unknowns, scaled so that every column of A has length 1 up to rounding.
 
-    rows : A, in doubles.
-    doubt : entry by entry, how far the exact A may be from it.
-    squares : (n,), the squared length of each column before it was scaled.
-    elimination : of A^T A.
+    rows : A, a sparse matrix of doubles.
+    doubt : matrix of the same shape, bounds on the errors of the entries of A.
+    squares : (n,), squared lengths of the columns before they were scaled: the numbers h.
+    elimination : the elimination of A^T A, ordered but not carried out.
     """
 
     rows: sparse.csr_array
@@ -305,37 +338,36 @@ class Form:
         """Scale the columns of `rows` and of `doubt`, and order the elimination; None where a column is 0 or not
         finite.
 
-        place : (d, n), where each unknown is; with `of_rows` where each row is, and unknowns are put at the mean of
-            their rows.
+        place : (d, n), positions of the unknowns. If `of_rows` is True: positions of the rows, and each unknown is put
+            at the mean of its rows.
         """
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         if not ((squares > 0) & (squares < np.inf)).all():
             return None
         inverse = 1 / np.sqrt(squares)
-        rows, doubt = (_with(part, part.data * inverse[part.indices]) for part in (rows, doubt))
+        rows, doubt = (_with_values(part, part.data * inverse[part.indices]) for part in (rows, doubt))
         if of_rows:
-            place = place @ _with(rows, rows.data**2)
+            place = place @ _with_values(rows, rows.data**2)
         return cls(rows, doubt, squares, Elimination.of((rows.T @ rows).tocsc(), place))
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """(n,), by which the scaled unknowns are multiplied to give the original ones."""
+        """(n,), factors by which the scaled unknowns are multiplied to give the original ones: h^-1/2."""
         return 1 / np.sqrt(self.squares)
 
     def floor(self, sharp: bool = False) -> float | None:
-        """Proven lower bound tau of the eigenvalues of the scaled form; None if none is found. sharp : as of
-        :func:`proven_floor`."""
+        """Return a proven lower bound tau of the eigenvalues of the scaled form; None if none is found. sharp : spend
+        more time to find a large bound, see :func:`proven_floor`."""
         return proven_floor(self.rows, self.doubt, self.elimination, sharp)
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """The curvature H of the power in variables v, the sum over slipping contacts of (mu F_n / |z|) (change of the slip
-    across it)^2 + eta (change of the slip)^2, and a floor H >= tau h.
+    """The curvature H of the power in the unknowns v, and a floor H >= tau h.
 
     clusters : (unknowns, unknowns), entries 0 and 1, with u = clusters v.
-    form : H in scaled variables; its `squares` are h.
-    changes : two matrices (n, unknowns), how either component of the slips changes with v.
+    form : H in scaled unknowns; its `squares` are h.
+    changes : two matrices (n, unknowns): both components of w, the changes of the slips, from v.
     """
 
     clusters: sparse.csr_array
@@ -344,46 +376,53 @@ class Curvature:
 
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
-        """The curvature at the slips of `contacts`; None if some variable changes no slip across."""
+        """Compute the curvature at the slips of `contacts`; None if some v changes no slip across its direction and no
+        damped slip."""
         clusters = _clusters(contacts)
         changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exact; what both ends share cancels
-        rows, doubt, owner = _conditions(contacts, changes)
+        rows, doubt, owner = _curvature_rows(contacts, changes)
         form = Form.of(rows, doubt, contacts.place[:, owner], of_rows=True)
         return None if form is None else cls(clusters, form, changes)
 
     @cached_property
     def tau(self) -> float:
-        """The proven floor, H >= tau h; 0 if none is proven."""
+        """The proven floor tau with H >= tau h; 0 if none is proven."""
         return self.form.floor() or 0.0
 
     @cached_property
     def entries(self) -> list[sparse.csr_array]:
-        """The sizes of the entries of `changes`: zeros and ones."""
-        return [_with(change, np.abs(change.data)) for change in self.changes]
+        """Absolute values of the entries of `changes`: two matrices of zeros and ones."""
+        return [_with_values(change, np.abs(change.data)) for change in self.changes]
 
     def remains(self, contacts: Slipping, turn: np.ndarray) -> bool:
-        """True if at least half of tau is proven to remain where each slip differs by a share of up to `turn` (n,) of
-        its size, a quarter at most."""
-        # a unit vector along a slip changes by at most 2 * turn; with the entries e of the row of a contact,
-        # |w|^2 <= (sum of e) (sum of e v^2) by Cauchy and Schwarz
+        """Prove step 3: return True if there is only one minimum where each slip differs from that of `contacts` by no
+        more than the share `turn` (n,) of its size, at most a quarter.
+
+        A motion w along the slip at such a place has |w . t| <= 2 turn |w|, as unit vectors differ by 2 turn at most.
+        Its curvature is at most the sum of (mu F_n / |z|) (2 turn |w|)^2, computed here as a diagonal form in v. It has
+        to be below half of tau h; below tau h would be enough.
+        """
+        # For either component of w, a row of `changes` with entries of sizes e (0 or 1), Cauchy and Schwarz give
+        # w^2 <= (sum of e) (sum of e v^2).
         loss = np.zeros_like(turn)
         loss[contacts.curved] = (2 * turn[contacts.curved]) ** 2 * contacts.stiffness.most
         given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)
         return bool((turn <= MOST_SLIP_TURN).all() and (given_up * UP < self.tau * self.form.squares / 2).all())
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
-        """Change (unknowns,) of the unknowns that makes `slope` (unknowns,) vanish to first order; None if rounding
-        hides the curvature. Nothing is proven of it."""
+        """Return the change (unknowns,) of the unknowns u that makes a slope (unknowns,) vanish to first order; None if
+        rounding hides the curvature. Nothing about it is proven."""
         root, factor = np.sqrt(self.form.squares), self.form.elimination.factorised()
         return None if factor is None else -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
 
 def _clusters(contacts: Slipping) -> sparse.csr_array:
-    """Matrix (unknowns, unknowns) with entries 0 and 1 by which unknowns u are sums of variables v, as Newton's method
-    and the floor tau are better behaved in v.
+    """Return the matrix (unknowns, unknowns) with entries 0 and 1 by which the unknowns u are sums of unknowns v. Any
+    choice is valid; this one keeps tau from becoming tiny.
 
-    Domains that only a tiny slip keeps apart form a cluster: they move together when larger slips change. All domains
-    of a cluster but one are measured from a neighbour, along a tree of the stiffest contacts.
+    Domains between which slips are tiny, and so resist changes most, form a cluster. In v the spin of one domain of a
+    cluster, its head, is measured from 0, and that of every other one from its neighbour on the way to the head, along
+    a tree of the stiffest contacts. Then a motion of the whole cluster is one v and strains no stiff contact.
     """
     # Graph of the stiff contacts between unknowns, all driven domains being one node and a source another.
     driven, source = contacts.unknowns, contacts.unknowns + 1
@@ -393,7 +432,8 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     first, second = (np.where(end < 0, driven, end).ravel() for end in ends)
     slip = np.tile(1 / stiffness[stiff], 2)
     apart = first != second
-    order = np.argsort(-slip[apart], kind="stable")  # of parallel contacts the last entry, the stiffest, is kept
+    # Of parallel contacts, those between the same two unknowns, only the stiffest is kept: the last in this order.
+    order = np.argsort(-slip[apart], kind="stable")
     low, high = np.minimum(first, second)[apart][order], np.maximum(first, second)[apart][order]
     last = np.unique((low * source + high)[::-1], return_index=True)[1]
     low, high, slip = low[::-1][last], high[::-1][last], slip[apart][order][::-1][last]
@@ -419,35 +459,37 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(contacts.unknowns,) * 2)
 
 
-def _with(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array:
-    """A sparse matrix with entries at the same places as those of `matrix`, whose values are `data`."""
+def _with_values(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array:
+    """Return a sparse matrix with entries at the same places as those of `matrix`, whose values are `data` (in the
+    order in which they are stored)."""
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-def _times(
+def _row_scaled(
     values: np.ndarray, matrix: sparse.csr_array, of: Callable[[np.ndarray], np.ndarray] = np.asarray
 ) -> sparse.csr_array:
-    """The matrix with each row multiplied by its number in `values`. of : function that is applied to the entries
-    first."""
-    return _with(matrix, np.repeat(values, np.diff(matrix.indptr)) * of(matrix.data))
+    """Return the matrix (k, n) with each row multiplied by its number in `values` (k,). of : function applied to the
+    entries first, for instance np.abs."""
+    return _with_values(matrix, np.repeat(values, np.diff(matrix.indptr)) * of(matrix.data))
 
 
-def _conditions(
+def _curvature_rows(
     contacts: Slipping, changes: list[sparse.csr_array]
 ) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
-    """Rows A with H = A^T A, a bound on the error of each entry, and the contact (0 to n - 1) of each row. changes : as
-    of :class:`Curvature`.
+    """Return rows A with H = A^T A, a bound on the error of each entry, and for each row the contact (0 to n - 1) that
+    it belongs to. changes : two matrices (n, unknowns), both components of the changes of slips.
 
-    A row of a curved contact is the change of its slip across the slip times the root of mu F_n / |z|; with damping
-    every contact has two more rows, both components of the change of its slip times the root of eta. A contact that
-    slips in one component has no curvature by friction.
+    A curved contact has one row, the change of its slip across the slip times (mu F_n / |z|)^1/2. With damping every
+    contact has two more, both components of the change of its slip times eta^1/2. Friction in one component has no
+    curvature: mu F_n |z| is straight.
     """
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
-    root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS  # 16: a few roundings, amply
+    # Relative error of the root: that of its square, and 16 roundings where a root, products and a sum make five.
+    root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS
     rows, doubt = [], []
     for part, change in zip(across, (whole[contacts.curved] for whole in changes), strict=True):
-        rows.append(_times(root * part.value, change))
-        doubt.append(_times(root * (part.error + inexact * part.most), change, np.abs))
+        rows.append(_row_scaled(root * part.value, change))
+        doubt.append(_row_scaled(root * (part.error + inexact * part.most), change, np.abs))
     found, unsure, owner = rows[0] + rows[1], doubt[0] + doubt[1], [contacts.curved]
     found.eliminate_zeros()
     if contacts.damping is None:
@@ -455,8 +497,8 @@ def _conditions(
     root, inexact = np.sqrt(contacts.damping.value), contacts.damping.error / contacts.damping.most + 16 * EPS
     whole, off = [found], [unsure]
     for change in changes:
-        whole.append(_times(root, change))
-        off.append(_times(root * inexact, change, np.abs))
+        whole.append(_row_scaled(root, change))
+        off.append(_row_scaled(root * inexact, change, np.abs))
         owner.append(np.arange(len(root)))
     found, unsure = (sparse.csr_array(sparse.vstack(parts, format="csr")) for parts in (whole, off))
     return found, unsure, np.concatenate(owner)
@@ -465,30 +507,35 @@ def _conditions(
 def proven_floor(
     rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination, sharp: bool = False
 ) -> float | None:
-    """A tau such that A^T A >= tau, as an inequality of eigenvalues, for all A that differ from `rows` by no more than
-    `doubt` in each entry; None if none is found. elimination : of A^T A.
+    """Return a number tau such that all eigenvalues of A^T A are tau or more, for every matrix A whose entries differ
+    from those of `rows` by no more than those of `doubt`. None if none is found.
 
-    The first guess, CURVATURE_SHARE, saves an estimate of the least eigenvalue where it is enough. sharp : leave it
-    out, as the floor should be as large as can be.
+    elimination : of rows^T rows, as doubles have formed it.
+    sharp : True to estimate the least eigenvalue at once, for a floor that is as large as possible. Else
+        CURVATURE_SHARE is tried first, which needs no estimate.
+
+    A guess is shifted off the diagonal and the rest eliminated. If all pivots are positive, the rest is positive but
+    for the errors that are bounded here, and half of the guess is proven if these take less than the other half.
     """
     terms = int(np.bincount(rows.indices).max(initial=0)) + 4
-    sizes = _with(rows, np.abs(rows.data)) + doubt
+    sizes = _with_values(rows, np.abs(rows.data)) + doubt
     guesses = (lambda: CURVATURE_SHARE, 1), (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS)
     for guess, steps in guesses[sharp:]:
         most, off = (_largest_eigenvalue(part, steps) for part in (sizes, doubt))
-        # All A^T A differ by 2 |A| |doubt| at most; forming the product rounds each entry (terms + 1) times at most,
-        # shifting its diagonal once.
+        # Errors, in the spectral norm: `most` and `off` bound the squared norms of |rows| + doubt and of doubt. The
+        # products A^T A of all these A differ by 2 |A| |doubt| at most. Doubles form them as sums of `terms` products,
+        # each with a rounding of EPS, and round once more where the diagonal, about 1, is shifted.
         tau, error = guess(), 2 * np.sqrt(most * off) + (terms + 1) * EPS * most + EPS
         missed = elimination.distance_from_positive(tau)
-        # A^T A - tau is positive but for `missed` and `error`: if these take less than half of tau, tau / 2 is a floor.
+        # A^T A - tau has no eigenvalue below -(missed + error): if that is less than half of tau, tau / 2 is a floor.
         if missed is not None and tau - (missed + error) * UP > tau / 2:
             return tau / 2
     return None
 
 
 def _least_eigenvalue(elimination: Elimination) -> float:
-    """A rough value, of which nothing is proven, of the least eigenvalue of the eliminated matrix, by inverse
-    iteration; 0 where rounding hides it."""
+    """Return a rough value of the least eigenvalue of the eliminated matrix, by inverse iteration; 0 where rounding
+    hides it. Nothing about it is proven; it is a guess for :func:`proven_floor`."""
     factor, vector = (
         elimination.factorised(-LEAST_CURVATURE),
         np.random.default_rng(0).standard_normal(elimination.size),
@@ -503,8 +550,9 @@ def _least_eigenvalue(elimination: Elimination) -> float:
 
 
 def _largest_eigenvalue(rows: sparse.csr_array, steps: int) -> float:
-    """Upper bound of the largest eigenvalue of W^T W, for `rows` W without negative entries: the largest of (W^T W x) /
-    x for any positive x (Collatz and Wielandt). steps : power iterations by which x is improved."""
+    """Return an upper bound of the largest eigenvalue of W^T W for a matrix W without negative entries: the largest of
+    (W^T W x) / x, entry by entry, for any positive vector x (Collatz and Wielandt). rows : W. steps : number of power
+    iterations that improve x, from ones."""
     columns, vector = rows.T, np.ones(rows.shape[1])
     for _ in range(steps):
         vector = columns @ (rows @ vector)

@@ -1,4 +1,8 @@
-"""Spins and friction of a bearing as they are judged: scaled by powers of two, enclosed, with what is imposed."""
+"""Make the network that the proofs judge from a bearing, its spins and its friction.
+
+Speeds and forces are scaled by powers of two, by which nothing is rounded, and enclosed in sums of two doubles. Driven
+spheres get exactly the spins that are imposed.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +17,20 @@ from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.exact_driving import power_of_two
 
 LEAST_SPEED = 1e-100  # slowest allowed value of the fastest imposed surface speed
-ONE_SPEED = 4  # units in the last place by which imposed speeds may differ that are taken for one
+# Units in the last place by which imposed surface speeds may differ and be taken for one. A spin computed as speed over
+# radius is off by half a unit, so the speed by up to one; two of them differ by up to 2 units, and this is twice that.
+ONE_SPEED = 4
 
 
 def judged_network(
     scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
 ) -> JudgedNetwork | None:
-    """The network to be judged; None for numbers that are not finite, or whose scales are too large or small for
-    products.
+    """Return the network to be judged; None for numbers that are not finite, or whose scales are so large or small that
+    products might overflow or underflow.
 
-    spin, spin_rounding, friction : as of :class:`Judgement`; of contacts in lists those of one sample.
+    scene : a lattice with R samples, or a packing.
+    spin, spin_rounding, friction : the spins, as the sum of both, and the friction on the second sphere of each
+        contact, with the shapes of :class:`Judgement`; for contacts in lists those of one sample.
     """
     samples = samples_of_lattice(scene, spin, spin_rounding, friction)
     if samples is None:
@@ -31,7 +39,7 @@ def judged_network(
 
 
 def _on_lattice(samples: OnLattice) -> JudgedNetwork:
-    """The network of samples of a lattice, side by side."""
+    """Return the network of the R samples of a lattice, side by side."""
     scene, grid, force = samples.scene, Grid(samples), samples.force_unit
     strength, radius, law = scene.strength, scene.lattice.radius, scene.law
     coefficient, free = scene.coefficient.ravel(), np.ones(grid.spheres, dtype=bool)
@@ -39,6 +47,7 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
         grid.on_spheres(free)[..., plane] = False
     acts, none = grid.any_end(free) & (coefficient != 0), np.broadcast_to(0.0, grid.contacts)  # takes no memory
     zero = Enclosure(none, none, none)
+    # Friction limits mu F_n and damping eta in units of `force` and of the speed radius * spin_unit.
     unit, speed = power_of_two(strength), radius * (samples.spin_unit / force)
     holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
     viscosity = scene.named_coefficients.get("viscosity", coefficient).ravel()
@@ -51,8 +60,8 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
 
 
 def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray) -> JudgedNetwork | None:
-    """The network of a bearing whose contacts are in lists. spin, rounding, friction : as of :class:`Judgement`, one
-    sample."""
+    """Return the network of a bearing whose contacts are in lists; None where its scales are not allowed. spin,
+    rounding, friction : those of one sample, with the shapes of :class:`Judgement`."""
     contacts, law = packing.network, packing.law
     free, radius = contacts.free, contacts.radius
     spin, rounding, imposed = (of.reshape(contacts.spheres, -1) for of in (spin, rounding, packing.imposed_spins()[0]))
@@ -64,6 +73,7 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     fastest = float(np.abs(spin * radius[:, None])[~free].max(initial=0.0)) or 1.0
     given, *beside = (of[0] for of in packing.named_coefficients.values())
     pressed = packing.normal_force if law.holds else 1.0
+    # Friction limits (`first`) and damping (`slope`) in doubles, to choose units by them.
     first, slope = given * pressed, np.zeros(contacts.contacts)
     if law.flows:
         slope = beside[0] if law.holds else given
@@ -85,7 +95,7 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     moving = [Enclosure.exact(*part) for part in zip(spin.T, rounding.T, strict=True)]
     moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
     for part in moving:
-        _drive_as_one(part, np.flatnonzero(~free))
+        _equalise_imposed_speeds(part, np.flatnonzero(~free))
     moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], contacts.normal)
     return JudgedNetwork(
         law, 1, free, speed * unit, force, moving, moment,
@@ -97,12 +107,12 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     )  # fmt: skip
 
 
-def _drive_as_one(u: Enclosure, driven: np.ndarray) -> None:
-    """Change a component u (N,) in place: driven spheres (numbers) whose sizes of u differ by no more than 4 units in
-    the last place all get the smallest of these sizes, as a double.
+def _equalise_imposed_speeds(u: Enclosure, driven: np.ndarray) -> None:
+    """Change one component u (N,) of spin times radius in place: driven spheres whose sizes of u differ by no more than
+    ONE_SPEED units in the last place all get the smallest of these sizes, as a double.
 
     A spin that was computed as speed over radius is rounded, so that one driving appears as several. Sizes that are
-    close to no other one keep all their digits.
+    close to no other one keep all their digits. driven : indices of the driven spheres.
     """
     own = driven[u.high[driven] != 0]
     sign = np.sign(u.high[own])

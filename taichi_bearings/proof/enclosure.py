@@ -1,10 +1,16 @@
 """Arrays of real numbers, each enclosed in an interval: high + low, two doubles, and a bound on the error of this sum.
 
-A result of +, -, *, / or sqrt encloses the exact result for all numbers that the operands enclose. Pairs of doubles
-carry some 106 bits (Dekker, Numer. Math. 18, 1971). Joldes, Muller and Popescu (ACM Trans. Math. Softw. 44, 2017) prove
-relative errors of a few 2^-106 for one operation on pairs; 2^-100 is used here, several times as much. Bounds on errors
-are themselves computed in doubles and rounded up by a factor. Products that may underflow have a larger error bound;
-numbers beyond 1e140 in size are not allowed.
+A result of +, -, *, / or sqrt encloses the exact result for all numbers that the operands enclose. A pair of doubles
+carries some 106 bits (Dekker, Numer. Math. 18, 1971). Joldes, Muller and Popescu (ACM Trans. Math. Softw. 44, 2017)
+prove relative errors of a few 2^-106 for one operation on pairs; 2^-100 is used here, several times as much. Bounds on
+errors are themselves computed in doubles and rounded up by a factor. Products that may underflow have a larger error
+bound; numbers beyond 1e140 in size are not allowed.
+
+>>> from fractions import Fraction
+>>> third = Enclosure.exact([1.0]) / Enclosure.exact([3.0])
+>>> high, low, error = (Fraction(float(part[0])) for part in third.parts)
+>>> abs(Fraction(1, 3) - high - low) <= error < Fraction(1, 10**29)
+True
 """
 
 from __future__ import annotations
@@ -34,12 +40,13 @@ Made = TypeVar("Made", bound=Callable[..., Any])
 
 def in_cache(made: Made) -> Made:
     """Decorate a function of enclosures, arrays and numbers that works element by element, so that it handles large
-    arrays in parts that fit the caches of a processor. Only arguments and result then pass through memory; the numbers
-    found are the same."""
+    arrays in parts that fit the caches of a processor. Only arguments and result then pass through memory; the results
+    are the same bits."""
 
     @wraps(made)
     def in_parts(*given: Any) -> Any:
-        """The result of `made`, computed part by part if the arrays are large; arguments are broadcast to one shape."""
+        """Return the result of `made`, computed part by part if the arrays are large. given : enclosures, arrays and
+        numbers, which are broadcast to one shape."""
         shape = np.broadcast_shapes(*(np.shape(v.high if isinstance(v, Enclosure) else v) for v in given))
         if math.prod(shape) <= 2 * IN_CACHE:
             return made(*given)
@@ -57,7 +64,7 @@ def in_cache(made: Made) -> Made:
 
 
 def _parts_of(shape: tuple[int, ...]) -> Iterator[tuple[int | slice, ...]]:
-    """Indices of successive parts, about IN_CACHE numbers each, that cover an array of this shape."""
+    """Yield indices of successive parts, about IN_CACHE numbers each, that cover an array of the given shape."""
     row = math.prod(shape[1:])
     if row > 2 * IN_CACHE:
         for first in range(shape[0]):
@@ -69,7 +76,10 @@ def _parts_of(shape: tuple[int, ...]) -> Iterator[tuple[int | slice, ...]]:
 
 @dataclass(frozen=True)
 class Enclosure:
-    """Enclosed numbers, |exact - (high + low)| <= error; three arrays of one shape."""
+    """Enclosed numbers, |exact - (high + low)| <= error.
+
+    high, low, error : three arrays of one shape. error is 0 where the sum is exact.
+    """
 
     high: np.ndarray
     low: np.ndarray
@@ -77,7 +87,7 @@ class Enclosure:
 
     @classmethod
     def exact(cls, high: ArrayLike, low: ArrayLike = 0.0) -> Enclosure:
-        """Enclose doubles `high`, or the sums of two doubles each, without any error."""
+        """Enclose doubles `high`, or the sums high + low of two doubles each, without any error."""
         high = np.asarray(high, dtype=np.float64)
         if np.isscalar(low) and low == 0:
             return cls(high, np.zeros_like(high), np.zeros_like(high))
@@ -86,18 +96,19 @@ class Enclosure:
 
     @classmethod
     def of_decimals(cls, values: list[Decimal]) -> Enclosure:
-        """Enclose numbers with many more digits than two doubles have, shape (n,)."""
+        """Enclose n decimal numbers with many more digits than two doubles have, as arrays (n,)."""
         high = [float(v) for v in values]
         low = [float(v - Decimal(h)) for v, h in zip(values, high, strict=True)]
         pair = cls.exact(high, low)
         return cls(pair.high, pair.low, PAIR_ROUNDING * np.abs(pair.high))
 
     def __neg__(self) -> Enclosure:
+        """Return the numbers with the opposite sign."""
         return Enclosure(-self.high, -self.low, self.error)
 
     @in_cache
     def __add__(self, other: Enclosure) -> Enclosure:
-        """The sum, element by element."""
+        """Return the sum, element by element."""
         high, rest = two_sum(self.high, other.high)
         low, more = two_sum(self.low, other.low)
         high, rest = _fast_two_sum(high, rest + low)
@@ -106,19 +117,19 @@ class Enclosure:
 
     @in_cache
     def __sub__(self, other: Enclosure) -> Enclosure:
-        """The difference, element by element."""
+        """Return the difference, element by element."""
         return self + (-other)
 
     @in_cache
     def plus(self, other: np.ndarray) -> Enclosure:
-        """The sum with an array of doubles that are exact."""
+        """Return the sum with an array of doubles that are exact."""
         high, rest = two_sum(self.high, other)
         high, rest = _fast_two_sum(high, rest + self.low)
         return Enclosure(high, rest, (self.error + PAIR_ROUNDING * np.abs(high)) * UP)
 
     @in_cache
     def __mul__(self, other: Enclosure) -> Enclosure:
-        """The product, element by element."""
+        """Return the product, element by element."""
         product, rest = two_product(self.high, other.high)
         rest += self.high * other.low + self.low * other.high
         most, others = self.most, other.most
@@ -126,7 +137,7 @@ class Enclosure:
 
     @in_cache
     def squared(self) -> Enclosure:
-        """The square: the same bits as the product with itself, in less time."""
+        """Return the square: the same bits as the product with itself, in less time."""
         (product, rest), most = two_square(self.high), self.most
         twice, error = self.high * self.low, self.error * most
         rest += twice + twice
@@ -134,7 +145,7 @@ class Enclosure:
 
     @in_cache
     def times(self, other: np.ndarray) -> Enclosure:
-        """The product with an array of doubles that are exact."""
+        """Return the product with an array of doubles that are exact."""
         product, rest = two_product(self.high, other)
         rest += self.low * other
         error = self.error * (np.abs(other) * SLIGHTLY_UP)
@@ -142,18 +153,18 @@ class Enclosure:
 
     @in_cache
     def __truediv__(self, other: Enclosure) -> Enclosure:
-        """The quotient; no divisor may enclose 0."""
+        """Return the quotient, element by element. Where a divisor encloses 0 the error is infinite or NaN."""
         first = self.high / other.high
         left = self - other.times(first)
         second = left.high / other.high
         high, low = _fast_two_sum(first, second)
-        # exact quotient - (first + second) = (left - second * divisor) / divisor; their sum rounds nothing off
+        # exact quotient - (first + second) = (left - second * divisor) / divisor; first + second = high + low exactly
         missed = left - other.times(second)
         return Enclosure(high, low, missed.most / other.least * UP)
 
     @in_cache
     def sqrt(self) -> Enclosure:
-        """The square root of numbers that are not negative. Where the value is 0, only the numbers >= 0 that it
+        """Return the square root of numbers that are not negative. Where the value is 0, only the numbers >= 0 that it
         encloses are meant."""
         zero = self.high == 0
         root = np.sqrt(np.where(zero, 1.0, self.high))
@@ -168,17 +179,20 @@ class Enclosure:
         )
 
     def __abs__(self) -> Enclosure:
+        """Return the absolute values."""
         return Enclosure(np.abs(self.high), np.where(self.high < 0, -self.low, self.low), self.error)
 
     def signed(self, sign: np.ndarray | float) -> Enclosure:
-        """The product with an array of numbers that are +1, -1, 0 or a power of two, by which nothing is rounded."""
+        """Return the product with an array of numbers that are +1, -1, 0 or a power of two, by which nothing is
+        rounded."""
         return Enclosure(sign * self.high, sign * self.low, np.abs(sign) * self.error)
 
     def __getitem__(self, where: Any) -> Enclosure:
+        """Return the enclosures at an index, slice or mask, as NumPy takes it."""
         return Enclosure(*(part[where] for part in self.parts))
 
     def at(self, places: np.ndarray) -> Enclosure:
-        """The enclosures at `places` (integers) of the flattened arrays."""
+        """Return the enclosures at `places` (integers) of the flattened arrays."""
         return Enclosure(*(part.reshape(-1).take(places) for part in self.parts))
 
     def put(self, places: np.ndarray, others: Enclosure) -> None:
@@ -187,18 +201,20 @@ class Enclosure:
             part.put(places, other)
 
     def where(self, some: np.ndarray) -> Enclosure:
-        """The enclosures where the mask `some` is true, exactly 0 elsewhere."""
+        """Return the enclosures where the mask `some` is True, and exactly 0 elsewhere."""
         return Enclosure(*(np.where(some, part, 0.0) for part in self.parts))
 
     def spread(self, shape: tuple[int, ...]) -> Enclosure:
-        """The enclosures broadcast to a shape; read-only."""
+        """Return the enclosures broadcast to a shape; read-only."""
         return Enclosure(*(np.broadcast_to(part, shape) for part in self.parts))
 
     def reshaped(self, shape: tuple[int, ...]) -> Enclosure:
+        """Return the enclosures with another shape, as views."""
         return Enclosure(*(part.reshape(shape) for part in self.parts))
 
     @property
     def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The three arrays high, low and error."""
         return self.high, self.low, self.error
 
     @property
@@ -218,23 +234,24 @@ class Enclosure:
 
     @in_cache
     def upper(self) -> np.ndarray:
-        """Doubles not below any enclosed number; `high` itself where that is exact."""
+        """Return doubles not below any enclosed number; `high` itself where that is exact."""
         change = self.low + self.error
         above = np.nextafter(self.high + (change + 2.0**-50 * np.abs(change)), np.inf)
         return np.where((self.low == 0) & (self.error == 0), self.high, above)
 
     def lower(self) -> np.ndarray:
-        """Doubles not above any enclosed number."""
+        """Return doubles not above any enclosed number."""
         return -(-self).upper()
 
 
 def joined(members: list[Enclosure]) -> Enclosure:
-    """The concatenation of enclosures (n_1,), (n_2,), ... in one array."""
+    """Return the concatenation of enclosures (n_1,), (n_2,), ... as one enclosure."""
     return Enclosure(*(np.concatenate(parts) for parts in zip(*(m.parts for m in members), strict=True)))
 
 
 def row_sum(values: Enclosure) -> Enclosure:
-    """Sums (R,) over the rows of enclosures (R, n), added in pairs."""
+    """Return the sums (R,) over the rows of enclosures (R, n), added in pairs: first with second, third with fourth,
+    and so on with the sums."""
     while (size := values.high.shape[1]) > 1:
         half = size // 2
         paired, odd = values[:, :half] + values[:, half : 2 * half], values[:, 2 * half :]
@@ -245,8 +262,8 @@ def row_sum(values: Enclosure) -> Enclosure:
 
 
 def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
-    """Sums (count,) of the values (n,) that belong to each owner, added in pairs. owner : (n,), integers from 0 to
-    count - 1."""
+    """Return the sums (count,) of the values (n,) that belong to each owner, added in pairs. owner : (n,), integers
+    from 0 to count - 1."""
     if count == 1:
         return row_sum(values.reshaped((1, -1)))
     order = np.argsort(owner.astype(np.uint16) if count <= 2**16 else owner, kind="stable")  # 16 bits: radix sort
@@ -267,8 +284,8 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
 
 
 def length(parts: list[Enclosure]) -> Enclosure:
-    """Length (n,) of vectors given by their components, one enclosure (n,) each. If only one component is not 0, it is
-    exactly the size of that."""
+    """Return the length (n,) of vectors given by their components, one enclosure (n,) each. If only one component of a
+    vector is not 0, its length is exactly the absolute value of that."""
     parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # leave out exact zeros
     there = np.array([(part.high != 0) | (part.error != 0) for part in parts])
     several = np.flatnonzero(there.sum(axis=0, dtype=np.int8) > 1)
@@ -281,8 +298,8 @@ def length(parts: list[Enclosure]) -> Enclosure:
 
 
 def _length_of_several(parts: list[Enclosure]) -> Enclosure:
-    """Length (n,) of vectors given by their components, of which more than one is not exactly 0. Short vectors are
-    scaled up by a power of two before they are squared, since small squares would lose digits."""
+    """Return the length (n,) of vectors given by their components, of which more than one is not exactly 0. Short
+    vectors are scaled up by a power of two before they are squared, since small squares would lose digits."""
     sizes = np.max([part.most for part in parts], axis=0)
     faint = sizes < LEAST_LENGTH
     if not faint.any():
@@ -296,8 +313,11 @@ def _length_of_several(parts: list[Enclosure]) -> Enclosure:
 
 
 def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]) -> Enclosure:
-    """The enclosure of a product that is about `product` + `rest`. error : how far the errors of its factors may move
-    it. counts : function that returns the mask of elements without an exact factor of 0, to which underflow may happen.
+    """Return the enclosure of a product that is about `product` + `rest`.
+
+    error : how far the errors of its factors may move it.
+    counts : function that returns the mask of elements without an exact factor of 0: only these may have lost something
+        by underflow.
     """
     high, low = _fast_two_sum(product, rest)
     size = np.abs(high)
@@ -310,7 +330,7 @@ def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: C
 
 
 def _fast_two_sum(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rounded sum of doubles |a| >= |b|, and exactly what the rounding left out (Dekker)."""
+    """Return the rounded sum of doubles |a| >= |b|, and exactly what the rounding left out (Dekker)."""
     total = a + b
     part = total - a
     return total, np.subtract(b, part, out=part)

@@ -1,20 +1,32 @@
 """Motions of spheres that let contacts roll exactly, where these close many loops: steps of theorems 3 and 7.
 
-Letters: N spheres, E contacts, A of them looked at, with the slips K x by the n unknown components x of free spins, K
-(3 A, n); J some of the unknowns; s a floor of the singular values of K by the other unknowns; q numbers that are
-chosen: values of J, and imposed numbers.
+Why. Contacts that close more loops than their spheres have freedom for roll together only if the directions of their
+normals agree exactly, as those of a lattice do. The least rounding breaks it, so it takes a proof without any rounding.
 
-Contacts that close more loops than their spheres have freedom for roll together only if the directions of their normals
-agree exactly, as those of a lattice do. The least rounding breaks it, so it takes a proof without any rounding. To each
-unknown of J belongs a motion, which is 1 there, 0 at the rest of J, and lets no contact slip. An elimination in doubles
-lets us guess it. Where it consists of rational numbers, products without rounding prove that no contact slips in it. If
-that is so for all of J, these motions span the whole kernel of K. And no other singular value of K is below s: from an
-x orthogonal to the kernel subtract the motions that have its values on J. What is left is no shorter, slips as x does,
-and is 0 on J.
+Symbols
+    N spheres, E contacts. A : number of the contacts that are looked at. n : number of unknowns, the components of the
+    spins of free spheres.
+    K : matrix (3 A, n); K x are the slips of these contacts. Its kernel is all x without slip.
+    J : some of the unknowns, chosen so that all others follow from them.
+    q : number of *choices*, the numbers from which all spins follow: the values of J, and the imposed spins.
+    s : proven floor of the singular values of K for the unknowns outside J.
 
-In the same way the spins that let contacts with driven spheres roll follow from each number that is imposed. Parts that
-have no more conditions than unknowns outside J need none of this and are left out; so are spheres that move in a way
-that is not exact.
+The proof
+1. An elimination in doubles finds J: the unknowns at which a pivot is nearly 0.
+2. To each unknown of J belongs a motion: it is 1 there, 0 at the rest of J, and lets no contact slip. Least squares
+   guess it in doubles. Where it looks like fractions, these are taken, multiplied by their common denominator, and
+   products without rounding decide whether no contact slips.
+3. If that holds for all of J, these motions span the kernel of K: by s > 0 nothing outside J can move alone.
+4. No other singular value of K is below s. Take x orthogonal to the kernel and subtract the motions that have its
+   values on J. What is left slips as x does, is 0 on J, and is no shorter than x. So |K x| >= s |x|.
+5. In the same way spins that let contacts with driven spheres roll follow from each imposed spin.
+
+Contacts join free spheres to *parts*. A part that has no more conditions than unknowns outside J needs no such proof
+and is left out. Spheres whose motion is not exact are left out, too, and the rest is tried again.
+
+Example. Four equal spheres in a square ring, normals along x and y. With the spins about z (1, -1, 1, -1) no contact
+slips, as u_i + u_j = 0. J has the z spin of the first sphere, and the fractions are 1 and -1. It takes four contacts,
+but only three can be independent in z: the fourth rolls because the numbers agree exactly.
 """
 
 from __future__ import annotations
@@ -32,9 +44,12 @@ from taichi_bearings.proof.rounded_elimination import Elimination, Factor
 from taichi_bearings.proof.springs import rounding_of, slip_rows
 
 FAINT = 1e-100  # size of factors above which no part of a product underflows
+# How motions are guessed. A wrong guess makes the proof fail, as what it says is checked without rounding.
 NULL_PIVOT = 1e-8  # pivot up to which an unknown is put into J
 DENOMINATORS = 720  # largest denominator of the fractions that are guessed
-WHOLE, LARGEST = 1e-6, 2.0**40  # how far a number may be off the integer that it is taken for, and how large one is
+# How far a number may be off the integer that it is taken for, and the size up to which integers are allowed, so that
+# sums and products of them in doubles are exact.
+WHOLE, LARGEST = 1e-6, 2.0**40
 MOST_ROUNDS = 12  # number of times that spheres are left out and the rest is tried again
 MOST_EXACT_SPHERES = 5_000  # number of free spheres beyond which this takes longer than finding the minimum
 SLOTS_AT_ONCE = 64  # choices of a part that are solved for at once
@@ -44,10 +59,10 @@ SLOTS_AT_ONCE = 64  # choices of a part that are solved for at once
 class ExactMotions:
     """Contacts that can all roll exactly at once, and the motions in which they do.
 
-    spheres : (N,) mask of the free spheres that they join.
-    contacts : (E,) mask of the contacts, among these spheres and with driven ones.
-    floor : lower bound of the singular values of K that are not 0; infinite if there are no spheres.
-    motions : how spins follow from the chosen numbers; None if there are no spheres.
+    spheres : (N,) mask of the free spheres that these contacts join.
+    contacts : (E,) mask of the contacts: among these spheres, and with driven ones.
+    floor : proven lower bound of the singular values of K that are not 0; infinite without any sphere.
+    motions : how all spins follow from the choices; None without any sphere.
     """
 
     spheres: np.ndarray
@@ -57,8 +72,11 @@ class ExactMotions:
 
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Find exact motions of as many spheres as possible that contacts of the mask `rests` (E,) join. number : (N,
-        3), number of each unknown, -1 where there is none."""
+        """Find exact motions of as many spheres as possible.
+
+        number : (N, 3), which unknown each component of a spin is, -1 where it is none.
+        rests : (E,) mask of the contacts that shall roll.
+        """
         spheres, (first, second) = network.reached, network.graph.contact
         for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES else 0):
             whole = spheres | ~network.free
@@ -68,15 +86,16 @@ class ExactMotions:
             spheres = spheres & touched
             if not spheres.any():
                 break
-            found = _Parts.of(network, spheres[:, None] & (number >= 0), contacts).solved()  # or a mask to leave out
+            # Either all of them can roll exactly, or some spheres are left out and the rest is tried again.
+            found = _Parts.of(network, spheres[:, None] & (number >= 0), contacts).floor_and_motions()
             if isinstance(found, tuple):
                 return cls(spheres, contacts, *found)
             spheres = spheres & ~found
         return cls(np.zeros_like(spheres), np.zeros_like(rests))
 
     def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """Spins by component, (N,) each, at which all these contacts roll exactly. spin : given spins, sums of two
-        doubles; those of J and of all other spheres stay as they are."""
+        """Return spins by component, 3 enclosures (N,), at which all these contacts roll exactly. spin : given spins,
+        sums of two doubles; the values of J and all other spheres keep theirs."""
         return spin if self.motions is None else self.motions.spin(spin)
 
 
@@ -85,10 +104,9 @@ class _Parts:
     """The parts that A contacts make of free spheres with n unknowns; driven spheres join no parts.
 
     free : (N, 3) mask of the unknowns.
-    ends : (2, A), spheres of the contacts.
-    normal : (A, 3).
-    rows : K, (3 A, n), component by component.
-    of_unknown, of_contact : (n,) and (A,), numbers of their parts, 0 to count - 1.
+    ends : (2, A), indices of the spheres of the contacts. normal : (A, 3), their normals.
+    rows : K, (3 A, n): x components of all slips, then y, then z.
+    of_unknown, of_contact : (n,) and (A,), the number of the part of each, 0 to count - 1.
     """
 
     network: JudgedNetwork
@@ -102,7 +120,8 @@ class _Parts:
 
     @classmethod
     def of(cls, network: JudgedNetwork, free: np.ndarray, contacts: np.ndarray) -> _Parts:
-        """Parts of the unknowns in the mask `free` (N, 3), joined by the contacts in the mask `contacts` (E,)."""
+        """Make the parts of the unknowns in the mask `free` (N, 3) that the contacts in the mask `contacts` (E,)
+        join."""
         ends = network.graph.contact[:, contacts]
         rows = sparse.csr_array(slip_rows(network, numbered(free))[np.flatnonzero(np.tile(contacts, 3))])
         rows.eliminate_zeros()
@@ -112,37 +131,37 @@ class _Parts:
         of_contact = np.searchsorted(parts, label[np.where(network.free[ends[0]], *ends)])
         return cls(network, free, ends, network.graph.normal[contacts], rows, of_unknown, of_contact, len(parts))
 
-    def solved(self) -> tuple[float, _Motions] | np.ndarray:
-        """The floor of singular values, and the motions; or a mask (N,) of at least one sphere that is to be left
-        out."""
+    def floor_and_motions(self) -> tuple[float, _Motions] | np.ndarray:
+        """Return the floor s and the motions if all contacts can roll exactly; else a mask (N,) of at least one sphere
+        that is to be left out."""
         everything, place = np.asarray(self.free.any(axis=1)), self.network.graph.place[np.nonzero(self.free)[0]].T
-        # Choose J: unknowns without which no pivot is nearly 0.
+        # Step 1: choose J, unknowns without which no pivot is nearly 0. All others follow.
         follows = ~Elimination.of((self.rows.T @ self.rows).tocsc(), place).dependent(NULL_PIVOT)
-        # A slip has two components. Parts without more of them than unknowns outside J have nothing to prove: leave
-        # them out.
+        # A slip has two components. Parts without more of these conditions than unknowns outside J have nothing to
+        # prove: leave them out.
         conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
         enough = conditions <= np.bincount(self.of_unknown, follows, self.count)
         if enough.any() or not follows.any():
             return self._spheres(enough[self.of_unknown] | ~follows.any())
-        # A proven floor of the other unknowns, and the motions that follow from J and from what is imposed.
+        # Steps 2 to 5: s^2 for the other unknowns, and the motions that follow from J and from what is imposed.
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
         elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows])
         tau, factor = proven_floor(rows, rounding_of(rows), elimination, sharp=True), elimination.factorised()
         if tau is None or factor is None or choices is None:
             return everything
-        motions, strange = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor)
-        slide = motions.slide()
-        if not len(slide):
+        motions, no_fraction = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor)
+        slipping = motions.slipping_contacts()
+        if not len(slipping):
             return float(np.sqrt(tau) / UP), motions
-        found = self._spheres(strange)
+        found = self._spheres(no_fraction)
         # Leave out spheres with a number that is no fraction, and both ends of contacts that slip though all numbers
         # are fractions.
-        clear = ~found[self.ends[:, slide]].any(axis=0)  # of both ends all numbers are whole
-        found[self.ends[:, slide[clear]]] = True
+        clear = ~found[self.ends[:, slipping]].any(axis=0)
+        found[self.ends[:, slipping[clear]]] = True
         return found & everything
 
     def _spheres(self, unknowns: np.ndarray) -> np.ndarray:
-        """(N,) mask of the spheres to which any of the unknowns in the mask `unknowns` (n,) belongs."""
+        """Return the mask (N,) of the spheres that own any of the unknowns in the mask `unknowns` (n,)."""
         found = np.zeros_like(self.free)
         found[self.free] = unknowns
         return np.asarray(found.any(axis=1))
@@ -150,12 +169,13 @@ class _Parts:
 
 @dataclass(frozen=True)
 class _Choices:
-    """The q numbers from which all other spins follow: the spins of J, then each distinct size of imposed spins in each
-    part.
+    """The q numbers from which all other spins follow: the values of J, then each distinct size of imposed spins in
+    each part.
 
-    chosen : numbers of the unknowns in J.
-    imposed : the imposed sizes.
-    owner, slot : (q,), the part of each number, and its place (from 0) among the numbers of this part.
+    chosen : indices of the unknowns in J.
+    imposed : the imposed sizes, as enclosures.
+    owner : (q,), the part to which each number belongs.
+    slot : (q,), its place, from 0, among the numbers of this part.
     sums : (3 A, q), what a unit of each number contributes to u_i + u_j of the contacts of its part, by component.
     """
 
@@ -167,8 +187,8 @@ class _Choices:
 
     @classmethod
     def of(cls, parts: _Parts, chosen: np.ndarray) -> _Choices | None:
-        """The choices of all parts; None if some imposed spin is too small for exact products. chosen : numbers of the
-        unknowns in J."""
+        """List the choices of all parts; None if some imposed spin is too small for exact products. chosen : indices of
+        the unknowns in J."""
         network, contacts = parts.network, len(parts.of_contact)
         high, low, error = (
             np.stack(values, axis=1) for values in zip(*(p.parts for p in network.imposed), strict=True)
@@ -181,9 +201,9 @@ class _Choices:
         # Imposed components of one size, with either sign, are one number.
         of_size = sparse.csr_array((np.sign(high[moves]), (np.arange(moves.sum()), which.ravel())),
                                    shape=(moves.sum(), size.shape[1]))  # fmt: skip
-        brought = sparse.coo_array(_sums(parts.ends, numbered(moves)) @ of_size)
+        brought = sparse.coo_array(_sum_of_spins(parts.ends, numbered(moves)) @ of_size)
         row, value = brought.coords
-        # A column for each pair of a part and an imposed size that occurs in it.
+        # Give `sums` a column for each pair of a part and an imposed size that occurs in it.
         pairs, column = np.unique(parts.of_contact[row % contacts] + parts.count * value, return_inverse=True)
         # Number the choices of each part from 0.
         owner = np.append(parts.of_unknown[chosen], pairs % parts.count)
@@ -191,15 +211,18 @@ class _Choices:
         slot = np.empty_like(order)
         slot[order] = np.arange(len(order)) - np.searchsorted(owner[order], owner[order])
         by_imposed = sparse.csr_array((brought.data, (row, column)), shape=(3 * contacts, len(pairs)))
-        sums = sparse.hstack([_sums(parts.ends, numbered(parts.free))[:, chosen], by_imposed], format="csr")
+        sums = sparse.hstack([_sum_of_spins(parts.ends, numbered(parts.free))[:, chosen], by_imposed], format="csr")
         imposed = Enclosure.exact(*size[:, pairs // parts.count])
         return cls(chosen, imposed, owner, slot, sparse.csr_array(sums))
 
 
 @dataclass(frozen=True)
 class _Motions:
-    """What follows from each choice. motion : (n, q), integers. unit : (q,), the integer by which each column is
-    divided: a unit of the choice moves the unknowns by motion / unit."""
+    """How the unknowns follow from the choices: a unit of choice c moves them by motion[:, c] / unit[c].
+
+    motion : (n, q), integers as doubles.
+    unit : (q,), common denominators, integers as doubles.
+    """
 
     parts: _Parts
     choices: _Choices
@@ -210,12 +233,13 @@ class _Motions:
     def of(
         cls, parts: _Parts, choices: _Choices, follow: np.ndarray, rows: sparse.csr_array, factor: Factor
     ) -> tuple[_Motions, np.ndarray]:
-        """Motions of all choices, and a mask (n,) of unknowns at which some motion is not a fraction.
+        """Guess the motions of all choices, and return them with a mask (n,) of unknowns at which some motion is no
+        fraction.
 
-        follow : numbers of the unknowns outside J. rows : their columns of K. factor : of rows^T rows.
+        follow : indices of the unknowns outside J. rows : their columns of K. factor : Cholesky factor of rows^T rows.
         """
         normal, owner, count = parts.normal.T[..., None], parts.of_unknown[follow], len(choices.slot)
-        unit, strange = np.ones(count), np.zeros(len(parts.of_unknown), dtype=bool)
+        unit, no_fraction = np.ones(count), np.zeros(len(parts.of_unknown), dtype=bool)
         entries = [np.zeros((3, 0))]
         for begin in range(0, int(choices.slot.max(initial=-1)) + 1, SLOTS_AT_ONCE):
             own = np.flatnonzero((choices.slot >= begin) & (choices.slot < begin + SLOTS_AT_ONCE))
@@ -231,24 +255,24 @@ class _Motions:
             choice[part, slot] = own
             x = np.where(np.isfinite(x) & (choice >= 0)[owner], x, 0.0)
             # Multiply the numbers of each part by their common denominator, and round to integers.
-            units = _units(x, owner, parts.count)
+            units = _common_denominators(x, owner, parts.count)
             x *= units[owner]
-            strange[follow[(np.abs(x - np.round(x)) > WHOLE).any(axis=1)]] = True
+            no_fraction[follow[(np.abs(x - np.round(x)) > WHOLE).any(axis=1)]] = True
             (at, column), unit[own] = np.nonzero(np.round(x)), units[part, slot]
             entries.append(np.stack([follow[at], choice[owner[at], column], np.round(x)[at, column]]))
         entries.append(np.stack([choices.chosen, np.arange(len(choices.chosen)), unit[: len(choices.chosen)]]))
         at, choice, number = np.concatenate(entries, axis=1)
-        motion = sparse.csr_array((number, (at.astype(int), choice.astype(int))), shape=(len(strange), count))
-        return cls(parts, choices, motion, unit), strange
+        motion = sparse.csr_array((number, (at.astype(int), choice.astype(int))), shape=(len(no_fraction), count))
+        return cls(parts, choices, motion, unit), no_fraction
 
-    def slide(self) -> np.ndarray:
-        """Numbers of the contacts that are not proven to roll exactly for every choice."""
+    def slipping_contacts(self) -> np.ndarray:
+        """Return the indices of the contacts that are not proven to roll exactly for every choice (step 2)."""
         count, chosen = len(self.parts.normal), len(self.choices.chosen)
         if not (np.abs(self.motion.data) < LARGEST).all():
             return np.arange(count)
-        # u_i + u_j of every contact and choice, in integers, without rounding; then whether it is along the normal.
+        # u_i + u_j of every contact and choice, in integers, without rounding. A contact rolls if it is along n.
         imposed = self.choices.sums[:, chosen:] @ sparse.diags_array(self.unit[chosen:])
-        brought = _sums(self.parts.ends, numbered(self.parts.free)) @ self.motion
+        brought = _sum_of_spins(self.parts.ends, numbered(self.parts.free)) @ self.motion
         entries = sparse.coo_array(brought + sparse.hstack([0 * self.choices.sums[:, :chosen], imposed]))
         row, choice = entries.coords
         pairs, column = np.unique(row % count * len(self.unit) + choice, return_inverse=True)
@@ -258,7 +282,8 @@ class _Motions:
         return np.unique(contact[~_rolls(sums, self.parts.normal[contact].T)])
 
     def spin(self, given: list[Enclosure]) -> list[Enclosure]:
-        """Spins by component, (N,) each, as of ExactMotions.rolling. given : spins, of which those of J are used."""
+        """Compute the spins of :meth:`ExactMotions.rolling` by component, 3 enclosures (N,). given : spins, of which
+        the values of J and those of other spheres are used."""
         free, choices, motion = self.parts.free, self.choices, sparse.coo_array(self.motion)
         high, low = (np.stack([getattr(part, name) for part in given], axis=1)[free] for name in ("high", "low"))
         value = joined([Enclosure.exact(high[choices.chosen], low[choices.chosen]), choices.imposed])
@@ -272,23 +297,30 @@ class _Motions:
 
 
 def numbered(mask: np.ndarray) -> np.ndarray:
-    """For each True entry of a mask its number, counted from 0 in order; -1 for the others."""
+    """Return an array of the shape of `mask`: for True entries their number, counted from 0 in order; -1 for the
+    others."""
     return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
 
 
-def _sums(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:
-    """Matrix (3 A, n) that takes unknowns to u_i + u_j of the contacts, component by component. ends : (2, A). number :
-    (N, 3), number of each unknown, -1 for a component that is 0."""
+def _sum_of_spins(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:
+    """Return the matrix (3 A, n) that gives u_i + u_j of the contacts from the unknowns: x components first, then y,
+    then z. ends : (2, A), spheres of the contacts. number : (N, 3), which unknown each component is, -1 for one that is
+    0."""
     at = number[ends].transpose(0, 2, 1).reshape(2, -1)
     end, row = np.nonzero(at >= 0)
     return sparse.csr_array((np.ones(len(row)), (row, at[end, row])), shape=(at.shape[1], number.max(initial=-1) + 1))
 
 
-def _units(x: np.ndarray, owner: np.ndarray, parts: int) -> np.ndarray:
-    """(parts, m), for each owner and column the least common denominator of its numbers; 1 where that is too large. x :
-    (k, m), of which those that are no fractions are ignored. owner : (k,), a part for each row."""
+def _common_denominators(x: np.ndarray, owner: np.ndarray, parts: int) -> np.ndarray:
+    """Return the least common denominator (parts, m) of the numbers of each part in each column; 1 where it is too
+    large.
+
+    x : (k, m), numbers; those that are no fractions are ignored.
+    owner : (k,), the part of each row. parts : number of parts.
+    """
     rest, before, below = x - np.round(x), np.zeros_like(x), np.ones_like(x)
-    while True:  # continued fractions of all numbers at once, until each is found or its denominator is too large
+    # Continued fractions of all numbers at once, until each is found or its denominator is too large.
+    while True:
         open_ = (np.abs(x * below - np.round(x * below)) > WHOLE) & (np.abs(below) <= DENOMINATORS)
         if not open_.any():
             break
@@ -304,7 +336,8 @@ def _units(x: np.ndarray, owner: np.ndarray, parts: int) -> np.ndarray:
 
 
 def _rolls(sums: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(k,) True where sums x n is exactly 0. sums : (3, k), integers. normal : (3, k)."""
+    """Return a mask (k,), True where the cross product sums x n is proven to be exactly 0: both products of each
+    component are equal as exact sums of two doubles. sums : (3, k), integers. normal : (3, k), doubles."""
     found = np.asarray(((normal == 0) | (np.abs(normal) > FAINT)).all(axis=0) | (sums == 0).all(axis=0))
     for a, b in ((0, 1), (1, 2), (2, 0)):
         first, second = (Enclosure.exact(sums[i]).times(normal[j]) for i, j in ((a, b), (b, a)))

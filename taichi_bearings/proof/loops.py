@@ -1,22 +1,39 @@
-"""What contacts with oblique normals can bear at every minimum, where loops cannot roll as their normals are stored.
+"""Bounds on the friction of contacts in loops that cannot roll as their normals are stored: part of theorem 8.
 
-Letters: N spheres, E contacts, n unknowns; F the friction at hand, F* optimal friction, f = F* - F; X the contacts that
-can roll exactly (exact_motions.py); Q those that touch a sphere which X leaves out, and are not known to slip; M the
-rows of slips of Q, two for each contact; N (in formulas) columns along loops, with M^T N = 0 but for rounding; c = N^T
-f their coordinates; y slips.
+What is proven. With rounded normals loops of contacts cannot roll that would do so with ideal ones: at the minimum some
+of their contacts slip by 1e-16, and rounding decides which. No proof about slips can help there, but friction is in
+balance there as elsewhere. This file bounds the optimal friction of each contact near such loops. A contact whose
+friction is proven to be below mu F_n rests at every minimum (theorem 4).
 
-With rounded normals loops cannot roll that would do so with ideal ones: some of their contacts slip by 1e-16, and
-rounding decides which. But friction is in balance there as elsewhere: K^T f = -K^T F on all free spheres. f is small
-where contacts are known to slip; elsewhere both F and F* lie in a disc. Choose Y such that I = N N^T + M Y + E with
-small E, a matrix of rounding errors. Then
+Symbols
+    N (in shapes) : number of spheres. E : of contacts. n : of unknowns, the components of the spins of free spheres.
+    F : friction at hand. F* : optimal friction. f = F* - F. K : matrix of slips, so K^T F are the torques of F.
+    X : the contacts that can roll exactly (exact_motions.py).
+    Q : contacts that can dissipate, touch a free sphere outside X, and are not known to slip; here they are the
+        contacts of interest, divided into pieces that share no such sphere.
+    q : number of contacts of a piece. Their friction has two components each, along two tangents.
+    M : (2 q, n), rows of K for the contacts of a piece and the unknowns of its spheres, along the tangents.
+    N (in formulas) : (2 q, m), columns of friction along loops: N exerts no torque, M^T N = 0 but for rounding.
+    c = N^T f : (m,), how much friction circulates along each loop.
 
-    f = N c + Y^T (M^T f) + E^T f
+The proof
+1. Choose any N and any Y (n, 2 q); here they come from a singular value decomposition of M. Define E = I - N N^T - M Y,
+   which is small. Then, as an identity,
+       f = N c + Y^T (M^T f) + E^T f.
+2. Both F* and F leave over no torque, or a known one: K^T f = -K^T F on every free sphere. So M^T f is minus what the
+   other contacts of these spheres change, and what F leaves over. For contacts that are known to slip f is small; for
+   all others both F and F* are inside a disc. That bounds all of f but N c.
+3. |F + f| <= mu F_n + eta |y| for every contact. So each contact of a loop confines its c to an interval, the solution
+   of a quadratic inequality, and all contacts of the loop together to the common part of these intervals. Where a
+   contact belongs to several loops, their c are bounded one by one by the sum of what the discs allow.
+4. Then |F*| is at most |F + N c| at the middle of the intervals, plus |N| times their half lengths, plus the bound of
+   step 2.
 
-on Q, and M^T f is what all other contacts leave over. This is an identity, wherever N and Y come from (singular
-values). A contact with N = 0 is in no loop, and what it bears is known. As |F + f| <= mu F_n + eta |y| for every
-contact, each contact of a loop with one c confines this c to an interval. Several c are each confined by the sum of
-what the discs allow. A contact of which |F + f| is below mu F_n for all that is possible rests, since one that slips
-bears no less.
+Example. Four discs in a ring, limits (2, 2, 2, 5), F = (1, 0, 0, 0), and no other contact may change. Friction that
+alternates is in balance on each disc: N = (1, -1, 1, -1) / 2. The first contact gives |1 + c / 2| <= 2, so -6 <= c <=
+2; the next two |c| <= 4; the last one |c| <= 10. Together -4 <= c <= 2, with the middle -1 and the half length 3. The
+last contact bears at most |1 / 2| + 3 / 2 = 2, less than 5: it rests. The others may bear all their friction, so
+nothing is proven of them.
 """
 
 from __future__ import annotations
@@ -36,19 +53,21 @@ from taichi_bearings.proof.rounded_elimination import EPS
 from taichi_bearings.proof.springs import slip_rows
 
 MOST_SPLIT = 1500  # unknowns of a piece, beyond which its singular values take too long
+# Any thresholds are valid, as step 1 is an identity for all N and Y; these separate rounding from what is no loop.
 NEARLY_SINGULAR = 1e-8  # singular value over the largest, up to which forces along its vector are taken for a loop
 IN_A_LOOP = 1e-7  # force of a contact over that of a loop, above which it belongs to the loop
 
 
 @dataclass(frozen=True)
-class Doubts:
-    """What is known of friction at every minimum before loops are looked at.
+class FrictionBounds:
+    """Bounds on the friction of each contact at every minimum, before loops are looked at.
 
-    number : (N, 3), number of each unknown, -1 where there is none.
-    exact : X and its motions.
-    given : F by component.
-    known : (E,) mask of contacts that are known to slip.
-    off, limit : (E,), bounds on the sizes of f and of F*.
+    network : one packing.
+    number : (N, 3), which unknown each component of a spin is, -1 where it is none.
+    exact : the contacts X that can roll exactly, and their motions.
+    given : friction F at hand by component, 3 enclosures (E,).
+    known : (E,) mask of the contacts that are known to slip.
+    most_change, most_friction : (E,), bounds on |f| = |F* - F| and on |F*|.
     """
 
     network: JudgedNetwork
@@ -56,17 +75,17 @@ class Doubts:
     exact: ExactMotions
     given: list[Enclosure]
     known: np.ndarray
-    off: np.ndarray
-    limit: np.ndarray
+    most_change: np.ndarray
+    most_friction: np.ndarray
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """F (E, 3), rounded to doubles."""
+        """Friction F at hand, (E, 3), rounded to doubles."""
         return np.stack([part.value for part in self.given], axis=1)
 
     @cached_property
     def tangents(self) -> np.ndarray:
-        """(E, 2, 3), two unit vectors for each contact, across its normal and each other."""
+        """(E, 2, 3), two unit vectors for each contact, at right angles to its normal and to each other."""
         n = self.network.graph.normal
         first = np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)])
         first /= np.linalg.norm(first, axis=1)[:, None]
@@ -75,163 +94,191 @@ class Doubts:
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """Matrix (2 E, n) of slips along the tangents; the two rows of a contact follow each other."""
-        count = len(self.off)
+        """Matrix (2 E, n): both tangential components of the slip of each contact, in rows 2 i and 2 i + 1, from the
+        unknowns."""
+        count = len(self.most_change)
         row = np.repeat(np.arange(2 * count), 3)
         column = (np.arange(3) * count + np.arange(count)[:, None]).repeat(2, axis=0)
-        along = sparse.csr_array((self.tangents.ravel(), (row, column.ravel())), shape=(2 * count, 3 * count))
-        return sparse.csr_array(along @ slip_rows(self.network, self.number))
+        along_tangents = sparse.csr_array((self.tangents.ravel(), (row, column.ravel())), shape=(2 * count, 3 * count))
+        return sparse.csr_array(along_tangents @ slip_rows(self.network, self.number))
 
     @cached_property
     def sphere(self) -> np.ndarray:
-        """(n,), the sphere of each unknown."""
+        """(n,), the sphere to which each unknown belongs."""
         return np.nonzero(self.number >= 0)[0]
 
     @cached_property
-    def left_out(self) -> np.ndarray:
-        """(N,) mask of the spheres that X leaves out."""
+    def other_spheres(self) -> np.ndarray:
+        """(N,) mask of the free spheres that X does not join, but that contacts join to driven ones."""
         return np.asarray(self.network.reached & ~self.exact.spheres)
 
     @cached_property
-    def outside(self) -> np.ndarray:
-        """(E,) mask of Q."""
-        touches = self.left_out[self.network.graph.contact].any(axis=0)
+    def in_q(self) -> np.ndarray:
+        """(E,) mask of Q: contacts that can dissipate, touch one of the other spheres, and are not known to slip."""
+        touches = self.other_spheres[self.network.graph.contact].any(axis=0)
         return np.asarray(self.network.counts & ~self.known & touches)
 
     @cached_property
     def left_over(self) -> np.ndarray:
-        """(N,), bound on the torque that F leaves over on each sphere, and on the rounding of `rows` times f (64
-        roundings, amply)."""
+        """(N,), bound on each component of the torque that F leaves over on a sphere, and on the rounding of `rows`
+        times f: an entry of `rows` has fewer than 64 roundings."""
         torques = self.network.torques(moments(self.given, self.network.graph.normal))
-        return np.asarray((np.max([part.most for part in torques], axis=0) + 64 * EPS * self.around(self.off)) * UP)
+        return np.asarray(
+            (np.max([part.most for part in torques], axis=0) + 64 * EPS * self.sum_at_spheres(self.most_change)) * UP
+        )
 
-    def around(self, values: np.ndarray) -> np.ndarray:
-        """(N,), sum of `values` (E,) over the contacts of each sphere that count."""
+    def sum_at_spheres(self, values: np.ndarray) -> np.ndarray:
+        """Return for each sphere the sum (N,) of `values` (E,) over its contacts that can dissipate."""
         ends = self.network.graph.contact[:, self.network.counts].ravel()
         return np.bincount(ends, np.tile(values[self.network.counts], 2), len(self.network.free))
 
-    def split(self) -> list[Piece]:
-        """A piece for each part that contacts of Q make of the spheres that X leaves out, unless it has more than
-        MOST_SPLIT unknowns."""
+    def split_into_pieces(self) -> list[Piece]:
+        """Return the pieces of Q: contacts are in one piece if spheres outside X join them. Pieces with more than
+        MOST_SPLIT unknowns are left out."""
         first, second = self.network.graph.contact
-        joins = self.outside & self.left_out[first] & self.left_out[second]
-        label = pieces(len(self.left_out), first[joins], second[joins])
-        part = label[np.where(self.left_out[first], first, second)]
-        column, found = np.where(self.left_out[self.sphere], label[self.sphere], -1), []
-        for own in np.unique(part[self.outside]):
+        joins = self.in_q & self.other_spheres[first] & self.other_spheres[second]
+        label = pieces(len(self.other_spheres), first[joins], second[joins])
+        part = label[np.where(self.other_spheres[first], first, second)]
+        column, found = np.where(self.other_spheres[self.sphere], label[self.sphere], -1), []
+        for own in np.unique(part[self.in_q]):
             unknowns = np.flatnonzero(column == own)
             if len(unknowns) <= MOST_SPLIT:
-                found.append(Piece.of(self, np.flatnonzero(self.outside & (part == own)), unknowns))
+                found.append(Piece.of(self, np.flatnonzero(self.in_q & (part == own)), unknowns))
         return found
 
 
 @dataclass(frozen=True)
 class Piece:
-    """What one part of Q can bear at a minimum.
+    """Bounds on the friction of the q contacts of a piece of Q at any minimum.
 
-    contacts : numbers (q,) of its contacts.
-    others : numbers (k,) of the other contacts of its spheres.
-    along : N, (2 q, m), columns along its loops.
-    middle, half : (m,), of the interval in which each c lies.
-    by_others : (2 q, 2 k), the change of f with f of the others.
-    near : (q,), bound on the size of f without its part N c.
-    rounded : (q,), the share of `near` that is rounding and leftover torques, not f of the others.
+    contacts : (q,), indices of its contacts.
+    others : (k,), indices of the other contacts of its spheres.
+    loops : N, (2 q, m), columns of friction along its loops.
+    middle, half_length : (m,), of the interval in which each c lies.
+    by_others : (2 q, 2 k), the matrix by which f on the others changes f here.
+    most_off_loops : (q,), bound on the size of f without N c.
+    by_rounding : (q,), the part of `most_off_loops` that is due to rounding and leftover torques, not to f on the
+        others.
     largest : (q,), bound on |F*|.
     """
 
     contacts: np.ndarray
     others: np.ndarray
-    along: np.ndarray
+    loops: np.ndarray
     middle: np.ndarray
-    half: np.ndarray
+    half_length: np.ndarray
     by_others: np.ndarray
-    near: np.ndarray
-    rounded: np.ndarray
+    most_off_loops: np.ndarray
+    by_rounding: np.ndarray
     largest: np.ndarray
 
     @classmethod
-    def of(cls, doubts: Doubts, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
-        """Split the friction of some contacts of Q by loops. contacts : their numbers (q,). unknowns : numbers (n,) of
-        the unknowns of the spheres that they join."""
-        own, off = doubts.rows[both(contacts)][:, unknowns].toarray(), doubts.off
-        touches = np.zeros(len(doubts.network.free), dtype=bool)
-        touches[doubts.sphere[unknowns]] = True
-        beside = doubts.network.counts & touches[doubts.network.graph.contact].any(axis=0)
+    def of(cls, bounds: FrictionBounds, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
+        """Bound the friction of one piece by the four steps of the proof. contacts : (q,), indices of its contacts.
+        unknowns : (n,), numbers of the unknowns of its spheres."""
+        rows, most_change = bounds.rows[tangent_rows(contacts)][:, unknowns].toarray(), bounds.most_change
+        touches = np.zeros(len(bounds.network.free), dtype=bool)
+        touches[bounds.sphere[unknowns]] = True
+        beside = bounds.network.counts & touches[bounds.network.graph.contact].any(axis=0)
         beside[contacts] = False
         others = np.flatnonzero(beside)
-        # N and Y, and bounds on E and on torques that F leaves over; `terms` is the length of the longest sum.
-        along, inverse = _split(own)
+        # Step 1: N and Y. Torques that F leaves over, with what rounding adds to them: 4 roundings for each of the
+        # `terms` terms of the longest sum. E f, and 16 roundings as the tangents are orthonormal up to rounding only.
+        loops, inverse = _loops_and_inverse(rows)
         terms = 2 * (len(contacts) + len(others)) + len(unknowns) + 64
-        left = (doubts.left_over + 4 * terms * EPS * doubts.around(off))[doubts.sphere[unknowns]]
-        rounded = np.abs(inverse).T @ left + _missed(own, along, inverse).T @ np.repeat(off[contacts], 2)
-        rounded = sizes(rounded[:, None]) + 16 * EPS * off[contacts]
-        # M^T f is minus what the other contacts bring to these spheres.
-        by_others = -inverse.T @ doubts.rows[both(others)][:, unknowns].toarray().T
-        near = (blocks(by_others) @ off[others] + rounded) * UP
-        tangents, force = doubts.tangents[contacts], doubts.friction[contacts]
-        middle, half = _intervals(along, np.einsum("cak,ck->ca", tangents, force), doubts.limit[contacts] + near)
-        moved = np.einsum("ca,cak->ck", (along @ middle).reshape(-1, 2), tangents)
-        largest = np.linalg.norm(force + moved, axis=1) + sizes(along, half) + near
-        return cls(contacts, others, along, middle, half, by_others, near, rounded * UP, largest * UP)
+        torque = (bounds.left_over + 4 * terms * EPS * bounds.sum_at_spheres(most_change))[bounds.sphere[unknowns]]
+        by_rounding = np.abs(inverse).T @ torque + _splitting_error(rows, loops, inverse).T @ np.repeat(
+            most_change[contacts], 2
+        )
+        by_rounding = weighted_lengths(by_rounding[:, None]) + 16 * EPS * most_change[contacts]
+        # Step 2: M^T f is minus what the other contacts bring to these spheres.
+        by_others = -inverse.T @ bounds.rows[tangent_rows(others)][:, unknowns].toarray().T
+        most_off_loops = (block_norms(by_others) @ most_change[others] + by_rounding) * UP
+        # Steps 3 and 4: intervals of c, and the bound on |F*|.
+        tangents, force = bounds.tangents[contacts], bounds.friction[contacts]
+        middle, half_length = _loop_intervals(
+            loops, np.einsum("cak,ck->ca", tangents, force), bounds.most_friction[contacts] + most_off_loops
+        )
+        moved = np.einsum("ca,cak->ck", (loops @ middle).reshape(-1, 2), tangents)
+        largest = np.linalg.norm(force + moved, axis=1) + weighted_lengths(loops, half_length) + most_off_loops
+        return cls(
+            contacts, others, loops, middle, half_length, by_others, most_off_loops, by_rounding * UP, largest * UP
+        )
 
 
-def both(contacts: np.ndarray) -> np.ndarray:
-    """Numbers (2 q,) of the two rows of each contact (q,)."""
+def tangent_rows(contacts: np.ndarray) -> np.ndarray:
+    """Return the indices (2 q,) of the two tangential rows of each of the contacts (q,): 2 i and 2 i + 1."""
     return (2 * contacts[:, None] + np.arange(2)).ravel()
 
 
-def sizes(of: np.ndarray, weight: np.ndarray | float = 1.0, numbers: int = 2) -> np.ndarray:
-    """(q,), for each contact the weighted sum over columns of the lengths of its vectors. of : (p q, m), vectors of p =
-    `numbers` entries for each contact. weight : (m,)."""
-    lengths = np.linalg.norm(of.reshape(len(of) // numbers, numbers, of.shape[1]), axis=1)
+def weighted_lengths(vectors: np.ndarray, weight: np.ndarray | float = 1.0, numbers: int = 2) -> np.ndarray:
+    """Return for each contact the sum (q,) over columns of the lengths of its vectors times their weights.
+
+    vectors : (p q, m), in each column p = `numbers` successive entries are the vector of one contact.
+    weight : (m,), or one number.
+    """
+    lengths = np.linalg.norm(vectors.reshape(len(vectors) // numbers, numbers, vectors.shape[1]), axis=1)
     return np.asarray((lengths * weight).sum(axis=1))
 
 
-def blocks(of: np.ndarray, numbers: int = 2) -> np.ndarray:
-    """(q, k), the Frobenius norm of each block of a matrix (p q, 2 k), of p = `numbers` rows for a contact and two
-    columns for another: not below its spectral norm."""
-    return np.asarray(np.linalg.norm(of.reshape(len(of) // numbers, numbers, of.shape[1] // 2, 2), axis=(1, 3)))
+def block_norms(matrix: np.ndarray, numbers: int = 2) -> np.ndarray:
+    """Return (q, k), a bound on how much a force on one contact changes that on another one: the Frobenius norm of each
+    block of a matrix (p q, 2 k), which is not below its spectral norm. A block has p = `numbers` rows for a contact and
+    two columns for another."""
+    return np.asarray(
+        np.linalg.norm(matrix.reshape(len(matrix) // numbers, numbers, matrix.shape[1] // 2, 2), axis=(1, 3))
+    )
 
 
-def _missed(rows: np.ndarray, along: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Bound on the size of each entry of E = I - N N^T - M Y. rows : M. along : N. inverse : Y."""
-    found, terms = np.abs(np.eye(len(rows)) - along @ along.T - rows @ inverse), sum(rows.shape) + 64
-    of_along = np.abs(along)
+def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """Return a bound (2 q, 2 q) on the size of each entry of E = I - N N^T - M Y: the value in doubles, and EPS for
+    each term of the sums by which it is formed, and 64 more. rows : M. loops : N. inverse : Y."""
+    found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
+    of_along = np.abs(loops)
     return found + terms * EPS * (np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse))
 
 
-def _split(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """N and Y of rows M: the columns of N span what M^T makes 0, each within one loop."""
+def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return N and Y for a matrix of rows M (2 q, n). Columns of N span what M^T maps to 0, and each belongs to one
+    loop; Y is the pseudo-inverse of M."""
     u, size, v = np.linalg.svd(rows, full_matrices=True)
     rank = int((size > NEARLY_SINGULAR * size.max(initial=0.0)).sum())
     inverse = (v[:rank].T / size[:rank]) @ u[:, :rank].T
+    # Friction without torque: the projection on it. Contacts that it connects form a loop. Its eigenvectors within each
+    # loop with eigenvalues 1, rather than 0, are the columns of N.
     balanced = u[:, rank:] @ u[:, rank:].T
-    share = blocks(balanced)
+    share = block_norms(balanced)
     first, second = np.nonzero(share > IN_A_LOOP)
     loop, found = pieces(len(share), first, second), [np.zeros((len(rows), 0))]
     for own in np.unique(loop[share.diagonal() > IN_A_LOOP]):
-        at = both(np.flatnonzero(loop == own))
+        at = tangent_rows(np.flatnonzero(loop == own))
         value, vector = np.linalg.eigh(balanced[np.ix_(at, at)])
         found.append(np.zeros((len(rows), int((value > 0.5).sum()))))
         found[-1][at] = vector[:, value > 0.5]
     return np.concatenate(found, axis=1), inverse
 
 
-def _intervals(along: np.ndarray, force: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middle and half length (m,) of an interval for each c. along : N, (2 q, m). force : (q, 2), F along the tangents.
-    limit : (q,), sizes that F + N c does not exceed."""
-    size = np.linalg.norm(along.reshape(len(force), 2, -1), axis=1)
-    # As |N c| <= limit + |F| at each contact and c = N^T (N c), c is at most the sum of that over contacts.
-    whole = (size * (limit + np.linalg.norm(force, axis=1))[:, None]).sum(axis=0) * UP
-    middle, half, there = np.zeros(len(whole)), whole.copy(), (size > IN_A_LOOP).astype(float)
-    for c in np.flatnonzero(((there.T @ there) > 0).sum(axis=0) == 1):
-        own = np.flatnonzero(there[:, c])
-        # For each contact of a loop that shares none with another c: solve |F + N c| = most, a quadratic equation of c.
-        square, most = size[own, c] ** 2, limit[own] + (size[own] @ whole - size[own, c] * whole[c])
-        part = (along[:, c].reshape(-1, 2)[own] * force[own]).sum(axis=1) / square
-        beyond = ((force[own] ** 2).sum(axis=1) - most**2) / square
-        reach = np.sqrt(np.maximum(part**2 - beyond, 0.0) + 1e-12 * (part**2 + np.abs(beyond)))
-        low, high = (-part - reach).max(), (reach - part).min()
-        if 0 <= high - low < 2 * whole[c]:
-            middle[c], half[c] = (low + high) / 2, (high - low) / 2 * UP + 8 * EPS * (abs(low) + abs(high))
-    return middle, half
+def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middle and the half length (m,) of an interval that contains each c.
+
+    loops : N, (2 q, m).
+    force : (q, 2), friction F along the tangents.
+    limit : (q,), sizes that F + N c does not exceed at each contact.
+    """
+    size = np.linalg.norm(loops.reshape(len(force), 2, -1), axis=1)
+    # As c = N^T f and |f| <= |F*| + |F| at each contact, c is at most the sum of |N| (limit + |F|) over contacts.
+    most_c = (size * (limit + np.linalg.norm(force, axis=1))[:, None]).sum(axis=0) * UP
+    middle, half_length, in_loop = np.zeros(len(most_c)), most_c.copy(), (size > IN_A_LOOP).astype(float)
+    for c in np.flatnonzero(((in_loop.T @ in_loop) > 0).sum(axis=0) == 1):
+        own = np.flatnonzero(in_loop[:, c])
+        # For each contact of a loop that shares none with another loop solve |F + N c| = most, a quadratic equation
+        # c^2 + 2 linear c + constant = 0. What tiny entries of N for other loops may add is in `most`; 1e-12 covers the
+        # rounding of the difference under the root.
+        square, most = size[own, c] ** 2, limit[own] + (size[own] @ most_c - size[own, c] * most_c[c])
+        linear = (loops[:, c].reshape(-1, 2)[own] * force[own]).sum(axis=1) / square
+        constant = ((force[own] ** 2).sum(axis=1) - most**2) / square
+        root = np.sqrt(np.maximum(linear**2 - constant, 0.0) + 1e-12 * (linear**2 + np.abs(constant)))
+        low, high = (-linear - root).max(), (root - linear).min()
+        if 0 <= high - low < 2 * most_c[c]:
+            middle[c], half_length[c] = (low + high) / 2, (high - low) / 2 * UP + 8 * EPS * (abs(low) + abs(high))
+    return middle, half_length

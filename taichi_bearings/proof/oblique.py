@@ -1,30 +1,46 @@
-"""Which contacts of a network with oblique normals slip at every minimum, proven from a minimum that is enclosed:
-theorem 7.
+"""Proof that one minimum exists close to given spins, where contact normals have any direction: theorem 7.
 
-Letters: N spheres, E contacts, n unknown components of free spins; S the contacts that slip in the given spins, T all
-others that count (S and T in shapes are their numbers); V all spins at which T rests; K the matrix (3 E, n) of slips; y
-the slip of a contact; F the friction at hand; tau a proven floor of curvature.
+What is proven. The contacts that can dissipate are divided into S, which slip in the given spins, and T, which do not.
+If the proof succeeds, T slips at no minimum, all minima have the same slips, and these are within a known distance of
+the given ones. Contacts with damping alone belong to S, however slowly they slip.
 
-1. Where contacts of T put more conditions on spheres than these have freedom for, they must roll exactly: the spheres
-   turn as one of their exact motions does, which also have a floor of the other singular values (exact_motions.py). The
-   other contacts of T have independent rows of K in the spins of the other spheres, by a floor of K K^T (`loose` is its
-   root). So V is not empty, and some of its spins are near the given ones, or near those that Newton's method has
-   improved.
-2. Within V the potential has one minimum near these spins. Its curvature along a motion x in V is |B x|^2, the sum over
-   S of mu F_n / |y| (K x across y)^2 + eta |K x|^2, and elimination proves a floor tau of it, with springs at T. Its
-   slope there is r . x + b . B x: r are torques that are left over, b comes from the angles between the given friction
-   and the slips in V. The potential rises where |B x| is above (|r| / tau^1/2 + |b|) / 0.72, as long as no slip of a
-   contact with friction changes by more than a quarter (curvature.py). Damping resists by eta |K x|^2 anywhere.
-3. There the friction of S is known. What it leaves to T is borne by the friction of T at hand and a correction whose
-   size the floors of step 1 bound: the potential has no slope in V, so T can bear it. If all of that is inside the
-   discs, the minimum in V is one of the whole potential. As T bears less than its friction it rests at every minimum.
-   So all minima lie in V, where there is only one.
+Symbols
+    N spheres, E contacts; S and T in array shapes stand for their numbers.
+    n : number of unknowns, the components of the spins of free spheres; x a change of all of them.
+    K : matrix (3 E, n) of slips: three components of the slip of each contact, linear in the unknowns.
+    V : all spins at which no contact of T slips.
+    y : slip of a contact. mu F_n : its friction limit. eta : its damping.
+    r : torques that the friction at hand leaves over on free spheres.
+    B : matrix whose square |B x|^2 is the curvature of the potential along x, for x in V.
+    tau : proven lower bound of |B x|^2 / |x|^2, in scaled unknowns.
+    far : distance between the given slips and those of the nearest spins in V.
 
-Contacts with damping alone belong to S, whatever they slip.
+The proof
+1. V is not empty, and some of its spins are close to the given ones. Some contacts of T put more conditions on spheres
+   than these have freedom for. They must roll exactly, so their spheres turn as in one of their exact motions
+   (exact_motions.py); a floor of the other singular values of K is known for these. For the other contacts of T and the
+   other spheres, an elimination proves that the rows of K are independent: `floor_of_other_contacts` is a lower bound
+   of the singular values of K^T.
+2. Within V the potential has one minimum close to these spins. Its curvature along x is |B x|^2, the sum over S of (mu
+   F_n / |y|) (part of K x across y)^2 + eta |K x|^2, and elimination proves tau. Its slope along x is r . x + b . B x:
+   r are the torques left over, and b comes from the angle between the given friction and the slip in V. Friction
+   resists a change by at least 0.72 of its curvature while no slip changes by more than a quarter (curvature.py says
+   why), damping by all of it. So the potential rises wherever |B x| exceeds (|r| / tau^1/2 + |b|) / 0.72, and the
+   minimum is closer than that.
+3. This minimum in V is a minimum over all spins, if T can bear what S leaves to it. The friction of S at the minimum is
+   known closely. The potential has no slope within V, so some friction on T balances the torques; the floors of step 1
+   bound how far it is from the friction of T at hand. If it stays below mu F_n at each contact of T, then it is optimal
+   friction below its limit, and T slips at no minimum (theorem 4). So all minima are in V, where there is only one.
 
-Newton's method moves the spins within V until S leaves over only torques that T can bear, and lets T bear them. It
-works in sums of two doubles, of which each step finds more digits. Nothing of that is proven, and nothing has to be:
-the proof starts from whatever comes out.
+Example. A free ball touches one driven ball at which it rolls (T, mu F_n = 3) and another one along which it slips with
+|y| = 1 (S, mu F_n = 1). The contact of T leaves the ball one freedom: to turn about the normal of T. This motion x
+changes y; the curvature is the square of that change across y, which gives tau. If S exerts the friction 1 along y, and
+the torque of S about the normal of T is 0, the spins are those of the minimum in V. The friction on T that balances the
+rest of the torque of S has size 1, below 3: the ball rolls on T at every minimum.
+
+Newton's method improves the spins within V before a second try: it moves them until S leaves over only torques that T
+can bear, and changes the friction of T to bear them. It calculates in sums of two doubles, of which each step finds
+more digits. Nothing about it has to be proven, since the proof starts from whatever spins come out.
 """
 
 from __future__ import annotations
@@ -45,9 +61,12 @@ from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination
 from taichi_bearings.proof.springs import floor_of_slips, slip_rows
 
-MOVING = 1e-10  # slip over the fastest imposed component, above which a contact is taken to slip
-MOST_TURN = 0.25  # largest change of a slip, over its size, for which 0.72 above holds
+# A contact is put into S if its slip exceeds this share of the fastest imposed component: any choice is safe, since a
+# wrong one only makes the proof fail.
+MOVING = 1e-10
+MOST_TURN = 0.25  # largest change of a slip, over its size, for which the factor 0.72 of step 2 holds
 TINY = 1e-290  # added to bounds that might underflow
+# The four numbers below belong to Newton's method, of which nothing has to be proven.
 FIRM = 1e4  # factor of the rows of T over those of a contact with the median slip, to precondition conjugate gradients
 SOFT = -1e-9  # minus what is added to eigenvalues of the rows of T: above rounding, below those of motions that slip
 MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end at this share of the first residual
@@ -55,10 +74,14 @@ MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
-    """Mask S (E,), such that all other contacts that count rest at every minimum, and a bound (E,) on how far slips of
-    S at minima are from the given ones; None if nothing is proven.
+    """Find which contacts slip at the minima, and how far their slips are from the given ones; None if nothing is
+    proven.
 
-    A contact of S slips at every minimum if it has friction, or if its given slip is larger than that bound.
+    bounds : the network of one packing, its friction, and springs that balanced this friction.
+
+    Returns (S, distance): the mask S (E,), outside of which every contact that can dissipate is proven to rest at every
+    minimum; and for contacts of S a bound (E,) on |slip at any minimum - given slip|, 0 for others. A contact of S thus
+    slips at every minimum if it has friction, or if its given slip is larger than that bound.
     """
     network, springs = bounds.network, bounds.springs
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
@@ -67,290 +90,329 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     # Step 1: guess S and T, find the exact motions of T, and prove that rows of its other contacts are independent.
     moves = (network.slip.value > MOVING * network.box.max()) | (network.holding.high == 0)
     slides, number = network.counts & moves, springs.number
-    own, still = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
+    slipping, resting = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
     exact = ExactMotions.of(network, number, network.counts & ~slides)
     others = network.counts & ~slides & ~exact.contacts
-    loose = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), others, sharp=True)
-    if loose is None:
+    least_other = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), others, sharp=True)
+    if least_other is None:
         return None
     # Steps 2 and 3, from the given spins, and if that fails from spins that Newton's method has improved.
-    near = Near(network, exact, np.sqrt(loose) / UP, number, own, still, network.spin, bounds.friction)
-    if (reach := near.proven_reach()) is None:
+    near = Near(network, exact, np.sqrt(least_other) / UP, number, slipping, resting, network.spin, bounds.friction)
+    if (distance := near.proven_distance()) is None:
         near = near.improved()
-        reach = near.proven_reach()
-    if reach is None:
+        distance = near.proven_distance()
+    if distance is None:
         return None
     # slips of the improved spins are not quite the given ones
-    found, moved = np.zeros(len(slides)), [a - b for a, b in zip(network.slips(network.spin), near.slips, strict=True)]
-    found[own] = (reach + length(moved).most[own]) * UP
-    return slides, found
+    distances, moved = (
+        np.zeros(len(slides)),
+        [a - b for a, b in zip(network.slips(network.spin), near.slips, strict=True)],
+    )
+    distances[slipping] = (distance + length(moved).most[slipping]) * UP
+    return slides, distances
 
 
 @dataclass(frozen=True)
 class Near:
-    """Spins in V, or close to V, with the friction that T bears at them.
+    """Spins in V, or close to V, with the friction that T bears at them. Spins and friction are exact sums of two
+    doubles.
 
-    exact : the motions of spheres at which contacts of T roll exactly.
-    loose : proven lower bound of the singular values of K^T for contacts of T and spheres that exact motions leave out;
-        infinite if there is no such contact.
-    number : (N, 3), number of each of the n unknowns, -1 where there is none.
-    own, still : numbers (S,) and (T,) of the contacts of S and of T.
-    spin : u by component, (N,) each, exact sums of two doubles.
-    pull : by component, (E,), the friction of T, exact sums of two doubles; not used for S.
+    Fields (S and T: numbers of contacts that slip and that rest; N spheres, E contacts):
+
+    exact : motions of spheres at which some contacts of T roll exactly.
+    floor_of_other_contacts : proven lower bound of the singular values of K^T for the other contacts of T and the
+        spheres that exact motions leave out; infinite if there is no such contact.
+    number : (N, 3), which of the n unknowns each component of a spin is, -1 where it is none.
+    slipping, resting : (S,) and (T,), indices of the contacts.
+    spin : spins times radius by component, 3 enclosures (N,).
+    resting_friction : friction of T by component, 3 enclosures (E,); its entries for S are not used.
     """
 
     network: JudgedNetwork
     exact: ExactMotions
-    loose: float
+    floor_of_other_contacts: float
     number: np.ndarray
-    own: np.ndarray
-    still: np.ndarray
+    slipping: np.ndarray
+    resting: np.ndarray
     spin: list[Enclosure]
-    pull: list[Enclosure]
+    resting_friction: list[Enclosure]
 
     @cached_property
     def slips(self) -> list[Enclosure]:
-        """Slips by component, (E,) each, of these spins changed such that all contacts of T that can roll exactly do
-        so."""
+        """Slips by component, 3 enclosures (E,), after the spins are changed so little that all contacts of T which can
+        roll exactly do so."""
         return self.network.slips(self.exact.rolling(self.spin))
 
     @cached_property
     def size(self) -> Enclosure:
-        """Slip speeds of S, (S,)."""
-        return length([part.at(self.own) for part in self.slips])
+        """Slip speeds (S,) of the slipping contacts."""
+        return length([part.at(self.slipping) for part in self.slips])
 
     @cached_property
     def strength(self) -> Enclosure:
-        """Friction mu F_n of the contacts of S, (S,)."""
-        return self.network.holding.at(self.own)
+        """Friction limits mu F_n (S,) of the slipping contacts."""
+        return self.network.holding.at(self.slipping)
 
     @cached_property
     def damping(self) -> Enclosure:
-        """Damping eta of the contacts of S, (S,)."""
-        return self.network.slope.at(self.own)
+        """Damping eta (S,) of the slipping contacts."""
+        return self.network.slope.at(self.slipping)
 
     @cached_property
-    def turns(self) -> np.ndarray:
-        """Numbers (k,), counted within S, of the contacts with friction: its direction turns with the slip."""
+    def with_friction(self) -> np.ndarray:
+        """Indices (k,), counted from 0 within S, of the slipping contacts with friction. The direction of their force
+        turns with the slip; the others have damping alone."""
         return np.flatnonzero(self.strength.high > 0)
 
     @cached_property
-    def lawful(self) -> list[Enclosure]:
-        """The friction that the law gives the slips of S, by component, (S,) each."""
-        found, some = [], self.turns
+    def friction_by_law(self) -> list[Enclosure]:
+        """Friction that the contact law gives for the slips of S, mu F_n y / |y| + eta y: by component, 3 enclosures
+        (S,)."""
+        found, some = [], self.with_friction
         for part in self.slips:
-            slip = part.at(self.own)
-            found.append(self.damping * slip if self.network.law.flows else Enclosure.exact(np.zeros(len(self.own))))
+            slip = part.at(self.slipping)
+            found.append(
+                self.damping * slip if self.network.law.flows else Enclosure.exact(np.zeros(len(self.slipping)))
+            )
             found[-1].put(some, found[-1].at(some) + self.strength.at(some) * (slip.at(some) / self.size.at(some)))
         return found
 
     @cached_property
     def friction(self) -> list[Enclosure]:
-        """The friction in use, by component, (E,) each, exact sums of two doubles: `pull` for T, `lawful` rounded for
-        S."""
+        """Friction from which everything is proven, by component, 3 exact enclosures (E,): `resting_friction` for T,
+        and for S `friction_by_law` without its error bounds."""
         found = []
-        for part, own in zip(self.pull, self.lawful, strict=True):
-            found.append(_doubles(part))
-            found[-1].put(self.own, _doubles(own))
+        for part, slipping in zip(self.resting_friction, self.friction_by_law, strict=True):
+            found.append(_without_error(part))
+            found[-1].put(self.slipping, _without_error(slipping))
         return found
 
     @cached_property
     def torques(self) -> list[Enclosure]:
-        """Torques over the radius that `friction` leaves over at the spheres, by component, (N,) each."""
+        """Torques over radius that `friction` leaves over on each sphere: by component, 3 enclosures (N,)."""
         return self.network.torques(moments(self.friction, self.network.graph.normal))
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """The matrix K, (3 E, n), of slips by component."""
+        """The matrix K, (3 E, n): rows 0 to E - 1 give the x components of all slips, then y, then z."""
         return slip_rows(self.network, self.number)
 
     def rows_of(self, contacts: np.ndarray) -> np.ndarray:
-        """Numbers (3 q,) of the rows of K that belong to contacts (q,), component by component."""
+        """Return the row numbers (3 q,) in K of the contacts with the indices `contacts` (q,), component by
+        component."""
         return np.concatenate([k * len(self.network.graph.normal) + contacts for k in range(3)])
 
     @property
     def place(self) -> np.ndarray:
-        """Where the sphere of each unknown is, (3, n)."""
+        """Positions (3, n) of the spheres of the unknowns."""
         return np.asarray(self.network.graph.place[np.nonzero(self.number >= 0)[0]].T)
 
-    def form(self, firmness: float = 1.0) -> Form | None:
-        """The curvature |B x|^2 with springs at T, as a quadratic form in the n unknowns; None if some unknown changes
-        no slip.
+    def curvature(self, firmness: float = 1.0) -> Form | None:
+        """Return the curvature |B x|^2 in the n unknowns, with springs at T added; None if some unknown changes no
+        slip.
 
-        Its rows are, for each contact of S with friction, the change of the slip across it, times the root of friction
-        over slip; for each with damping three components of the change, times the root of eta; for each of T three
-        components, times the root of friction over the median slip of S and times `firmness`.
+        The rows of B are
+        * for each contact of S with friction one: the change of the slip across the slip, times (mu F_n / |y|)^1/2,
+        * for each contact of S with damping three: the components of the change of the slip, times eta^1/2,
+        * for each contact of T three: the components of its slip, times `firmness` (mu F_n / median |y| of S)^1/2.
+          These are 0 for all motions in V, so they do not change the curvature there, and they let an elimination work
+          in all unknowns.
         """
-        own, some, still, strength = self.own, self.turns, self.still, self.network.holding.value
-        turning, flowing = own[some], own[self.damping.high > 0]
+        slipping, some, resting, strength = self.slipping, self.with_friction, self.resting, self.network.holding.value
+        turning, flowing = slipping[some], slipping[self.damping.high > 0]
         across = np.cross(
             self.network.graph.normal[turning], np.stack([part.value[turning] for part in self.slips], axis=1)
         )
-        across /= np.linalg.norm(across, axis=1)[:, None]
+        across /= np.linalg.norm(across, axis=1)[:, None]  # unit vectors across the slip and the normal
         sizes = self.size.value[some]
         root = np.sqrt(strength[turning] / sizes)
-        firm = firmness * np.sqrt(strength[still] / (np.median(sizes) if len(some) else 1.0))
-        at = np.concatenate([self.rows_of(turning), self.rows_of(flowing), self.rows_of(still)])
-        others = 3 * (len(flowing) + len(still))
+        firm = firmness * np.sqrt(strength[resting] / (np.median(sizes) if len(some) else 1.0))
+        # Weights by which the rows of K (columns of this matrix) are combined to the rows of B.
+        at = np.concatenate([self.rows_of(turning), self.rows_of(flowing), self.rows_of(resting)])
+        others = 3 * (len(flowing) + len(resting))
         row = np.append(np.tile(np.arange(len(some)), 3), len(some) + np.arange(others))
         shape = (len(some) + others, self.rows.shape[0])
         damped = np.sqrt(self.network.slope.value[flowing])
         size_of = np.concatenate([np.tile(root, 3), np.tile(damped, 3), np.tile(firm, 3)])
         value = size_of * np.append(across.T.ravel(), np.ones(others))
         rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ self.rows)
-        doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)  # 32 roundings, amply
+        # Rounding of an entry: slip, cross product, division, root, sum of three products: fewer than 32 operations.
+        doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
         return Form.of(rows, sparse.csr_array(doubt), self.place)
 
     def improved(self) -> Near:
-        """These spins after some steps of Newton's method within V: as many as leave less than half of the torques
-        each."""
-        form, there = self.form(FIRM), self.number >= 0
-        # Rows of T, and a factor of their squares by which a motion is split into one that T allows and the rest.
-        fixed = sparse.csr_array(self.rows[self.rows_of(self.still)])
+        """Return spins closer to the minimum in V, by Newton's method; its steps go on while each of them more than
+        halves the norm of the leftover torques. Nothing about the result is proven."""
+        curvature, there = self.curvature(FIRM), self.number >= 0
+        # A motion is split into one that lets T rest and another one, by the factorised matrix fixed^T fixed.
+        fixed = sparse.csr_array(self.rows[self.rows_of(self.resting)])
         factor = Elimination.of((fixed.T @ fixed).tocsc(), self.place).factorised(SOFT)
-        soft = None if form is None else form.elimination.factorised()
-        if form is None or factor is None or soft is None:
+        soft = None if curvature is None else curvature.elimination.factorised()
+        if curvature is None or factor is None or soft is None:
             return self
-        moving = form.rows[: form.rows.shape[0] - 3 * len(self.still)]
+        moving = curvature.rows[: curvature.rows.shape[0] - 3 * len(self.resting)]  # rows of B for S alone
 
         def borne(torque: np.ndarray) -> np.ndarray:
-            """Spins (n,) whose slips of T, taken as friction, bear a torque (n,) as far as T can; solved twice, for
-            rounding."""
+            """Return spins (n,) whose slips at T, taken as friction of T, exert the torque (n,), or as much of it as T
+            can exert. The residual is solved for once more, against rounding."""
             found = factor.solve(torque)
             return found + factor.solve(torque - fixed.T @ (fixed @ found))
 
         def allowed(spins: np.ndarray) -> np.ndarray:
-            """The part of spins (n,), or of torques, that leaves T at rest."""
+            """Return the part of a vector (n,) of spins, or of torques, that lies in V: spins that leave T at rest."""
             return spins - borne(fixed.T @ (fixed @ spins))
 
         def bends(spins: np.ndarray) -> np.ndarray:
-            """Change (n,) of the torques of S when spins change by `spins` (n,): the curvature of step 2 times them."""
-            return (moving.T @ (moving @ (spins / form.scale))) / form.scale
+            """Return the change (n,) of the torques of S when spins change by `spins` (n,): the curvature of step 2
+            times these."""
+            return (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
 
         best, least, found = self, np.inf, self
         while True:
             # One step: first take away slips of T, then solve for the motion in V that removes the torques of S, and
-            # let T bear what is left. Steps go on while they more than halve the torques.
+            # let T bear what is left.
             torque = np.stack([part.value for part in found.torques], axis=1)[there]
-            if not (left := float(np.linalg.norm(form.scale * torque))) < least / 2:
+            if not (left := float(np.linalg.norm(curvature.scale * torque))) < least / 2:
                 return best
             best, least = found, left
-            slip = np.stack([part.value[self.still] for part in best.slips]).ravel()
+            slip = np.stack([part.value[self.resting] for part in best.slips]).ravel()
             step = -borne(fixed.T @ slip)
-            step -= _within(lambda x: allowed(bends(x)), allowed(torque + bends(step)),
-                            lambda x: allowed(form.scale * soft.solve(form.scale * x)))  # fmt: skip
+            step -= _conjugate_gradients(lambda x: allowed(bends(x)), allowed(torque + bends(step)),
+                            lambda x: allowed(curvature.scale * soft.solve(curvature.scale * x)))  # fmt: skip
             found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
 
-    def moved(self, step: np.ndarray, pull: np.ndarray) -> Near:
-        """These spins and this friction after a step. step : (n,), added to the unknowns. pull : (3, T), subtracted
-        from what T bears."""
+    def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Near:
+        """Return these spins and this friction after one step. step : (n,), added to the unknowns. less_friction : (3,
+        T), subtracted from the friction of T."""
         moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
-        moved[self.number >= 0], less[:, self.still] = step, -pull
-        spin, pull_ = (
-            [_doubles(part + Enclosure.exact(by)) for part, by in zip(parts, change, strict=True)]
-            for parts, change in ((self.spin, moved.T), (self.pull, less))
+        moved[self.number >= 0], less[:, self.resting] = step, -less_friction
+        spin, resting = (
+            [_without_error(part + Enclosure.exact(by)) for part, by in zip(parts, change, strict=True)]
+            for parts, change in ((self.spin, moved.T), (self.resting_friction, less))
         )
-        return replace(self, spin=spin, pull=pull_)
+        return replace(self, spin=spin, resting_friction=resting)
 
-    def proven_reach(self) -> np.ndarray | None:
-        """Bound (S,) on how far slips of S at the only minimum are from these; None if steps 2 and 3 do not prove
-        one."""
-        reach = self._reach() if (self.size.least[self.turns] > 0).all() else None
-        return reach if reach is not None and self._holds(reach) else None
+    def proven_distance(self) -> np.ndarray | None:
+        """Return a bound (S,) on |slip at the only minimum - slip at these spins| for each contact of S; None if step 2
+        or step 3 of the proof fails."""
+        distance = self._distance_of_minimum() if (self.size.least[self.with_friction] > 0).all() else None
+        return distance if distance is not None and self._resting_contacts_can_bear(distance) else None
 
     @property
-    def _left(self) -> np.ndarray:
+    def _other_spheres(self) -> np.ndarray:
         """(N,) mask of the free spheres that exact motions leave out."""
         return np.asarray(self.network.free & ~self.exact.spheres)
 
     @cached_property
-    def _wrong(self) -> np.ndarray:
-        """(S,), bound on the difference between the friction in use and the one that the law gives."""
-        return length([f.at(self.own) - own for f, own in zip(self.friction, self.lawful, strict=True)]).most
+    def _distance_from_law(self) -> np.ndarray:
+        """(S,), bound on the size of the difference between the friction in use and the one that the law gives at these
+        slips: rounding to sums of two doubles."""
+        return length(
+            [f.at(self.slipping) - slipping for f, slipping in zip(self.friction, self.friction_by_law, strict=True)]
+        ).most
 
-    def _over_slip(self, change: np.ndarray) -> np.ndarray:
-        """(S,), `change` (S,) over the slip speeds, rounded up; 0 for contacts without friction."""
-        found = np.zeros(len(self.own))
-        found[self.turns] = (change / self.size.least)[self.turns] * UP
+    def _relative_to_slip(self, change: np.ndarray) -> np.ndarray:
+        """Return `change` (S,) divided by the slip speeds, rounded up, (S,); 0 for contacts without friction."""
+        found = np.zeros(len(self.slipping))
+        found[self.with_friction] = (change / self.size.least)[self.with_friction] * UP
         return found
 
-    def _torques(self, unsure: np.ndarray) -> np.ndarray:
-        """(N, 3), bounds on the size of the torques left over at the unknowns, 0 elsewhere. unsure : (S,), how far the
-        friction of each contact of S may be from the one in use."""
+    def _largest_torques(self, unsure: np.ndarray) -> np.ndarray:
+        """Return bounds (N, 3) on the size of each component of the leftover torques, 0 for components that are no
+        unknowns. unsure : (S,), how far the friction of each contact of S may be from the one in use."""
         found = np.stack([part.most for part in self.torques], axis=1)
-        for end in self.network.graph.contact[:, self.own]:
+        for end in self.network.graph.contact[:, self.slipping]:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
 
-    def _reach(self) -> np.ndarray | None:
-        """Step 2: bound (S,) on how far slips at the minimum in V are from these; None if none is proven."""
-        size, damping, form = self.size.most, self.damping.most, self.form()
-        if form is None or (tau := form.floor(sharp=True)) is None:
+    def _distance_of_minimum(self) -> np.ndarray | None:
+        """Prove step 2: return a bound (S,) on |slip at the minimum in V - slip at these spins|; None if there is
+        none."""
+        size, damping, curvature = self.size.most, self.damping.most, self.curvature()
+        if curvature is None or (tau := curvature.floor(sharp=True)) is None:
             return None
         others, ends = (
-            np.setdiff1d(self.still, np.flatnonzero(self.exact.contacts)),
-            self.network.graph.contact[:, self.own],
+            np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts)),
+            self.network.graph.contact[:, self.slipping],
         )
-        # slips that T should not have, and how far from these spins and slips that puts the nearest ones in V
+        # Distance to V. By step 1 spins that differ by no more than (norm of the slips of T) / (singular value) take
+        # these slips away; the slip of a contact of two such spheres changes by up to twice that.
         missed = float(np.sqrt(sum((part.most[others] ** 2).sum() for part in self.slips)))
-        off = missed / self.loose * UP if missed else 0.0
-        far = np.where(self._left[ends].any(axis=0), 2 * off * UP, 0.0)
-        bends, longer, whole = self._off_direction(far)
+        off = missed / self.floor_of_other_contacts * UP if missed else 0.0
+        far = np.where(self._other_spheres[ends].any(axis=0), 2 * off * UP, 0.0)
+        angle, size_error, size_by_law = self._distance_from_slip_direction(far)
         scale = np.zeros(self.number.shape)
-        scale[self.number >= 0] = form.scale
-        # |r| / tau + |b| / tau^1/2 in scaled unknowns; friction at an angle to the slip counts in b, its square in r
-        slope = np.linalg.norm(scale * self._torques(longer + whole * bends**2 * UP)) / tau
-        slope += np.sqrt((whole * size * bends**2 + damping * far**2).sum() / tau)
+        scale[self.number >= 0] = curvature.scale
+        # slope = |r| / tau + |b| / tau^1/2 in scaled unknowns. Friction of size F at a small angle a to the slip has a
+        # part F a across it, which counts in b: over the root of the curvature F / |y|, that is a (F |y|)^1/2. The part
+        # along the slip is shorter by F a^2 / 2 at most, which counts in r, as does what the size of F misses.
+        slope = np.linalg.norm(scale * self._largest_torques(size_error + size_by_law * angle**2 * UP)) / tau
+        slope += np.sqrt((size_by_law * size * angle**2 + damping * far**2).sum() / tau)
         largest = scale.max(axis=1)
-        # Two spheres change a slip by sqrt(2) times scale times |x| at most, so sqrt(2) / 0.72 < 2 would do for 12,
-        # were B not that of the slips at hand.
-        found = (far + 12 * largest[ends].max(axis=0) * slope * UP**2 + TINY) * UP
-        turn, loss = self._over_slip(found), np.zeros(len(scale))
+        # Where 12 comes from: two spheres change a slip by up to 2^1/2 scale |x|, and 2^1/2 / 0.72 < 2. Slips in V may
+        # be a quarter longer than those of B, and by the check below may have lost tau / 8 by their directions. That
+        # leaves 0.8 (1 - 8^-1/2)^2 tau > tau / 3, hence a factor of 3. 2 times 3 would do; 12 is twice as much.
+        distance = (far + 12 * largest[ends].max(axis=0) * slope * UP**2 + TINY) * UP
+        turn, loss = self._relative_to_slip(distance), np.zeros(len(scale))
         for end in ends:
-            # Curvature lost as slips turn: (2 turn)^2 friction / slip, times 2 as |u_i + u_j|^2 <= 2 (|u_i|^2 +
-            # |u_j|^2).
-            np.add.at(loss, end, 8 * turn * self._over_slip(turn * self.strength.most))
-        # At least 7/8 of tau must remain, so that there is just one minimum within reach.
+            # Curvature lost as slips turn, shared among spheres: (2 turn)^2 mu F_n / |y| by each contact, as a unit
+            # vector changes by up to 2 turn; times 2, as |u_i + u_j|^2 <= 2 (|u_i|^2 + |u_j|^2).
+            np.add.at(loss, end, 8 * turn * self._relative_to_slip(turn * self.strength.most))
+        # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
+        # be no more than what is lost, below tau / 8, but it is tau or more: so there is just one minimum.
         known = (turn <= MOST_TURN).all() and (largest**2 * loss * UP < tau / 8).all()
-        return found if known else None
+        return distance if known else None
 
-    def _off_direction(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Three arrays (S,): by how much the direction of F differs from those of slips that are within `far` (S,) of
-        these, as a difference of unit vectors, 0 without friction; how far the size of F, or without friction F itself,
-        is from that of the law; and an upper bound on the size of F by the law."""
-        some, bends, longer = self.turns, np.zeros(len(self.own)), self._wrong.copy()
-        whole = self.strength + self.damping * self.size if self.network.law.flows else self.strength
-        bends[some] = ((self._wrong / whole.least + 2 * far / self.size.least) * UP)[some]
-        longer[some] = (length([part.at(self.own) for part in self.friction]) - whole).most[some]
-        return bends, longer, whole.most
+    def _distance_from_slip_direction(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return three arrays (S,) that compare the friction in use, F, with the friction by the law at slips that may
+        be up to `far` (S,) from these:
 
-    def _holds(self, reach: np.ndarray) -> bool:
-        """Step 3: True if T bears inside its friction discs what S leaves to it where slips of S are up to `reach` (S,)
-        from these."""
+        1. the size of the difference between the unit vectors along F and along the slip; 0 for contacts without
+           friction,
+        2. the difference between |F| and the size by the law; for contacts without friction the size of the vector
+           difference,
+        3. an upper bound on the size by the law.
+        """
+        some, angle, size_error = self.with_friction, np.zeros(len(self.slipping)), self._distance_from_law.copy()
+        size_by_law = self.strength + self.damping * self.size if self.network.law.flows else self.strength
+        angle[some] = ((self._distance_from_law / size_by_law.least + 2 * far / self.size.least) * UP)[some]
+        size_error[some] = (length([part.at(self.slipping) for part in self.friction]) - size_by_law).most[some]
+        return angle, size_error, size_by_law.most
+
+    def _resting_contacts_can_bear(self, distance: np.ndarray) -> bool:
+        """Prove step 3: return True if T can bear, below all its friction limits, what S leaves to it at the minimum in
+        V. distance : (S,), bound on how far the slips of S there are from these."""
         network, exact = self.network, self.exact
-        torque = self._torques(
-            self._wrong + 2 * self._over_slip(reach) * self.strength.most + self.damping.most * reach
+        torque = self._largest_torques(
+            self._distance_from_law
+            + 2 * self._relative_to_slip(distance) * self.strength.most
+            + self.damping.most * distance
         )
-        # The correction of the friction of T is at most the torques over the floors of singular values, first on the
-        # spheres that exact motions leave out, then on the others, to which it brings torques of its own: K has no
-        # singular value above the root of twice the largest number of contacts of a sphere.
-        by_left = float(np.linalg.norm(torque[self._left])) / self.loose * UP
+        # The friction of T is corrected by no more than (norm of the torques) / (floor of singular values): first on
+        # the spheres that exact motions leave out, then on the others. To these the first correction brings torques of
+        # its own, at most `most` times as large: |u_i + u_j|^2 <= 2 (|u_i|^2 + |u_j|^2), so no singular value of K is
+        # above the root of twice the largest number of contacts of a sphere.
+        by_left = float(np.linalg.norm(torque[self._other_spheres])) / self.floor_of_other_contacts * UP
         most = np.sqrt(2 * np.bincount(network.graph.contact[:, network.counts].ravel()).max())
         by_exact = (float(np.linalg.norm(torque[exact.spheres])) + most * by_left) / exact.floor * UP**2
-        room = (network.holding - length(self.friction)).lower()[self.still]
-        return bool((room > np.where(exact.contacts[self.still], by_exact, by_left) * UP).all())
+        margin = (network.holding - length(self.friction)).lower()[self.resting]
+        return bool((margin > np.where(exact.contacts[self.resting], by_exact, by_left) * UP).all())
 
 
-def _doubles(values: Enclosure) -> Enclosure:
-    """The values without their error bounds: sums of two doubles, taken as exact."""
+def _without_error(values: Enclosure) -> Enclosure:
+    """Return the enclosures with their error bounds dropped: sums of two doubles that are taken as exact numbers."""
     return Enclosure.exact(values.high, values.low)
 
 
-def _within(
+def _conjugate_gradients(
     operator: Callable[[np.ndarray], np.ndarray], right: np.ndarray, guess: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Vector x (n,) that solves operator(x) = right by conjugate gradients. guess : approximate inverse of the
-    operator, as preconditioner."""
+    """Solve operator(x) = right by preconditioned conjugate gradients, and return x (n,). Nothing is proven about it.
+
+    operator : symmetric, positive on the vectors that occur; maps (n,) to (n,).
+    right : (n,).
+    guess : approximate inverse of the operator, used as preconditioner.
+    """
     x, left, last, along = np.zeros_like(right), right, np.inf, np.zeros_like(right)
     for _ in range(MOST_GRADIENTS):
         if not np.linalg.norm(left) > CLOSE * np.linalg.norm(right):

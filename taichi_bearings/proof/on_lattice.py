@@ -1,13 +1,18 @@
 """Spins and friction of samples of a lattice, as they are to be judged: measured from the bottom, layer by layer.
 
-Everything that is given is in the laboratory frame. With n the direction of a contact, s = +1 or -1 the sublattice of a
-sphere, and w_i, w_j the spins at its lower and upper end, the upper surface slips past the lower one with
-v = -R (w_i + w_j) x n (paper, Eq. 2); friction F on the upper sphere turns both spheres alike, with the torque
--R n x F. Call s w the signed spin: across a contact the sum w_i + w_j is, up to its sign, the difference of the signed
-spins, and where all signed spins are equal nothing slips, nor does it where they are A + C x, which differs along the
-contacts alone. Such a bearing state can be added to all spins, so these are measured from that of the bottom.
-Component k of the jump, the state of the top measured so, depends on x_k alone, and no contact that feels component k
-leads from a layer x_k to another: what is said of a component is said layer by layer.
+Everything that is given is in the laboratory frame. Let n be the direction of a contact, s = +1 or -1 the sublattice of
+a sphere, and w_i, w_j the spins at its lower and upper end. The upper surface slips past the lower one with v = -R (w_i
++ w_j) x n (paper, Eq. 2). Friction F on the upper sphere turns both spheres alike, with the torque -R n x F.
+
+* The *signed spin* is s w. Across a contact the sum w_i + w_j is, up to its sign, the difference of the signed spins.
+* Where all signed spins are equal nothing slips. Nor does it where they are A + C x, with a vector A and a number C,
+  since this differs along the contacts alone. Such a bearing state can be added to all spins, so they are measured from
+  that of the bottom.
+* The *jump* is the signed spin of the top measured so. Its component k depends on the coordinate x_k alone. No contact
+  that slips with component k leads from a layer x_k = const to another one, so what is said of a component is said
+  layer by layer.
+
+Shapes: R samples of N spheres and E contacts; *N are the sides of the lattice, whose last axis is the height.
 """
 
 from __future__ import annotations
@@ -32,16 +37,18 @@ LEAST_JUMP = 1e-140  # smallest component of the jump over the whole, that is no
 def samples_of_lattice(
     scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
 ) -> OnLattice | None:
-    """The samples of a lattice to be judged; None where contacts are in lists. Arguments as of :class:`OnLattice`."""
+    """Return the samples of a lattice to be judged; None where contacts are in lists. Arguments are the fields of
+    :class:`OnLattice`."""
     return None if scene.network.lattice is None else OnLattice(of_lattice(scene), spin, spin_rounding, friction)
 
 
 @dataclass(frozen=True, eq=False)
 class OnLattice:
-    """R samples of a scene, N spheres and E contacts each, beside each other.
+    """R samples of a scene with N spheres and E contacts each.
 
-    spin, spin_rounding : (R, *N, 3), in 2D (R, *N); the spin is the sum of the two.
-    friction : (R, E, 3) on the upper spheres; in 2D (R, E), the component along z x n.
+    scene : the lattice, its coefficients and its driving.
+    spin, spin_rounding : (R, *N, 3), in 2D (R, *N), 1/time; the spin is the sum of the two.
+    friction : (R, E, 3), force on the upper sphere of each contact; in 2D (R, E), the component along z x n.
     """
 
     scene: Scene
@@ -50,7 +57,7 @@ class OnLattice:
     friction: np.ndarray
 
     def some(self, pick: slice) -> OnLattice:
-        """The samples in the slice `pick` alone."""
+        """Return the samples in the slice `pick` alone."""
         scene = self.scene.some(pick)
         if scene.replicas == 1:
             scene = self.scene.sample(pick.indices(self.count)[0])
@@ -63,17 +70,18 @@ class OnLattice:
 
     @property
     def lattice(self) -> Lattice:
+        """The lattice of the scene."""
         return self.scene.lattice
 
     @property
     def components(self) -> tuple[int, ...]:
-        """The components of the spins: about z in 2D; about x, y and z in 3D."""
+        """The axes about which spheres spin: z in 2D; x, y and z in 3D, as numbers 0 to 2."""
         return self.lattice.all_spin_axes
 
     @property
     def can_be_judged(self) -> bool:
-        """False for a law whose proofs are not known here, and for numbers that are not finite, or too large or small
-        for products."""
+        """False for a law whose proofs are not known here, and for numbers that are not finite, or whose size might let
+        products overflow or underflow."""
         scene, driving = self.scene, self.scene.exact_driving
         if not scene.law.is_sum:
             return False
@@ -83,61 +91,63 @@ class OnLattice:
         strengths += [] if viscosity is None else [scene.lattice.radius * driving.unit * viscosity]
         given = zip(strengths, scene.named_coefficients.values(), strict=True)
         arrays = (self.spin, self.spin_rounding, self.friction, *strengths)
-        sizes = [float(np.abs(values).max(initial=0.0)) for values in arrays]
+        largest = [float(np.abs(values).max(initial=0.0)) for values in arrays]
         return (
             all(LEAST_SCALE < scale < MOST_SCALE for scale in scales)
-            and all(size < MOST_SCALE for size in sizes)  # False for what is no number
+            and all(size < MOST_SCALE for size in largest)  # False for what is no number
             and all(bool(((values > LEAST_SCALE) | (c == 0)).all()) for values, c in given)  # lost products are not 0
             and all(value == 0 or abs(value) > LEAST_JUMP for jump in driving.jump.values() for value in jump)
         )
 
     @property
     def spin_unit(self) -> float:
-        """A power of two near the jump; 1 without one."""
+        """A power of two near the jump, 1/time; 1 without a jump."""
         return self.scene.exact_driving.unit
 
     @cached_property
     def force_unit(self) -> float:
-        """A power of two near the largest friction, or without friction near the force of damping at `spin_unit`."""
+        """A power of two near the largest friction limit; for damping alone near the force of damping at
+        `spin_unit`."""
         scene = self.scene
         strength = scene.normal_force if scene.law.holds else power_of_two(scene.lattice.radius * self.spin_unit)
         return power_of_two(float(scene.coefficient.max()) * strength)
 
     @cached_property
     def jump(self) -> dict[int, Enclosure]:
-        """By component, what is imposed on the top measured from the bottom, over `spin_unit`, (layers,) or (1,)."""
+        """By component, what is imposed on the top measured from the bottom, in units of `spin_unit`: enclosures
+        (layers,), or (1,) where all layers have the same jump."""
         return {k: Enclosure.of_decimals(values) for k, values in self.scene.exact_driving.jump.items()}
 
     @cached_property
     def sublattice(self) -> np.ndarray:
-        """The sign s = +1 or -1 of each sphere, (*N,)."""
+        """Sign s = +1 or -1 of each sphere, (*N,): neighbours have opposite signs."""
         return self.lattice.parity.astype(float)
 
     def jump_at(self, component: int) -> Enclosure:
-        """(R * N,), the jump of a component in the layer of each sphere; a read-only view where it is the same in all
-        layers."""
+        """Return the jump (R * N,) of a component in the layer of each sphere; a read-only view where all layers have
+        the same."""
         jump, count = self.jump[component], self.count * self.sublattice.size
         if len(jump.high) == 1:
             return jump.spread((count,))
         return jump.at(np.tile(self.layer(component), self.count))
 
     def layer(self, component: int) -> np.ndarray:
-        """(N,), for each sphere the place of its layer in `jump`: its coordinate along the component, or 0 where the
-        whole top has one jump."""
+        """Return for each sphere (N,) the index of its layer in `jump`: its coordinate along the component, or 0 where
+        all layers have the same jump."""
         if len(self.jump[component].high) == 1:
             return np.zeros(self.lattice.sites, dtype=np.int64)
         return np.indices(self.lattice.shape)[component].ravel()
 
     def leader(self, component: int) -> np.ndarray:
-        """(2, R * N), for each sphere the first spheres of the bottom and of the top in its layer: all driven spheres
-        there have the same component of the spin."""
+        """Return for each sphere the indices (2, R * N) of its leaders: the first sphere of the bottom and of the top
+        in its layer. All driven spheres of a plane and layer have the same component of the spin as their leader."""
         first = self.layer(component) * math.prod(self.lattice.shape[component + 1 :])
         low = (np.arange(self.count)[:, None] * first.size + first).ravel()
         return np.stack([low, low + self.lattice.shape[-1] - 1])
 
     def as_led(self, values: np.ndarray, component: int) -> np.ndarray:
-        """The array `values` (R * N,), changed in place such that driven spheres have what the first of their plane and
-        layer has."""
+        """Change the array `values` (R * N,) in place, so that driven spheres have the value of their leader (see
+        :meth:`leader`), and return it."""
         spheres = values.reshape(self.count, *self.lattice.shape)
         first = [slice(None), *[slice(0, 1)] * self.lattice.height_axis]
         if len(self.jump[component].high) > 1:
@@ -147,14 +157,13 @@ class OnLattice:
         return values
 
     def anchor(self, component: int) -> np.ndarray:
-        """(R * N,), the sphere whose component of the spin each shares: the first of its plane and layer for driven
-        ones, else itself."""
+        """Return (R * N,), the index of the leader of each driven sphere, and of each free sphere its own."""
         return self.as_led(np.arange(self.count * self.sublattice.size), component)
 
     @cached_property
     def signed_spin(self) -> dict[int, Enclosure]:
-        """By component, (R * N,), spins times the sign of their sublattice in units of `spin_unit`, without any error;
-        driven spheres have those of their leaders."""
+        """By component, exact enclosures (R * N,): spins times the sign of their sublattice, in units of `spin_unit`.
+        Driven spheres have the spin of their leader."""
         sign, found, shape = self.sublattice / self.spin_unit, {}, (self.count, *self.lattice.shape, -1)
         for at, k in enumerate(self.components):
             pair = (part.reshape(shape)[..., at] * sign for part in (self.spin, self.spin_rounding))
@@ -164,12 +173,13 @@ class OnLattice:
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """By component, (R * N,), what stored signed spins of the top lack of the imposed ones, measured from the
-        bottom; 0 for all other spheres."""
+        """By component, (R * N,): for spheres of the top the imposed signed spin less the stored one, both measured
+        from the bottom; 0 for all other spheres. It is far below the rounding of spins, but may exceed the smallest
+        slips."""
         return {k: self._shift(k, stored) for k, stored in self.signed_spin.items()}
 
     def _shift(self, component: int, stored: Enclosure) -> Enclosure:
-        """`shift` (R * N,) of one component. stored : its signed spins, (R * N,)."""
+        """Compute `shift` (R * N,) of one component. stored : its signed spins, (R * N,)."""
         jump, size = self.scene.exact_driving.jump[component], self.sublattice.size
         # Only leaders of the bottom and the top are needed, one pair for each sample and layer.
         first = np.arange(self.count)[:, None] * size

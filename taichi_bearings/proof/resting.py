@@ -1,22 +1,34 @@
-"""Which contacts of a packing rest at every minimum, part by part: theorem 8, where friction is nearly known.
+"""Proof that contacts of a packing rest at every minimum, part by part, where friction is nearly known: theorem 8.
 
-Letters: N spheres, E contacts; K the matrix of slips, b the slips of what is imposed; y* the slips of a minimum and F*
-optimal friction: in balance on every free sphere, along y* where y* is not 0, and then of size mu F_n + eta |y*|; F the
-friction at hand, r torques; X some contacts with friction, such that
+Symbols
+    N spheres, E contacts. K : matrix of slips, b : slips of what is imposed; y = K u + b are the slips of spins u.
+    u*, y* : spins and slips of a minimum. F* : optimal friction: in balance on every free sphere, along y* where y* is
+        not 0, and then of size mu F_n + eta |y*|.
+    F : friction at hand. r : bound on the torque on each sphere.
+    X : the contacts that are tried. G : some friction on X.
 
-a. spins u exist at which nothing of X slips: K u + b = 0 in the rows of X, and
-b. some friction G on X, inside all discs, |G| < mu F_n, does for F*: K^T G = K^T F* on the free spheres.
+Theorem. The contacts of X slip at no minimum if
+a. spins u exist at which nothing of X slips, K u + b = 0 in the rows of X, and
+b. some friction G on X does for F*: it exerts the same torques, K^T G = K^T F* on the free spheres, and |G| < mu F_n at
+   every contact of X.
+Proof. Over X, the sum of (F* - G) . y* is (F* - G) . (K u* + b) = (F* - G) . b = -(F* - G) . K u = 0, first by b, then
+by a, then by b again. So the sum of F* . y*, that is of mu F_n |y*| + eta |y*|^2, equals that of G . y*. But G . y* is
+smaller than mu F_n |y*| at every contact, unless all y* are 0.
 
-Then X rests. Over X, the sum (F* - G) . y* is (F* - G) . (K u* + b) = (F* - G) . b = -(F* - G) . K u = 0. So the sum of
-mu F_n |y*| + eta |y*|^2 over X equals that of G . y*, which is less unless all y* are 0.
+How it is used, where components do not mix (discs; normals along the axes). What contacts of X join through free
+spheres in one component is a *part*.
+1. Condition a holds, without any rounding, where all driven spheres that a part touches ask for one spin, up to the
+   signs by which neighbours differ; a part with a loop of an odd number of contacts can only stand still.
+2. For b start from the friction F of X at hand. It misses K^T F* on a sphere by no more than r: what F leaves over
+   there, and |F* - F| of its other contacts (`known_friction`). G takes r along a tree of contacts of the part to a
+   driven sphere, or, without one, to where all of it cancels, as that of F* does. What cannot cancel in a part with odd
+   loops goes around such a loop, half of it each way. So no force changes by more than 3/2 of the sum of r over the
+   part.
+3. Start with all contacts that have friction left, and remove those that may have to bear too much, until none does.
 
-For b it is enough to bound how far F*, away from X, is from friction F that is in balance up to torques: on each sphere
-K^T (F* - F) on X is then no larger than r, the sum of that bound over its other contacts and of its leftover torque.
-Where components do not mix (discs; normals along the axes) a *part* is what contacts of X join through free spheres in
-one component. Starting from F, G takes r along a tree of the part to a driven sphere, if there is one, and else to
-where all cancels, as K^T (F* - F) does. What an odd loop has left over goes around it, half of it each way. So no force
-changes by more than 3/2 of the sum of r over the part. Condition a holds exactly where all driven spheres that a part
-joins ask for one spin, and for none where its loops are odd: nothing is rounded.
+Example. A free disc touches a still disc (mu F_n = 3) and one that turns with u = 1 (mu F_n = 1, eta = 1), along which
+it slips. The friction there is known, mu F_n + eta |y| = 2. X is the first contact. Condition a: the free disc can
+stand still. Condition b: G = 2 balances the disc and is below 3. So it stands still at every minimum.
 """
 
 from __future__ import annotations
@@ -29,73 +41,87 @@ from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import signs
 from taichi_bearings.proof.slipless_state import imposed_exactly
 
-SHARE_AROUND = 1.5  # largest change of a force over the sum of r over its part: 1 along the tree, 1/2 around a loop
+SHARE_AROUND = (
+    1.5  # largest change of a force over the sum of r over its part: 1 along the tree, 1/2 around an odd loop
+)
 
 
 def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mask (E,) of the contacts whose friction is known, as they slip at every minimum or have damping alone; and a
-    bound (E,) on how far the optimal friction of each contact is from that at hand.
+    """Return (known, distance): the mask (E,) of the contacts whose friction is known at every minimum, since they
+    surely slip there or have damping alone; and a bound (E,) on |F* - F|, optimal friction less the friction at hand,
+    for every contact that can dissipate (0 for others).
 
-    far : (E,), bound on how far slips of minima are from the given ones; infinite where none is known.
+    bounds : the network and its friction.
+    far : (E,), bound on |slip at any minimum - given slip|; infinite where none is known.
     """
     network, size = bounds.network, bounds.network.slip
     known = network.counts & ((size.least > far) | ((network.holding.high == 0) & np.isfinite(far)))
     own, friction = np.flatnonzero(known), bounds.friction or network.own_friction
-    held = np.flatnonzero(network.holding.high[own] > 0)
+    with_friction = np.flatnonzero(network.holding.high[own] > 0)
     wrong = []
-    # Friction by the law at the given slips, and how far the friction at hand is from it.
+    # Difference between the friction at hand and the one by the law at the given slips, mu F_n y / |y| + eta y.
     for given, slip in zip(friction, network.slips(network.spin), strict=True):
         lawful = network.slope.at(own) * slip.at(own)
-        turned = network.holding.at(own[held]) * (slip.at(own[held]) / size.at(own[held]))
-        lawful.put(held, lawful.at(held) + turned)
+        by_friction = network.holding.at(own[with_friction]) * (
+            slip.at(own[with_friction]) / size.at(own[with_friction])
+        )
+        lawful.put(with_friction, lawful.at(with_friction) + by_friction)
         wrong.append(given.at(own) - lawful)
-    # A slip that differs by far has a unit vector that differs by 2 far / |slip| at most; discs slip in one direction.
-    turn = 0 * far if len(friction) == 1 else np.where(size.least > far, 2 * far / size.least, 0.0)  # one has no others
+    # A slip that differs by far has a unit vector that differs by 2 far / |slip| at most; that of discs is fixed.
+    turn = 0 * far if len(friction) == 1 else np.where(size.least > far, 2 * far / size.least, 0.0)
     damped = network.slope.high > 0
-    reached = np.where(damped, network.slope.most * (size.most + far), 0.0)
-    # Where friction is not known: two forces that may point in opposite directions, at most so large.
-    off = network.holding.most + reached + length(friction).most
-    off[own] = length(wrong).most + network.holding.most[own] * turn[own] * UP
-    off[own] += np.where(damped, network.slope.most * far, 0.0)[own]
-    return known, np.where(network.counts, off * UP, 0.0)
+    damping_force = np.where(damped, network.slope.most * (size.most + far), 0.0)
+    # Where friction is not known, F* and F may point in opposite directions: the sum of their largest sizes.
+    distance = network.holding.most + damping_force + length(friction).most
+    # Where it is known: what F misses of the law, and what the law may change within far.
+    distance[own] = length(wrong).most + network.holding.most[own] * turn[own] * UP
+    distance[own] += np.where(damped, network.slope.most * far, 0.0)[own]
+    return known, np.where(network.counts, distance * UP, 0.0)
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """Mask (E,) of contacts that are proven to rest at every minimum, of a network whose components do not mix.
+    """Return the mask (E,) of contacts that are proven to rest at every minimum, in a packing of discs or with normals
+    along the axes.
 
-    far : (E,), bound on how far slips of minima are from the given ones; infinite where none is known.
+    bounds : the network and its friction.
+    far : (E,), bound on |slip at any minimum - given slip|; infinite where none is known.
     """
     network = bounds.network
-    known, off = known_friction(bounds, far)
-    room = (network.holding - length(network.own_friction)).lower()
-    rests = network.counts & ~known & (room > 0) & imposed_exactly(network)
-    # Begin with all contacts that have friction left; leave out those that may have to bear too much, until none does.
+    known, distance = known_friction(bounds, far)
+    margin = (network.holding - length(network.own_friction)).lower()
+    rests = network.counts & ~known & (margin > 0) & imposed_exactly(network)
+    # Step 3: X begins as all contacts that have friction left. Each round computes r from the contacts outside X, then
+    # what forces of X may change by, and removes the contacts that may have to bear too much.
     while rests.any():
-        change = np.zeros(len(room))
+        change = np.zeros(len(margin))
         for k in network.components:
             others = np.flatnonzero(network.feels[k] & ~rests)
-            left = network.own_torques[k].most
+            torque = network.own_torques[k].most
             for end in network.graph.contact[:, others]:
-                left = left + np.bincount(end, off[others], len(left))
-            change += _changes(network, k, rests & network.feels[k], left * UP) ** 2
-        bears = room > np.sqrt(change) * UP
+                torque = torque + np.bincount(end, distance[others], len(torque))
+            change += _most_change(network, k, rests & network.feels[k], torque * UP) ** 2
+        bears = margin > np.sqrt(change) * UP
         if bears[rests].all():
             break
         rests &= bears
     return rests
 
 
-def _changes(network: JudgedNetwork, k: int, rests: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """(E,), bound on the change of the force of each contact in X in component k; infinite where a part cannot rest.
+def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """Return a bound (E,) on the change of the force of each contact of X along component k, by step 2; infinite in
+    parts that cannot rest (condition a).
 
-    rests : (E,) mask of X. left : (N,), r.
+    rests : (E,) mask of X.
+    torque : (N,), the bound r.
     """
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
     ends, imposed = network.graph.contact[:, own], network.imposed[k]
+    # Parts of X: each contact with a driven end gets a node of its own there, so that parts do not join through it.
     nodes = np.where(network.free[ends], ends, count + np.arange(len(own)))  # a driven end is not passed through
     label, odd, sign = signs(nodes, count + len(own))
-    total = np.bincount(label[:count], np.where(network.free, left, 0.0), len(label)) * SHARE_AROUND
+    total = np.bincount(label[:count], np.where(network.free, torque, 0.0), len(label)) * SHARE_AROUND
+    # Condition a: compare the spins that the driven ends of each part ask for, with their signs, as exact sums.
     held = np.flatnonzero((nodes >= count).any(axis=0))
     driven = np.where(network.free[ends[0]], ends[1], ends[0])[held]
     asked = imposed.at(driven).signed(sign[count + held])

@@ -1,9 +1,18 @@
-"""Elimination (Cholesky factorisation) of a sparse symmetric matrix, and a bound on how far the matrix is from the
-product of the factors that floating point has found. The floors of theorems 2 and 7 are proven by it.
+"""Elimination (Cholesky factorisation) of a sparse symmetric matrix, and a proven bound on its rounding. It proves the
+floors of eigenvalues in theorems 2 and 7.
 
-The unknowns are ordered by nested dissection and eliminated front by front (multifrontal: Liu, SIAM Review 34, 1992): a
-front has unknowns of its own, and a border of later unknowns to which it passes on an update. Letters: n unknowns, L
-the factor.
+How. If floating point finds a factor L of A - shift, with positive pivots, then L L^T is positive, and a theorem of
+Higham bounds how far L L^T is from A - shift. So no eigenvalue of A is below the shift less this distance.
+
+Example. A = [[2, -1], [-1, 2]] has the eigenvalues 1 and 3. With shift 0.9 the pivots are 1.1 and 1.1 - 1 / 1.1 = 0.19,
+both positive, so no eigenvalue is below 0.9 but for rounding of some 1e-16. With shift 1.1 the second pivot is 0.9 - 1
+/ 0.9 < 0: nothing is proven.
+
+The unknowns are ordered by nested dissection and eliminated front by front (multifrontal: Liu, SIAM Review 34, 1992). A
+*front* is a group of unknowns that are eliminated together in a dense matrix. Its *border* are the later unknowns to
+which elimination connects them; the front passes an update to these, which its parent front adds.
+
+Symbols: n unknowns; L the factor, lower triangular; EPS = 2^-52, twice the largest relative error of an operation.
 """
 
 from __future__ import annotations
@@ -29,8 +38,9 @@ class Front:
     """A group of unknowns that are eliminated together.
 
     first, own : its unknowns are first ... first + own - 1 in the order of elimination.
-    border : sorted numbers of the later unknowns that they touch, once all before them are eliminated.
-    children : numbers of the fronts whose updates go into this one.
+    border : sorted numbers, in this order, of the later unknowns that are connected to them once all before are
+        eliminated.
+    children : indices of the fronts whose updates go into this one.
     """
 
     first: int
@@ -40,7 +50,7 @@ class Front:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Numbers of its unknowns, then those of its border."""
+        """Numbers in the order of elimination of the front's own unknowns, then of those of its border."""
         return np.append(np.arange(self.first, self.first + self.own), self.border)
 
 
@@ -59,7 +69,8 @@ class Elimination:
 
     @classmethod
     def of(cls, matrix: sparse.csc_array, place: np.ndarray) -> Elimination:
-        """Order the unknowns of a matrix, and find the fronts. place : (d, n), where each unknown is."""
+        """Order the unknowns of a matrix and find the fronts. place : (d, n), position of each unknown in d dimensions,
+        by which nested dissection divides them."""
         parts = dissected(matrix, place, REGION_UNKNOWNS)
         order = np.concatenate([part.nodes for part in parts])
         lower = sparse.csc_array(sparse.tril(matrix[order][:, order], format="csc"))
@@ -85,11 +96,11 @@ class Elimination:
     def columns(
         self, shift: float, least: float = 0.0, held: np.ndarray | None = None
     ) -> Iterator[tuple[Front, np.ndarray | None]]:
-        """Yield, front by front, its columns (own + border, own) of the factor of the matrix less `shift` times the
-        identity; None, and nothing more, where a pivot is not positive.
+        """Yield each front with its columns (own + border, own) of the factor of the matrix less `shift` times the
+        identity; yield None for the columns, and end, where a pivot is not positive.
 
-        held : (n,), filled with a mask, in the order of elimination, of unknowns that leave no pivot above `least`:
-            these are taken out of the matrix. No unknown is taken out if it is not given.
+        held : (n,), filled in place with a mask, in the order of elimination, of unknowns that leave no pivot above
+            `least`: these are taken out of the matrix, as if held at 0. None: no unknown is taken out.
         """
         updates: dict[int, np.ndarray] = {}
         local = np.empty(self.size, dtype=np.int64)
@@ -97,7 +108,7 @@ class Elimination:
             own, places = front.own, front.places
             local[places] = np.arange(len(places))
             whole = self._assembled(front, local, shift)
-            # add the updates of the children, eliminate the own unknowns, and leave the update for the parent
+            # Add the updates of the children, eliminate the own unknowns, and leave the update for the parent.
             for child in front.children:
                 _add_at(whole.T, local[self.fronts[child].border], updates.pop(child).T)
             if held is not None:
@@ -117,8 +128,8 @@ class Elimination:
             yield front, np.concatenate([factor, below])
 
     def _assembled(self, front: Front, local: np.ndarray, shift: float) -> np.ndarray:
-        """Square matrix over all places of a front, with the entries of its own columns, less the shift. local : (n,),
-        row in the front of each place."""
+        """Return a dense matrix over all places of a front, with the matrix entries of its own columns, less the shift
+        on their diagonal. local : (n,), row within the front of each place in the order of elimination."""
         begin = self.lower.indptr[front.first : front.first + front.own + 1]
         at, own = slice(begin[0], begin[-1]), np.arange(front.own)
         whole = np.zeros((len(front.border) + front.own,) * 2, order="F")
@@ -127,15 +138,16 @@ class Elimination:
         return whole
 
     def distance_from_positive(self, shift: float) -> float | None:
-        """Bound, in the spectral norm, on the distance between the matrix less `shift` times the identity and a
-        positive semidefinite matrix: L L^T with the computed factor L. None if a pivot is not positive.
+        """Return a bound on the distance, in the spectral norm, between the matrix less `shift` times the identity and
+        the positive matrix L L^T with the computed factor L. None if a pivot is not positive.
 
-        The product of the computed factors differs from the matrix by at most gamma |L| |L|^T, entry by entry, with
-        gamma = t EPS / (1 - t EPS) for sums of t terms in any order (Higham, Accuracy and Stability of Numerical
-        Algorithms, 2002, theorem 10.3). With positive numbers x the norm of W W^T, W without negative entries, is at
-        most the largest of (W W^T x) / x (Collatz and Wielandt).
+        The two differ by at most gamma |L| |L|^T, entry by entry, with gamma = t EPS / (1 - t EPS) for sums of t terms
+        in any order (Higham, Accuracy and Stability of Numerical Algorithms, 2002, theorem 10.3). The norm of W W^T,
+        for a matrix W without negative entries, is at most its largest row sum. Here W is |L| with each row times the
+        root of its gamma.
         """
-        terms = np.full(self.size, 2)  # t for each row: the number of its entries in L, and two more
+        # t of each row: the number of its entries in L, and two more.
+        terms = np.full(self.size, 2)
         for front in self.fronts:
             terms[front.first : front.first + front.own] += np.arange(1, front.own + 1)
             terms[front.border] += front.own
@@ -149,8 +161,8 @@ class Elimination:
         return float((root * total).max(initial=0.0)) * UP
 
     def dependent(self, least: float) -> np.ndarray:
-        """(n,) mask of unknowns that, held at 0, leave only pivots above `least`: as far as doubles show, one for each
-        eigenvalue 0. All of them if elimination fails."""
+        """Return the mask (n,) of unknowns that, once they are held at 0, leave only pivots above `least`: as far as
+        doubles show, one for each eigenvalue 0. All True if elimination fails. Nothing about it is proven."""
         held = np.zeros(self.size, dtype=bool)
         if any(columns is None for _, columns in self.columns(0.0, least, held)):
             held[:] = True
@@ -159,7 +171,7 @@ class Elimination:
         return found
 
     def factorised(self, shift: float = 0.0) -> Factor | None:
-        """The factor of the matrix less `shift` times the identity; None if a pivot is not positive."""
+        """Return the factor of the matrix less `shift` times the identity; None if a pivot is not positive."""
         found = []
         for front, columns in self.columns(shift):
             if columns is None:
@@ -170,7 +182,7 @@ class Elimination:
 
 def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
     """Raise RuntimeError unless each unknown is eliminated once, and the update of each front goes into one later front
-    that has room for it. Nothing else about the order matters for the proof."""
+    that contains its border. Nothing else about the order matters for the proof."""
     parent = np.full(len(fronts), -1)
     for number, front in enumerate(fronts):
         if (parent[front.children] >= 0).any() or any(child >= number for child in front.children):
@@ -182,7 +194,8 @@ def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
 
 
 def _add_at(whole: np.ndarray, places: np.ndarray, part: np.ndarray) -> None:
-    """Add `part` (k, k) to the entries of `whole` at `places` (k,), in place; by whole rows, in a third of the time."""
+    """Add `part` (k, k) to the entries of `whole` at rows and columns `places` (k,), in place. It is done by whole
+    rows, which takes a third of the time."""
     rows = np.zeros((len(part), len(whole)))
     rows[:, places] = part
     whole[places] += rows
@@ -190,15 +203,16 @@ def _add_at(whole: np.ndarray, places: np.ndarray, part: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class Factor:
-    """The factor L of an elimination: the columns of each front, in the order of elimination."""
+    """The factor L of an elimination: the columns of each front, and the order (n,) of elimination."""
 
     order: np.ndarray
     columns: list[tuple[Front, np.ndarray]]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solution of L L^T x = right in the original order of unknowns. right : (n,), or (n, m) for several right-hand
-        sides."""
+        """Return the solution of L L^T x = right, in the original order of unknowns. right : (n,), or (n, m) for m
+        right-hand sides."""
         x, own = right.reshape(len(right), -1)[self.order], [slice(f.first, f.first + f.own) for f, _ in self.columns]
+        # Forward with L, then backward with its transpose.
         for (front, block), at in zip(self.columns, own, strict=True):
             x[at] = dtrsm(1.0, block[: front.own], x[at], lower=1)
             x[front.border] -= block[front.own :] @ x[at]

@@ -1,8 +1,10 @@
 """The contacts of samples of a lattice, by slices: functions of all contacts read arrays over the spheres where they
-lie, and write no list of contacts.
+lie, and write no list of contacts. `Grid` answers the questions of `Listed` (listed.py) with less time and memory.
 
-Letters: R samples with N spheres and E contacts each, n = R N and m = R E in all; D dimensions, C spin components.
-Contacts are numbered as in judged_network.py. A contact "feels" a component of the spins that makes it slip.
+Symbols: R samples with N spheres and E contacts each, n = R N and m = R E in all; *N the sides of the lattice; D = 2 or
+3 dimensions; C = 1 or 3 spin components. A *slot* is the place of a component, 0 to C - 1; *felt* are the components of
+the spins that make a contact slip, those not along its normal. Signed spins are spins (times radius) times the sign of
+their sublattice.
 """
 
 from __future__ import annotations
@@ -20,7 +22,10 @@ Place = tuple[slice, ...]
 
 
 class Grid(Listed):
-    """The contacts of R samples of a lattice, for the proofs."""
+    """The contacts of R samples of a lattice, for the proofs.
+
+    samples : the samples whose contacts these are.
+    """
 
     layered = True
     normal_rounding = 0.0
@@ -30,25 +35,26 @@ class Grid(Listed):
         self.samples = samples
 
     def some(self, pick: slice) -> Grid:
-        """The contacts of the samples in the slice `pick` alone."""
+        """Return the contacts of the samples in the slice `pick` alone."""
         return Grid(self.samples.some(pick) if self.samples.count > 1 else self.samples)
 
     @cached_property
     def pieces(self) -> list[tuple[int, Place, Place, Place]]:
-        """Groups of contacts, each as (axis, own, first, second): the places of the contacts in the array (R,
-        *contacts) of their axis, and of their first and second spheres in arrays (R, *N). Contacts across a periodic
-        side are a group of their own."""
+        """Groups of contacts along one axis, each as (axis, own, first, second): `own` selects the contacts in the
+        array (R, *contacts) of their axis, `first` and `second` select their two spheres in arrays (R, *N). Contacts
+        across a periodic side are a group of their own."""
         found, lattice = [], self.samples.lattice
         for axis, side in enumerate(lattice.shape):
             last = side - 1
-            found.append(self._piece(axis, slice(0, last), slice(0, last), slice(1, last + 1)))
+            found.append(self._group(axis, slice(0, last), slice(0, last), slice(1, last + 1)))
             if axis in lattice.periodic:
-                found.append(self._piece(axis, slice(last, None), slice(last, None), slice(0, 1)))
+                found.append(self._group(axis, slice(last, None), slice(last, None), slice(0, 1)))
         return found
 
     @staticmethod
-    def _piece(axis: int, *along: slice) -> tuple[int, Place, Place, Place]:
-        """One such group. along : slices along `axis` for the contacts, their first and their second spheres."""
+    def _group(axis: int, *along: slice) -> tuple[int, Place, Place, Place]:
+        """Return one group of :attr:`pieces`. along : slices along `axis` for the contacts, their first and their
+        second spheres."""
         own, first, second = ((slice(None),) * (1 + axis) + (part,) for part in along)
         return axis, own, first, second
 
@@ -63,16 +69,16 @@ class Grid(Listed):
         return self.samples.count * self.samples.lattice.all_contacts
 
     def on_spheres(self, values: np.ndarray) -> np.ndarray:
-        """A view (R, *N) of values (n,)."""
+        """Return a view (R, *N) of values (n,)."""
         return values.reshape(self.samples.count, *self.samples.lattice.shape)
 
     def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
-        """Views (R, *contacts), one for each axis, of values (m,)."""
+        """Return views (R, *contacts), one for each axis, of values (m,)."""
         return list(self.samples.lattice.by_axis(values.reshape(self.samples.count, -1)))
 
     def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
-        """The function `made` of the values (n,) of the first and the second sphere, for each contact, (m,). kind :
-        type of the result."""
+        """Return the function `made` of the values (n,) of both spheres of each contact, (m,). kind : type of the
+        result."""
         found: np.ndarray = np.empty(self.contacts, dtype=kind)
         spheres = self.on_spheres(values)
         by_axis = self.by_axis(found)
@@ -81,12 +87,12 @@ class Grid(Listed):
         return found
 
     def any_end(self, mask: np.ndarray) -> np.ndarray:
-        """(m,) mask, true where the mask (n,) is true of either sphere."""
+        """Return the mask (m,) of contacts of which either sphere is in the mask (n,)."""
         return self.across(np.logical_or, mask, bool)
 
     @cached_property
     def contact(self) -> np.ndarray:
-        """(2, m), numbers of the first and the second sphere of each contact."""
+        """(2, m), indices of the first and the second sphere of each contact."""
         found, number = np.empty((2, self.contacts), dtype=np.intp), self.on_spheres(np.arange(self.spheres))
         for side, ends in enumerate(found):
             by_axis = self.by_axis(ends)
@@ -96,7 +102,7 @@ class Grid(Listed):
 
     @cached_property
     def place(self) -> np.ndarray:
-        """(n, D), place of each sphere in its sample."""
+        """(n, D), place of each sphere in its sample, in lattice sites."""
         lattice = self.samples.lattice
         place = np.indices(lattice.shape).reshape(lattice.dimension, -1).T
         return np.tile(place, (self.samples.count, 1)).astype(float)
@@ -111,7 +117,7 @@ class Grid(Listed):
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, true where a component of the spins makes a contact slip."""
+        """(C, m) mask, True where a component of the spins makes a contact slip."""
         found = np.ones((len(self.samples.components), self.contacts), dtype=bool)
         for mask, component in zip(found, self.samples.components, strict=True):
             if component < self.samples.lattice.dimension:
@@ -127,7 +133,8 @@ class Grid(Listed):
         return found
 
     def moment(self, acts: np.ndarray) -> list[Enclosure]:
-        """n x F by component, (m,) each, for the contacts of the mask `acts` (m,), 0 for others."""
+        """Return the moments n x F by component, C enclosures (m,), for the contacts of the mask `acts` (m,), and 0 for
+        others."""
         samples, nothing = self.samples, np.broadcast_to(0.0, self.contacts)  # takes no memory
         found, acting = (
             np.zeros((len(samples.components), *samples.scene.coefficient.shape)),
@@ -147,11 +154,11 @@ class Grid(Listed):
         return [Enclosure(part.reshape(-1), nothing, nothing) for part in found]
 
     def felt(self, axis: int) -> list[int]:
-        """The slots (0 to C - 1) of the components that contacts along `axis` feel."""
+        """Return the slots (0 to C - 1) of the components of the spins that make contacts along `axis` slip."""
         return [slot for slot, k in enumerate(self.samples.components) if k != axis]
 
     def imposed(self, component: int) -> Enclosure:
-        """(n,), the imposed u of a component, measured from the bottom: 0 except on the top."""
+        """Return the imposed spin times radius (n,) of a component, measured from the bottom: 0 except on the top."""
         found, jump = nothing(self.spheres), self.samples.jump_at(component)
         for whole, part, sign in zip(found.parts, jump.parts, (1, 1, 0), strict=True):
             signs = self.samples.sublattice[..., -1] if sign else 1.0
@@ -159,66 +166,69 @@ class Grid(Listed):
         return found
 
     def mixes(self, counts: np.ndarray) -> bool:
-        """False: on lattices components never mix."""
+        """Return False: on lattices each component of the slip depends on one component of the spins. counts : not
+        used."""
         return False
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
-        """Signs of the sublattice by component, (n,) each: neighbours always differ. feels : not used."""
+        """Return the signs of the sublattice by component, C arrays (n,): neighbours always differ. feels : not
+        used."""
         return [np.tile(self.samples.sublattice.ravel(), self.samples.count)] * len(self.samples.components)
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
-        """By component, (n,), the bound between which and 0 some minimum has u of a sphere: the jump in its layer. box
-        : not used. sign : signs by component, (n,) each."""
+        """Return by component a bound (n,): some minimum has the spin (times radius) of each sphere between 0 and it,
+        the jump in its layer. box : not used. sign : signs by component, C arrays (n,)."""
         return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, sign, strict=True)]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
-        """Components with a jump, except the one about the height: each layer may turn freely about it. box : (C,), the
-        largest imposed size. differs : not used."""
+        """Return the slots of the components along which some minimum may slip: those with a jump, except the one about
+        the height, as each layer may turn freely about it. box : (C,), largest imposed size. differs : not used."""
         samples = self.samples
         return [k for k, of in enumerate(samples.components) if box[k] > 0 and of != samples.lattice.height_axis]
 
     def working(self, box: np.ndarray) -> list[bool]:
-        """By component, True where the planes are driven differently: only there moments do work. box : as of
-        :meth:`needed`."""
+        """Return by component whether its moments do any work: where the planes are driven differently. box : (C,),
+        largest imposed size."""
         return [bool(size > 0) for size in box]
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
-        """Vectors as long as the friction, by component: the moments themselves. counts : not used."""
+        """Return vectors as long as the friction of each contact, by component: the moments themselves. counts : not
+        used."""
         return moment
 
     def anchor(self, k: int) -> np.ndarray:
-        """(n,), the sphere whose spin each sphere shares in component k: for driven ones the first of their plane and
-        layer, else itself."""
+        """Return for each sphere (n,) the index of the sphere that has its spin in component k: for driven ones the
+        first of their plane and layer, else itself."""
         return self.samples.anchor(self.samples.components[k])
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """The spins as they are: on lattices they are stored with their signs."""
+        """Return the spins as they are: on lattices they are stored with their signs. sign : not used."""
         return spin
 
     def shift(self, k: int) -> Enclosure:
-        """(n,), what stored spins of the top lack of the imposed ones in component k."""
+        """Return for each sphere (n,) the imposed spin less the stored one in component k; not 0 on the top alone."""
         return self.samples.shift[self.samples.components[k]]
 
     def middle(self, some: np.ndarray) -> np.ndarray:
-        """(q, D), places of the middles of the contacts with numbers `some` (q,); those across a periodic side lie half
-        beyond it."""
+        """Return the positions (q, D) of the middles of the contacts with the indices `some` (q,); those across a
+        periodic side lie half a site beyond it."""
         return np.asarray(self.place[self.contact[0, some]] + self.normal[some] / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """Surface speed of the jump, or of the bottom's spin if there is no jump, in units of `speed_unit`. box : not
-        used."""
+        """Return the surface speed of the jump, or of the bottom's spin if there is no jump, in units of `speed_unit`.
+        box : not used."""
         scene = self.samples.scene
         speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
         return float(scene.lattice.radius * speed / speed_unit)
 
     def leader(self, k: int) -> np.ndarray:
-        """(2, n), for each sphere the first spheres of the bottom and of the top in its layer, as which all driven ones
-        there turn in component k."""
+        """Return for each sphere the indices (2, n) of the first spheres of the bottom and of the top in its layer; all
+        driven spheres there turn as these in component k."""
         return self.samples.leader(self.samples.components[k])
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
-        """(m,) mask, true where the signed spins of both spheres are equal in all components that the contact feels.
-        spin : by component, (n,) each."""
+        """Return the mask (m,) of contacts without any slip: the signed spins of both spheres are equal in all
+        components that make the contact slip. spin : signed spins by component, C enclosures (n,)."""
         found = np.ones(self.contacts, dtype=bool)
         into = self.by_axis(found)
         parts = [[self.on_spheres(of) for of in part.parts[:2] if of.any()] for part in spin]
@@ -228,16 +238,20 @@ class Grid(Listed):
         return found
 
     def slips(self, spin: list[Enclosure], shift: list[Enclosure | None], still: np.ndarray) -> Enclosure:
-        """(m,), slip speeds: lengths of the differences of signed spins over the components that a contact feels.
+        """Return slip speeds (m,): lengths of the differences of signed spins over the components that make each
+        contact slip.
 
-        spin : by component, (n,) each.
-        shift : by component, (n,), what is to be added to the spins, known to twice the precision; None for nothing.
+        spin : signed spins by component, C enclosures (n,).
+        shift : by component, (n,), what is added to the spins, known to twice the precision; None for nothing.
         still : (m,) mask of contacts that do not slip at all.
         """
         found = nothing(self.contacts)
         into, at_rest = [self.by_axis(part) for part in found.parts], self.by_axis(still)
         added = {slot: self.of_spheres(part) for slot, part in enumerate(shift) if part is not None}
-        turning = {slot: self.of_spheres(part) for slot, part in enumerate(spin) if slot in added or _any(part)}
+        turning = {
+            slot: self.of_spheres(part) for slot, part in enumerate(spin) if slot in added or _may_differ_from_0(part)
+        }
+        # For each group of contacts: difference of signed spins by component; the shift is added only where it differs.
         for axis, own, first, second in self.pieces:
             parts = []
             for slot in (slot for slot in self.felt(axis) if slot in turning):
@@ -255,14 +269,17 @@ class Grid(Listed):
         return found
 
     def of_spheres(self, values: Enclosure) -> Enclosure:
-        """Views (R, *N) of an enclosure (n,)."""
+        """Return views (R, *N) of an enclosure (n,)."""
         return Enclosure(*(self.on_spheres(part) for part in values.parts))
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """(m,), lengths of vectors across contacts given by component, (m,) each."""
+        """Return the lengths (m,) of vectors across the normals of contacts. parts : by component, C enclosures
+        (m,)."""
         found = nothing(self.contacts)
         into = [self.by_axis(part) for part in found.parts]
-        there = {slot: [self.by_axis(of) for of in part.parts] for slot, part in enumerate(parts) if _any(part)}
+        there = {
+            slot: [self.by_axis(of) for of in part.parts] for slot, part in enumerate(parts) if _may_differ_from_0(part)
+        }
         for axis in range(self.samples.lattice.dimension):
             felt = [Enclosure(*(of[axis] for of in there[slot])) for slot in self.felt(axis) if slot in there]
             if felt:
@@ -271,8 +288,8 @@ class Grid(Listed):
         return found
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Sums of exact moments at each sphere, (n,) by component; always in the same order: axis by axis, first
-        spheres before second ones. moment : by component, (m,) each."""
+        """Return the sums (n,) of exact moments at each sphere, by component; always in the same order, axis by axis,
+        first spheres before second ones. moment : by component, C enclosures (m,)."""
         found = []
         for slot, part in enumerate(moment):
             found.append(nothing(self.spheres))
@@ -289,28 +306,28 @@ class Grid(Listed):
 
 
 def slices(graph: Listed) -> Grid:
-    """The same graph, known to be a Grid; only code for lattices alone calls this."""
+    """Return the same object, known to type checkers to be a Grid. Only code for lattices alone calls this."""
     assert isinstance(graph, Grid)
     return graph
 
 
 def nothing(count: int) -> Enclosure:
-    """An enclosure (count,) of exact zeros."""
+    """Return an enclosure (count,) of exact zeros."""
     return Enclosure(np.zeros(count), np.zeros(count), np.zeros(count))
 
 
 def size_of(parts: list[Enclosure]) -> Enclosure:
-    """Length of vectors given by one or two components, of any shape."""
+    """Return the length of vectors given by one or two components, of any shape."""
     return abs(parts[0]) if len(parts) == 1 else _length_of_two(*parts)
 
 
 @in_cache
 def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
-    """Length of vectors given by two components, of any shape."""
+    """Return the length of vectors given by two components, of any shape."""
     shape = first.high.shape
     return length([part.reshaped((-1,)) for part in (first, second)]).reshaped(shape)
 
 
-def _any(part: Enclosure) -> bool:
-    """True if any number of the enclosure may differ from 0."""
+def _may_differ_from_0(part: Enclosure) -> bool:
+    """Return True if any number of the enclosure may differ from 0."""
     return any(bool(of.any()) for of in part.parts)

@@ -1,23 +1,31 @@
 """Springs that take leftover torques away where components mix, and the largest spins of some minimum: theorem 2.
 
-Letters: N spheres, E contacts, n unknown components of free spins; K the matrix (3 E, n) of slips, b the slips of what
-is imposed, y* and u* slips and spins of a minimum; q the stiffnesses of the springs; D the diagonal scale of the
-unknowns; sigma a proven floor; r torques that are left over; w = mu F_n.
+Symbols
+    N spheres, E contacts. n : number of unknowns, the components of the spins of free spheres.
+    K : matrix (3 E, n) of slips. b : slips of what is imposed. u*, y* = K u* + b : spins and slips of a minimum.
+    q : (E,), stiffnesses of the springs. D : diagonal scale of the unknowns. sigma : proven floor of singular values.
+    r : torques that the friction F leaves over. w = mu F_n : friction limits. Phi : potential of any spins.
 
-Where components mix no box of imposed spins holds. Springs q take the torques r away: F - q (K z), where z solves K^T q
-K z = r, until rounding leaves some 1e-30 of them. These are paid for at the largest spins that some u* can have. With
-Phi the potential of any spins, each contact has q |y*|^2 <= phi(y*) / Phi for q = w w_min / Phi^2, or q = eta / (2
-Phi). As the potentials phi(y*) sum up to at most Phi, the norm of q^1/2 y* is at most 1, and
+Why. A lower bound pays for leftover torques at the largest spins that a minimum can have (theorem 1). Where components
+mix, no box of imposed spins contains a minimum.
 
-    |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D,
+What is done
+1. Springs take r away: the friction becomes F - q (K z), where z solves K^T q K z = r. Only torques of rounding, some
+   1e-30, are left over.
+2. These are paid for at the largest spins of u*. Choose q = w w_min / Phi^2, or q = eta / (2 Phi), whichever is larger.
+   Then each contact has q |y*|^2 <= phi(y*) / Phi: for friction as w |y*| <= Phi and w_min <= w, for damping as phi(y*)
+   >= eta |y*|^2 / 2. As the potentials phi(y*) add up to at most Phi, the norm of q^1/2 y* is at most 1, and
+       |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D.
+   An elimination proves sigma^2.
 
-a floor that an elimination proves.
-
-Two kinds of free motion would make sigma 0. Spheres whose contacts all have one direction can turn about it without any
-slip: the largest component of that direction is held at 0. Spheres that contacts with (nearly) no friction at hand
-hold, and whose spins can make any slips of these contacts whatever (their rows of K are independent, by a floor of K
-K^T), let these contacts roll at every minimum; such spheres are left out. If other motions slip by no more than
-rounding, no floor is found, and the bound holds only for spins up to some multiple of the fastest imposed one.
+Motions without any slip would make sigma 0. Two kinds are removed first:
+* Spheres whose contacts all have one direction can turn about it without slip. The largest component of this direction
+  is held at 0.
+* Spheres on which all contacts bear (nearly) nothing, and whose spins can make any slips of these contacts whatever:
+  their rows of K are independent, by a floor of K K^T. Their contacts roll at every minimum whatever the other spheres
+  do, so these spheres are left out (`rolling`).
+If other motions slip by no more than rounding, no floor is found. Then the bound holds only for spins up to a multiple
+of the fastest imposed one.
 """
 
 from __future__ import annotations
@@ -34,13 +42,15 @@ from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination
 
+# How the springs are solved for; the torques that are left over are computed anew, so nothing depends on it.
 ROUNDS, SHIFT = 2, -1e-13  # number of solves; minus what is added to the diagonal, so that pivots stay positive
-UNSTRESSED = 1e-6  # force over mu F_n, or over the largest force, below which a contact is tried as bearing nothing
+# Force over mu F_n, or over the largest force, below which a contact is tried as one that rolls; a wrong choice fails.
+UNSTRESSED = 1e-6
 
 
 def natural(network: JudgedNetwork) -> np.ndarray:
-    """(R,), the potential if all contacts that act slipped by the imposed jump (lattices; the imposed spin without a
-    jump) or by the largest imposed component (packings)."""
+    """Return a potential (R,) for comparison, for each of the R samples: that of all contacts slipping by the imposed
+    jump (lattices; by the imposed spin if there is no jump) or by the largest imposed component (packings)."""
     fastest = network.graph.natural_speed(network.box, network.speed_unit)
     own = np.flatnonzero(network.acts)
     holding, slope = (network.by_sample(values.at(own), own).value for values in (network.holding, network.slope))
@@ -49,11 +59,11 @@ def natural(network: JudgedNetwork) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Springs:
-    """Springs at the contacts of a network whose components mix.
+    """Springs at the contacts of a packing whose normals have any direction.
 
     weight : (E,), stiffnesses q.
-    number : (N, 3), number of each unknown, -1 where there is none.
-    form : K^T q K, scaled by D.
+    number : (N, 3), which unknown each component of a spin is, -1 where it is none.
+    form : the quadratic form K^T q K, scaled by D.
     """
 
     network: JudgedNetwork
@@ -63,7 +73,8 @@ class Springs:
 
     @classmethod
     def of(cls, network: JudgedNetwork, potential: float) -> Springs | None:
-        """Springs for minima whose potential is at most `potential`; None if some unknown changes no slip."""
+        """Make springs for minima whose potential is at most `potential` (in units of the network); None if some
+        unknown changes no slip."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
         least = holding[holding > 0].min(initial=np.inf)
         with np.errstate(all="ignore"):
@@ -77,8 +88,8 @@ class Springs:
         return None if form is None else cls(network, weight, number, form)
 
     def balanced(self) -> tuple[list[Enclosure], list[Enclosure]]:
-        """The friction less what springs take from it, and the torques that are left over: two lists by component, (E,)
-        and (N,)."""
+        """Return the friction less what the springs take from it, and the torques over radius that it leaves over: by
+        component, 3 enclosures (E,) and 3 enclosures (N,)."""
         network, factor = self.network, self.form.elimination.factorised(SHIFT)
         torques, there, fine = network.torques(network.own_moment), self.number >= 0, network.own_friction
         if factor is None:
@@ -94,7 +105,8 @@ class Springs:
 
     @property
     def reach(self) -> float:
-        """Upper bound on the size of every component of free spins at some minimum; infinite if no floor is proven."""
+        """Upper bound on the size of every component of free spins (times radius) at some minimum; infinite if no floor
+        is proven."""
         with np.errstate(all="ignore"):
             floor = self.form.floor()
         if floor is None:
@@ -105,16 +117,17 @@ class Springs:
 
 
 def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
-    """The quadratic form of `rows` (3 E, n), each multiplied by its `weight` (3 E,); None if a column is 0. number :
-    (N, 3), numbers of the unknowns, as of :class:`Springs`."""
+    """Return the quadratic form of `rows` (3 E, n), each row multiplied by its `weight` (3 E,); None if a column is 0.
+    number : (N, 3), which unknown each component of a spin is, -1 where it is none."""
     rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
     rows.eliminate_zeros()
-    doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)  # amply
+    # Entries are rounded by the weight, its root and the products: some five times, with 16 allowed for.
+    doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
     return Form.of(rows, doubt, network.graph.place[np.nonzero(number >= 0)[0]].T)
 
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
-    """(N,) mask of free spheres that can let all their contacts roll, whatever the other spheres do."""
+    """Return the mask (N,) of free spheres that can make all their contacts roll, whatever the other spheres do."""
     size = np.sqrt((network.graph.friction**2).sum(axis=1))
     small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, size.max(initial=0.0))
     # Candidates are spheres all of whose contacts bear (nearly) nothing.
@@ -126,7 +139,7 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
     label = pieces(len(some), first[inner], second[inner])
     if _independent(network, some):
         return some
-    # Keep the parts of them for which independence is proven.
+    # Keep the candidates, piece by piece as contacts join them, for which independence is proven.
     for part in np.unique(label[some]):
         own = some & (label == part)
         if not _independent(network, own):
@@ -135,8 +148,8 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
 
 
 def _independent(network: JudgedNetwork, some: np.ndarray) -> bool:
-    """True if the spins of the spheres in the mask `some` (N,) are proven to make any slips whatever of all their
-    contacts that count."""
+    """Return True if it is proven that spins of the spheres in the mask `some` (N,) can make any slips whatever of all
+    their contacts that can dissipate."""
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
     return floor_of_slips(network, number, network.counts & some[network.graph.contact].any(axis=0)) is not None
@@ -145,12 +158,14 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> bool:
 def floor_of_slips(
     network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False
 ) -> float | None:
-    """Proven floor of the eigenvalues of K K^T for the contacts of a mask (E,); infinite for no contact, None if there
-    is none. Of each slip only the two components are used that are not the largest of its normal: as a slip is across
-    the normal, they fix it.
+    """Return a proven floor of the eigenvalues of K K^T for the contacts in the mask `contacts` (E,): the slips of
+    these contacts are independent if there is one. Infinite without any contact; None if no floor is found.
 
-    number : (N, 3), numbers of the unknowns, -1 where there is none.
-    sharp : as of :func:`proven_floor`.
+    Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
+    out.
+
+    number : (N, 3), which unknown each component of a spin is, -1 where it is none.
+    sharp : spend more time to find a large floor, see :func:`proven_floor`.
     """
     count = len(contacts)
     own = np.ones((3, count), dtype=bool) & contacts
@@ -169,13 +184,14 @@ def floor_of_slips(
 
 
 def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
-    """Bounds on the errors of the entries of `rows` if each of them was rounded once."""
+    """Return bounds on the errors of the entries of a sparse matrix if each entry was rounded once."""
     return sparse.csr_array((EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
 
 
 def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
-    """The matrix K (3 E, n) of slips (u_i + u_j) x n, component by component, exactly. number : (N, 3), column of each
-    component of u, -1 for what is not an unknown."""
+    """Return the matrix K (3 E, n) of slips (u_i + u_j) x n, exactly: rows 0 to E - 1 for the x components of all
+    contacts, then y, then z. Rows of contacts that cannot dissipate are 0. number : (N, 3), column of each component of
+    u, -1 for what is no unknown."""
     count, turned = len(network.graph.normal), [(1, 2), (2, 0), (0, 1)]
     rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for end in network.graph.contact:
@@ -193,8 +209,9 @@ def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
 
 
 def turning_freely(network: JudgedNetwork) -> np.ndarray:
-    """(N, 3) mask: for spheres whose contacts all have one direction, bit by bit or with the opposite sign, the largest
-    component of that direction. They can turn about it without slip."""
+    """Return a mask (N, 3). For spheres whose contacts all have one direction, bit by bit or with the opposite sign, it
+    marks the largest component of this direction: such a sphere can turn about it without slip. Nothing is marked for
+    other spheres."""
     normal = network.graph.normal[network.counts]
     large = np.argmax(np.abs(normal), axis=1)
     turned = normal * np.sign(normal[np.arange(len(normal)), large])[:, None]

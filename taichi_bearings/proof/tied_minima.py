@@ -1,29 +1,54 @@
 """Which contacts slip at every minimum, at none, or at some, where there are many minima: theorem 9.
 
-Two components are needed here. Letters: S the contacts that slip as stored; C those that do not slip and yet bear all
-their friction, along one component; T the others that do not slip. n contacts of S and C, E of the sample; u* a
-minimum, t the slip of a contact at u*, y motions. A *domain* is what T and C join in a component, a *part* what T joins
-alone, and a *body* what T joins together with those of C that bear nothing along the component.
+What is proven. Where frictions cancel exactly, groups of spheres can move without changing the power, and the minima
+are a polyhedron of motions. This file finds one minimum u*, then all others, for one sample of a lattice with two spin
+components that matter.
 
-1. A contact of S with slip along both components turns its slip as soon as one domain moves. What such contacts join in
-   a component without a driven plane is a *cluster*. Moving it as a whole turns no slip, and its other contacts pull it
-   by their whole friction, one way or the other. If these pulls, added exactly, cancel, then the balance of all its
-   domains but one implies that of the last one: so one may be held where it is. The same is true of a domain *between*
-   two sets of contacts that pull it in opposite directions, each set from one other domain, with the same friction in
-   all: held in one component, and in balance in the other one, it is pulled along one line.
-2. With these domains held there is one minimum nearby (curvature.py), u*. It is a minimum of the whole power if T and C
-   can bear what is left to them.
-3. Friction that agrees with u* can be put in balance: on C exactly at its limit, if the pulls on each part, added
-   exactly, cancel. One part of each free domain may be excepted, on which others act: its balance is that of the
-   domain. On T it stays inside all discs (curvature.py). So u* is a minimum of the whole power, and T rests at every
-   minimum.
-4. All minima share that friction. So they differ from u* by motions of bodies that keep T at rest, turn no slip of S
-   and let C slip along its friction alone. Clusters of bodies that move as a whole are such motions. So are motions of
-   what lies between two sets, along the line, which leaves these slips undecided. By the curvature with one body of
-   each held (rises) there are no others. So minima are all motions y of clusters for which no contact of S and C slips
-   backwards: t + y_b - y_a >= 0, where t is 0 on C. How far a slip can go is the length of a shortest path. A contact
-   of S rests at some minimum if t is no longer than any other path, and at none if one is shorter; one of C slips at
-   some minimum unless a path of length 0 leads back.
+Symbols
+    S : the contacts that slip in the stored spins. C : those that do not slip and yet bear all their friction mu F_n,
+        along one component. T : all others.
+    n : number of contacts of S and C together. E : of all contacts of the sample.
+    u* : a minimum. t : slip of a contact at u*; 0 for C. y : a motion, from u* to another minimum.
+    pull : the force of a contact on its spheres along one component.
+
+One word stands for spheres that move as one: a *domain* is what a set of contacts joins in one component. The sets
+differ:
+    domain_t : joined by T.
+    domain_tc : joined by T and C.
+    domain_tc0 : joined by T and by those contacts of C that bear no friction along this component.
+    wide domain : joined by domain_tc (or by domain_tc0) and by those contacts of S whose slip has the other component,
+        too.
+
+A contact of S with slip in both components turns its slip as soon as one of its ends moves alone in one component, and
+minima do not differ in the directions of slips. So from one minimum to another the ends of such a contact move
+together, and a wide domain moves as a whole. The exception are motions along the slip itself (`BetweenTwo`).
+
+The proof
+1. *What can move at no cost.* A wide domain without a driven plane is pulled by its other contacts with their whole
+   friction, one way or the other. If these pulls, added exactly, cancel, then the balance of all its members but one
+   implies that of the last one: so one may be held where it is. The same is true of a domain between two others that
+   pull it with the same total friction in opposite directions (`BetweenTwo`): on the line between them nothing changes.
+   It is held in the component that is longer along this line; in the other component it may move and finds its balance.
+2. *One minimum.* With these domains held there is one minimum u* nearby (curvature.py, `nearest_minimum`).
+3. *It is one of the whole power.* Friction that agrees with u* can be put in balance. Contacts of C bear exactly mu
+   F_n: then the pulls on each domain_t, added exactly, have to cancel. One domain_t of each free domain_tc may be
+   excepted, on which turning contacts act: its balance is that of the domain_tc. Contacts of T bear the rest, inside
+   all discs (curvature.py, `bearable`). So T rests at every minimum (theorem 4).
+4. *All minima.* They share this friction. So they differ from u* by motions that keep T at rest, turn no slip of S, and
+   let C slip only along its friction: such are motions of wide domains of domain_tc0 as a whole, and motions along the
+   line between two others, which leave the slips there undecided. There are no other ones, if the power has curvature
+   in all directions with one domain_tc0 of each held (curvature.py, `rises`). So minima are all motions y of wide
+   domains for which no contact of S and C slips backwards: t + y_upper - y_lower >= 0, with signs.
+5. *States.* These are constraints of shortest paths: an edge of length t from one wide domain to the next. A contact of
+   S rests at some minimum if no other path between its ends is shorter than t, and at none if one is. A contact of C (t
+   = 0) slips at some minimum unless a path of length 0 leads back. Contacts that rest at some minima and slip at others
+   are *tied*.
+
+Example. One domain lies between bottom and top, joined to the bottom by a contact with t = 0.3 and to the top by one
+with t = 0.7, both with friction 1. Its motion y costs nothing while 0.3 + y >= 0 and 0.7 - y >= 0: at y = -0.3 the
+first contact rests, at y = 0.7 the second one. Both are tied. Now let two contacts with friction 1/2 lead to the top,
+with t = 0.7 and 0.5. Then y <= 0.5, so the contact with 0.7 keeps a slip of 0.2 or more: it slips at every minimum, as
+the path by 0.5 is shorter. The other two are tied.
 """
 
 from __future__ import annotations
@@ -42,24 +67,30 @@ from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.slices import slices
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
-MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
-# friction across a component over the limit, that may be none: above (2 MISSED_LIMIT) ** 0.5
+# A contact is put into C if its stored friction misses mu F_n by no more than this share, and if the share that is not
+# along one component is below MISSED_DIRECTION. Friction of full size that is along one component but for MISSED_LIMIT
+# has up to (2 MISSED_LIMIT) ** 0.5 = 1.4e-3 across it. Wrong choices only make the proof fail.
+MISSED_LIMIT = 1e-6
 MISSED_DIRECTION = 2e-3
-PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of sums along a path
+PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of sums along a path, of up to some thousand slips
 
 
 @dataclass(frozen=True)
 class Pulls:
-    """The contacts of S, then those of C, of one sample: n in all, and what they pull.
+    """The contacts of S, then those of C, of one sample (n in all), and what they pull.
 
-    own : (n,), their numbers among all contacts.
-    lower, upper : (n,), numbers of their spheres.
-    felt : (2, n) mask, whether each of the two needed components makes a contact slip.
-    sign : (2, n), sign of the difference of signed spins; on C, of the difference that would go with its friction.
-    coefficient : (n,), friction in exact proportions.
-    slips : (n,) mask of S.
-    domain, part, body : (2, spheres), by component the number of what each sphere belongs to; 0 and 1 for what moves
-        with the bottom and with the top.
+    The two components that matter are numbered 0 and 1 here, in argument `slot` and in the first axis of arrays (2,
+    ...).
+
+    own : (n,), indices of the contacts among all of the network.
+    lower, upper : (n,), indices of their two spheres.
+    felt : (2, n) mask, whether each component of the spins makes a contact slip.
+    sign : (2, n), sign of the slip along each component: of signed spin at `upper` less that at `lower`. For C it is
+        the sign of the slip that would go with its friction, 0 along the other component.
+    coefficient : (n,), friction limits, in exact proportions.
+    in_s : (n,) mask of the contacts of S.
+    domain_tc, domain_t, domain_tc0 : (2, spheres), by component the label of the domain of each sphere, by the sets of
+        contacts that the head of this file lists; 0 and 1 for what moves with the bottom and with the top.
     """
 
     own: np.ndarray
@@ -68,69 +99,72 @@ class Pulls:
     felt: np.ndarray
     sign: np.ndarray
     coefficient: np.ndarray
-    slips: np.ndarray
-    domain: np.ndarray
-    part: np.ndarray
-    body: np.ndarray
+    in_s: np.ndarray
+    domain_tc: np.ndarray
+    domain_t: np.ndarray
+    domain_tc0: np.ndarray
 
     def apart(self, label: np.ndarray, slot: int) -> np.ndarray:
-        """(n,) mask of the contacts whose ends have different labels. label : (2, spheres). slot : 0 or 1, the
-        component."""
+        """Return the mask (n,) of the contacts whose ends have different labels in component `slot` (0 or 1). label :
+        (2, spheres)."""
         return label[slot, self.lower] != label[slot, self.upper]
 
     def touches(self, label: np.ndarray, value: int, slot: int) -> np.ndarray:
-        """(n,) mask of contacts of C with an end in the domain `value`, and of contacts of S with exactly one end in
-        it. label : (spheres,), numbers of domains."""
+        """Return a mask (n,): contacts of C with an end in the domain `value`, and contacts of S with exactly one end
+        in it. label : (spheres,), labels of domains. slot : not used."""
         ends = label[self.lower] == value, label[self.upper] == value
-        return np.where(self.slips, ends[0] != ends[1], ends[0] | ends[1])
+        return np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
 
     @cached_property
-    def turns(self) -> np.ndarray:
+    def turned_by(self) -> np.ndarray:
         """(2, n) masks: a motion of one end in this component turns the slip of the contact, since it slips in the
-        other one too."""
+        other component, too."""
         both = self.felt.all(axis=0)
-        return np.array([both & self.apart(self.domain, 1), both & self.apart(self.domain, 0)])
+        return np.array([both & self.apart(self.domain_tc, 1), both & self.apart(self.domain_tc, 0)])
 
-    def clusters(self, label: np.ndarray, slot: int) -> np.ndarray:
-        """(spheres,), number of the cluster of each sphere in component `slot`; 0 for what is joined to a plane. label
-        : (2, spheres), the domains or bodies that form clusters."""
-        own = label[slot]
-        joins = self.turns[slot] & self.apart(label, slot)
-        first, second = own[self.lower[joins]], own[self.upper[joins]]
+    def wide_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
+        """Return the number (spheres,) of the wide domain of each sphere in component `slot`; 0 for those that hold a
+        plane, then 1, 2, ... label : (2, spheres), the domains (`domain_tc` or `domain_tc0`) that turning contacts
+        join."""
+        domain = label[slot]
+        joins = self.turned_by[slot] & self.apart(label, slot)
+        first, second = domain[self.lower[joins]], domain[self.upper[joins]]
         first, second = np.append(first, 0), np.append(second, 1)  # one plane cannot move past the other
-        size = int(own.max()) + 1
+        size = int(domain.max()) + 1
         graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(max(size, 2),) * 2)
         joined = connected_components(graph, directed=False)[1]
-        found = np.where(joined == joined[0], -1, joined)[own]
+        found = np.where(joined == joined[0], -1, joined)[domain]
         return np.unique(np.append(found, -1), return_inverse=True)[1][:-1]
 
     @cached_property
-    def pairs(self) -> np.ndarray:
-        """(spheres,), equal numbers for spheres that are in one domain in both components."""
-        return np.unique(self.domain, axis=1, return_inverse=True)[1].reshape(-1)
+    def same_in_both(self) -> np.ndarray:
+        """(spheres,), equal numbers for spheres that are in the same domain_tc in both components."""
+        return np.unique(self.domain_tc, axis=1, return_inverse=True)[1].reshape(-1)
 
-    def sums(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
-        """For each owner, whether the pulls along component `slot` that are known exactly cancel. owner : (spheres,), a
-        number for each sphere."""
-        known = self.felt[slot] & ~self.turns[slot] & np.where(
-            self.slips, self.apart(self.domain, slot), self.apart(self.part, slot)
+    def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
+        """Return for each label whether the pulls along component `slot` that are known exactly add up to 0 there.
+        Known are pulls of contacts whose slip cannot turn: plus or minus mu F_n. Contacts within one domain pull it
+        both ways and are left out. owner : (spheres,), a label for each sphere. Labels without any known pull are
+        missing."""
+        exact = self.felt[slot] & ~self.turned_by[slot] & np.where(
+            self.in_s, self.apart(self.domain_tc, slot), self.apart(self.domain_t, slot)
         )  # fmt: skip
-        found: dict[int, list[float]] = {}
+        values_of: dict[int, list[float]] = {}
         pull = self.sign[slot] * self.coefficient
         for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
-            for number, value in zip(owner[end[known]].tolist(), (sign * pull[known]).tolist(), strict=True):
-                found.setdefault(number, []).append(value)
-        return {number: math.fsum(values) == 0.0 for number, values in found.items()}
+            for number, value in zip(owner[end[exact]].tolist(), (sign * pull[exact]).tolist(), strict=True):
+                values_of.setdefault(number, []).append(value)
+        return {number: math.fsum(values) == 0.0 for number, values in values_of.items()}
 
 
 @dataclass(frozen=True)
 class Line:
-    """The n contacts whose slips change where minima differ along one component.
+    """The contacts (n here) whose slips change along one component where minima differ.
 
-    own : (n,), their numbers.
-    lower, upper : (n,), number of the cluster at either end; 0 for what does not move.
-    sign : (n,), by which the motion of the upper end lengthens the slip.
-    twin : (n,), equal numbers for contacts with equal slips.
+    own : (n,), indices of these contacts within :class:`Pulls`.
+    lower, upper : (n,), number of the wide domain at either end; 0 for what does not move.
+    sign : (n,), +1 or -1: whether a motion of the upper end lengthens or shortens the slip.
+    twin : (n,), equal numbers for contacts that have the same slip at every minimum.
     """
 
     own: np.ndarray
@@ -139,9 +173,9 @@ class Line:
     sign: np.ndarray
     twin: np.ndarray
 
-    def with_others(self, some: np.ndarray) -> np.ndarray:
-        """(n,) mask of the contacts `some` (n,), and of all that share a moving cluster with them, directly or through
-        others."""
+    def sharing_a_domain(self, some: np.ndarray) -> np.ndarray:
+        """Return the mask (n,) of the contacts of the mask `some` (n,), and of all contacts that share a moving wide
+        domain with them, directly or through other contacts."""
         size = int(max(self.lower.max(initial=0), self.upper.max(initial=0))) + 1
         inner = (self.lower > 0) & (self.upper > 0)
         joins = self.lower[inner], self.upper[inner]
@@ -150,31 +184,41 @@ class Line:
         return np.isin(piece, piece[some])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Three masks (n,): the contact rests at some minimum; slips at every one; slips at some. least, most : (n,),
-        bounds of the slip at one minimum, both 0 for C."""
-        # the slip t of a contact leaves y[head] - y[tail] <= t
+        """Return three masks (n,): the contact rests at some minimum; it slips at every one; it slips at some. Step 5
+        of the proof.
+
+        least, most : (n,), bounds of the slip t at u*, both 0 for C.
+        """
+        # That a contact does not slip backwards means y[head] - y[tail] <= t.
         tail, head = np.where(self.sign > 0, (self.upper, self.lower), (self.lower, self.upper))
         twins = np.unique(self.twin, return_inverse=True)[1]
-        # Twins share the tightest bounds; shortest paths with lower and with upper bounds as lengths.
+        # Twins have one slip: the tightest bounds of all hold for each. Then shortest paths, with lower bounds of the
+        # slips as lengths and with upper bounds: the true lengths lie between them.
         low, high = np.zeros(twins.max(initial=0) + 1), np.full(twins.max(initial=0) + 1, np.inf)
         np.maximum.at(low, twins, least)
         np.minimum.at(high, twins, most)
         low, high = low[twins], high[twins]
-        shortest, longest = dijkstra(_edges(tail, head, low)), dijkstra(_edges(tail, head, high))
+        shortest, longest = (
+            dijkstra(_graph_of_shortest(tail, head, low)),
+            dijkstra(_graph_of_shortest(tail, head, high)),
+        )
         always = longest[tail, head] * PATH_ROUNDING < low
         some = (low > 0) | (shortest[head, tail] > 0)
         rests = high == 0
+        # A contact of S rests at some minimum if no path without its twins is shorter. Paths through one of them are as
+        # long as its slip alone, at least.
         for one in np.unique(twins[~always & ~rests]):
-            own = np.flatnonzero(twins == one)  # a path that slips by one of these is no shorter than the one alone
+            own = np.flatnonzero(twins == one)
             left, starts = twins != one, np.unique(tail[own])
-            around = dijkstra(_edges(tail[left], head[left], low[left], len(shortest)), indices=starts)
+            around = dijkstra(_graph_of_shortest(tail[left], head[left], low[left], len(shortest)), indices=starts)
             rests[own] = high[own] * PATH_ROUNDING <= around[np.searchsorted(starts, tail[own]), head[own]]
         return rests, always, some
 
 
-def _edges(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
-    """Directed graph (size, size) of the shortest of parallel edges, kept even if their length is 0. tail, head, length
-    : of each edge."""
+def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
+    """Return a directed graph, a sparse matrix (size, size), with the shortest of the edges between each two nodes.
+    Lengths of 0 are kept as entries, so that they are no missing edges. tail, head, length : (edges,), nodes and length
+    of each edge. size : at least so many nodes."""
     size = max(size, int(max(tail.max(initial=0), head.max(initial=0))) + 1)
     order = np.lexsort((length, head, tail))
     first = np.append(True, (np.diff(tail[order]) != 0) | (np.diff(head[order]) != 0))[: len(order)]
@@ -184,43 +228,50 @@ def _edges(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0
 
 
 @dataclass(frozen=True)
-class Between:
-    """The m domains that only two sets of contacts with equal friction pull, in opposite directions.
+class BetweenTwo:
+    """The m domains that lie between two others: only these two pull them, in opposite directions, each by a set of
+    contacts with the same friction in all.
 
-    labels : (2, m), their numbers in both components.
-    slot : (m,), the component in which each is held.
-    sets : for each, the numbers of the contacts of both sets.
-    unclear : (n,) mask of all these contacts, and of those along which such a domain slides.
+    labels : (2, m), their labels in `domain_tc`, for both components.
+    slot : (m,), the component (0 or 1) in which each is held.
+    sets : for each, the indices of the contacts of both sets together.
+    undecided : (n,) mask of all these contacts, and of those that slip along one component only if such a domain moves.
     """
 
     labels: np.ndarray
     slot: np.ndarray
     sets: list[np.ndarray]
-    unclear: np.ndarray
+    undecided: np.ndarray
 
     @classmethod
-    def of(cls, pulls: Pulls, contacts: Slipping) -> Between:
-        """Find these domains. contacts : those of S."""
-        pair, known = pulls.pairs, [pulls.sums(pulls.domain[slot], slot) for slot in range(2)]
-        spans = pulls.slips & pulls.turns.all(axis=0)
-        spans &= pulls.apart(pulls.domain, 0) & pulls.apart(pulls.domain, 1)
-        at = {slot: _touching(pulls.domain[slot], pulls, pulls.slips & pulls.turns[slot]) for slot in range(2)}
-        labels, slots, sets, unclear = [], [], [], np.zeros(len(spans), dtype=bool)
+    def of(cls, pulls: Pulls, contacts: Slipping) -> BetweenTwo:
+        """Find these domains. pulls : the contacts of S and C. contacts : the slips of S."""
+        pair, known = (
+            pulls.same_in_both,
+            [pulls.known_pulls_cancel_at(pulls.domain_tc[slot], slot) for slot in range(2)],
+        )
+        spans = pulls.in_s & pulls.turned_by.all(axis=0)
+        spans &= pulls.apart(pulls.domain_tc, 0) & pulls.apart(pulls.domain_tc, 1)
+        at = {
+            slot: _contacts_by_domain(pulls.domain_tc[slot], pulls, pulls.in_s & pulls.turned_by[slot])
+            for slot in range(2)
+        }
+        labels, slots, sets, undecided = [], [], [], np.zeros(len(spans), dtype=bool)
         for sphere in np.unique(pair, return_index=True)[1]:
-            own = [int(pulls.domain[slot, sphere]) for slot in range(2)]
+            own = [int(pulls.domain_tc[slot, sphere]) for slot in range(2)]
             some = at[0].get(own[0], set())
-            # The same contacts must pull the domain in both components, and no plane may drive it.
+            # The same turning contacts must pull the domain in both components, and no plane may drive it.
             if min(own) < 2 or not some or some != at[1].get(own[1], set()):
                 continue
             chosen = np.array(sorted(some))
             up = pair[pulls.upper[chosen]] == pair[sphere]
             mine = up | (pair[pulls.lower[chosen]] == pair[sphere])
             other = pair[np.where(up, pulls.lower[chosen], pulls.upper[chosen])]
-            # They come from just two other domains, and slip in both components.
+            # They must lead to just two other domains, and slip in both components.
             sides = np.unique(other)
             if not (spans[chosen].all() and mine.all() and len(sides) == 2):
                 continue
-            # Both sets have the same friction in all, exactly.
+            # Both sets must have the same friction in all, exactly, and all other pulls on the domain must cancel.
             weight = np.where(other == sides[0], 1.0, -1.0) * pulls.coefficient[chosen]
             if math.fsum(weight.tolist()) != 0.0 or not all(
                 k.get(label, True) for k, label in zip(known, own, strict=True)
@@ -228,29 +279,31 @@ class Between:
                 continue
             parts = [part.at(chosen) for part in contacts.difference]
             slot = int(np.median(parts[1].most) > np.median(parts[0].most))
+            # The domain must lie between both: along the longer component it slips ahead of the one, behind the other.
             ahead = np.sign(parts[slot].high) * np.where(up, 1, -1) * np.where(other == sides[0], 1, -1)
-            if len(np.unique(ahead)) != 1:  # the domain does not lie between them
+            if len(np.unique(ahead)) != 1:
                 continue
             labels.append(own)
             slots.append(slot)
             sets.append(chosen)
-            unclear[chosen] = True
+            undecided[chosen] = True
             for s in range(2):
-                unclear |= pulls.felt[s] & ~pulls.turns[s] & pulls.touches(pulls.domain[s], own[s], s)
-        return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, unclear)
+                undecided |= pulls.felt[s] & ~pulls.turned_by[s] & pulls.touches(pulls.domain_tc[s], own[s], s)
+        return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
 
     def lie_between(self, contacts: Slipping, turn: np.ndarray) -> bool:
-        """True if near the minimum the contacts of the sets surely slip along the component in which their domain is
-        held. turn : (n,), share by which each slip may differ there."""
+        """Return True if the domains surely lie between their two neighbours at the minimum, too: no slip changes its
+        sign along the component in which they are held. contacts : slips of S near the minimum. turn : (n,), share of
+        its size by which each slip differs there at most."""
         for own, slot in zip(self.sets, self.slot, strict=True):
             if not (contacts.difference[slot].at(own).least > turn[own] * contacts.size.at(own).most * UP).all():
                 return False
         return True
 
 
-def _touching(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, set[int]]:
-    """For each label the numbers of contacts with an end of that label and another label at the other end. label :
-    (spheres,). some : (n,) mask of the contacts that are looked at."""
+def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, set[int]]:
+    """Return for each label the set of contacts that lead from it to another label, as indices in `pulls`. label :
+    (spheres,). some : (n,) mask of the contacts to look at."""
     found: dict[int, set[int]] = {}
     own = np.flatnonzero(some & (label[pulls.lower] != label[pulls.upper]))
     for end in (pulls.lower, pulls.upper):
@@ -260,67 +313,70 @@ def _touching(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, se
 
 
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
-    """States (E,) of the contacts of one sample of a lattice with two needed components, and whether there is only one
-    minimum; None if nothing is proven. contacts : those that slip."""
-    limit = Limit.of(motion)
-    if limit is None or motion.torn.any() or not (contacts.size.least > 0).all():
+    """Prove the states (E,) of all contacts of one sample, and whether there is only one minimum (True, False, or None
+    if that is not known); None if nothing is proven.
+
+    motion : the stored spins of the sample and which contacts rest; two components matter. contacts : those of S.
+    """
+    saturated = Saturated.of(motion)
+    if saturated is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
-    # Step 1: hold one domain, and one body, of each cluster.
-    pulls = _pulls(motion, contacts, limit)
-    between = Between.of(pulls, contacts)
-    held, held_bodies = (_held(pulls, label, between) for label in (pulls.domain, pulls.body))
-    if held is None or held_bodies is None or not (held.any() or not pulls.slips.all()):
+    # Step 1: hold one domain_tc, and for step 4 one domain_tc0, of each wide domain.
+    pulls = _pulls(motion, contacts, saturated)
+    between = BetweenTwo.of(pulls, contacts)
+    held, held_tc0 = (_held(pulls, label, between) for label in (pulls.domain_tc, pulls.domain_tc0))
+    if held is None or held_tc0 is None or not (held.any() or not pulls.in_s.all()):
         return None
-    # Steps 2 and 3, then 4.
-    near = _balanced(motion, pulls, between, held, limit)
+    # Steps 2 and 3; then 4, the curvature that excludes other motions; then 5.
+    near = _minimum_with_held(motion, pulls, between, held, saturated)
     if near is None:
         return None
     found, turn = near
-    if not pulls.slips.all():
-        of_bodies = Slipping.of(motion, _still_labels(motion, pulls.body, held_bodies))
-        if not rises(replace(of_bodies, difference=found.difference), turn):
+    if not pulls.in_s.all():
+        of_tc0 = Slipping.of(motion, _labels_of_moving(motion, pulls.domain_tc0, held_tc0))
+        if not rises(replace(of_tc0, difference=found.difference), turn):
             return None
-    return _states_along_lines(pulls, between, found, turn, bool(held_bodies.any()), len(motion.rests))
+    return _states_along_lines(pulls, between, found, turn, bool(held_tc0.any()), len(motion.rests))
 
 
 @dataclass(frozen=True)
-class Limit:
-    """The contacts C of one sample.
+class Saturated:
+    """The contacts of C: those that do not slip, yet bear all their friction, along one component.
 
-    full : (E,) mask of them.
-    along : (E,), the place (0 or 1) of the needed component along which they bear all their friction.
+    mask : (E,), which contacts these are.
+    along : (E,), the component (0 or 1) along which each bears it.
     """
 
     network: JudgedNetwork
-    full: np.ndarray
+    mask: np.ndarray
     along: np.ndarray
 
     @classmethod
-    def of(cls, motion: Motion) -> Limit | None:
-        """Find the contacts C of a motion; None if some contact bears its full friction along both components."""
+    def of(cls, motion: Motion) -> Saturated | None:
+        """Find the contacts of C; None if some contact bears its whole friction with a part along both components."""
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
-        full = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
-        if (parts.min(axis=0)[full] > MISSED_DIRECTION * strength[full]).any():
+        mask = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
+        if (parts.min(axis=0)[mask] > MISSED_DIRECTION * strength[mask]).any():
             return None
-        return cls(network, full, np.argmax(parts, axis=0))
+        return cls(network, mask, np.argmax(parts, axis=0))
 
     def friction(self, slot: int) -> Enclosure:
-        """What the contacts of C have to bear along component `slot`, exactly, with the sign of their moment; 0 where
-        they bear along the other one."""
-        own = np.flatnonzero(self.full)
-        said = np.sign(self.network.moment[self.network.needed[slot]].high[own])
-        return self.network.holding.at(own).signed(said * (self.along[own] == slot))
+        """Return the friction that each contact of C has to bear along component `slot`, plus or minus mu F_n with the
+        sign of its stored moment; 0 for contacts that bear it along the other component."""
+        own = np.flatnonzero(self.mask)
+        sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
+        return self.network.holding.at(own).signed(sign * (self.along[own] == slot))
 
-    def others(self, motion: Motion, slot: int | None) -> Motion:
-        """The motion in which only T rests; if `slot` is given, also those of C that bear nothing along that
-        component."""
-        return Motion(self.network, motion.rests & ~(self.full if slot is None else self.full & (self.along == slot)))
+    def motion_of(self, motion: Motion, slot: int | None) -> Motion:
+        """Return the motion in which only T rests; if `slot` is given, also those contacts of C that bear nothing along
+        this component: its domains are domain_t and domain_tc0."""
+        return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
 
-    def unsure(self) -> dict[int, np.ndarray]:
-        """By component, (spheres,), how far friction of C at its limit is from the stored one, summed at each
-        sphere."""
-        own, network = np.flatnonzero(self.full), self.network
+    def missing_friction(self) -> dict[int, np.ndarray]:
+        """By component, (spheres,), bound on the difference between the stored friction of C and its friction at the
+        limit, added up at each sphere."""
+        own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
             missing = self.friction(slot).plus(-network.moment[k].high[own]).most
@@ -330,113 +386,125 @@ class Limit:
         return found
 
 
-def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
-    """The pulls of S (`contacts`) and C (`limit`) in a motion."""
-    network, full = motion.network, np.flatnonzero(limit.full)
-    own = np.append(contacts.own, full)
+def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
+    """Collect what the contacts of S (`contacts`) and of C (`saturated`) pull in a motion."""
+    network, in_c = motion.network, np.flatnonzero(saturated.mask)
+    own = np.append(contacts.own, in_c)
     lower, upper = network.graph.contact[:, own]
-    pull = np.array([np.sign(limit.friction(slot).high) * network.sign[k][network.graph.contact[1, full]]
+    signs_of_c = np.array([np.sign(saturated.friction(slot).high) * network.sign[k][network.graph.contact[1, in_c]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
-    turns = np.array([np.sign(part.high) for part in contacts.difference])
+    signs = np.array([np.sign(part.high) for part in contacts.difference])
     (coefficient,) = network.factors
-    domain, part, body = (
+    domain_tc, domain_t, domain_tc0 = (
         np.array([_numbered(joined_by(slot), k) for slot, k in enumerate(network.needed)])
-        for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))
+        for joined_by in (
+            lambda _: motion,
+            lambda _: saturated.motion_of(motion, None),
+            lambda s: saturated.motion_of(motion, s),
+        )
     )
     return Pulls(
         own, lower, upper, np.array([network.feels[k][own] for k in network.needed]),
-        np.concatenate([turns, pull], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
-        domain, part, body,
+        np.concatenate([signs, signs_of_c], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
+        domain_tc, domain_t, domain_tc0,
     )  # fmt: skip
 
 
 def _numbered(motion: Motion, k: int) -> np.ndarray:
-    """(spheres,), number of the domain of each sphere in component k: 0 and 1 for what turns with the bottom and the
-    top, larger numbers for all others."""
+    """Return the label (spheres,) of the domain of each sphere in component k: 0 and 1 for what turns with the bottom
+    and the top, larger numbers for all others."""
     label = motion.domain[k]
     low, high = slices(motion.network.graph).leader(k)
     return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
 
 
-def _held(pulls: Pulls, label: np.ndarray, between: Between) -> np.ndarray | None:
-    """(2, spheres) mask of the domains or bodies `label` that are held: one of each cluster, and those between two
-    sets. None if all members of a cluster lie between sets."""
+def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | None:
+    """Return the mask (2, spheres) of spheres whose domain is held, by component: one domain of each wide domain
+    without a plane, and those between two others. None if all members of a wide domain lie between others. label : (2,
+    spheres), the domains that are to be held."""
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
-        cluster, inner = pulls.clusters(label, slot), np.isin(pulls.domain[slot], between.labels[slot])
-        for number in range(1, int(cluster.max()) + 1):
-            some = label[slot][(cluster == number) & ~inner]
+        wide, inner = pulls.wide_domains(label, slot), np.isin(pulls.domain_tc[slot], between.labels[slot])
+        # A member that does not lie between two others, in each wide domain without a plane.
+        for number in range(1, int(wide.max()) + 1):
+            some = label[slot][(wide == number) & ~inner]
             if not len(some):
                 return None
             held[slot] |= label[slot] == some[0]
-        for own in between.labels[slot][between.slot == slot]:
-            held[slot] |= label[slot] == label[slot][pulls.domain[slot] == own][0]
+        for domain in between.labels[slot][between.slot == slot]:
+            held[slot] |= label[slot] == label[slot][pulls.domain_tc[slot] == domain][0]
     return held
 
 
-def _still_labels(motion: Motion, label: np.ndarray, held: np.ndarray) -> dict[int, np.ndarray]:
-    """The labels (2, spheres) by component, with 0, the bottom, for what is held."""
+def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> dict[int, np.ndarray]:
+    """Return by component k the labels (spheres,), with 0, that of the bottom, for all that is held. label, held : (2,
+    spheres)."""
     return {k: np.where(h, 0, own) for k, own, h in zip(motion.network.needed, label, held, strict=True)}
 
 
-def _balanced(
+def _minimum_with_held(
     motion: Motion,
     pulls: Pulls,
-    between: Between,
+    between: BetweenTwo,
     held: np.ndarray,
-    limit: Limit,
+    saturated: Saturated,
 ) -> tuple[Slipping, np.ndarray] | None:
-    """Contacts of S near the minimum u*, and the share (n,) by which each slip differs there at most, by steps 1 to 3
-    of the module docstring; None if u* is not proven to be a minimum."""
-    rests, unsure = limit.others(motion, None), limit.unsure()
-    near = nearest_minimum(Slipping.of(motion, _still_labels(motion, pulls.domain, held)))
+    """Prove steps 2 and 3: return the slips of S near the minimum u*, and the share (n,) of its size by which each slip
+    differs there at most; None if u* is not proven to be a minimum of the whole power."""
+    rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()
+    near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.domain_tc, held)))
     if near is None:
         return None
     found, turn = near
-    # The pulls that were added keep their signs, cancel, and T bears the rest inside all discs.
-    known = pulls.felt & ~pulls.turns & pulls.slips
+    # Step 3: the pulls that were taken as known keep their signs at u* and cancel, and T bears the rest.
+    known = pulls.felt & ~pulls.turned_by & pulls.in_s
     signs = np.array([np.sign(part.high) for part in found.difference])
     same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
-    known_well = same.all() and _cancel(pulls) and between.lie_between(found, turn)
-    return near if known_well and bearable(rests, found, turn, unsure) else None
+    known_well = same.all() and _known_pulls_cancel(pulls) and between.lie_between(found, turn)
+    return near if known_well and bearable(rests, found, turn, missing_friction) else None
 
 
-def _cancel(pulls: Pulls) -> bool:
-    """True if the pulls that are known exactly cancel: on each cluster of domains, and on each part, except one at most
-    of each free domain, on which others act."""
+def _known_pulls_cancel(pulls: Pulls) -> bool:
+    """Return True if the pulls that are known exactly cancel on each wide domain, and on each domain_t, except on one
+    of each free domain_tc at most, on which turning contacts act."""
     for slot in range(2):
-        sums = pulls.sums(pulls.clusters(pulls.domain, slot), slot)
-        if not all(cancels for number, cancels in sums.items() if number > 0):
+        cancels_at = pulls.known_pulls_cancel_at(pulls.wide_domains(pulls.domain_tc, slot), slot)
+        if not all(cancels for number, cancels in cancels_at.items() if number > 0):
             return False
-        part, domain = pulls.part[slot], pulls.domain[slot]
-        others = pulls.slips & pulls.turns[slot] & pulls.apart(pulls.domain, slot)
-        ends = np.concatenate([pulls.lower[others], pulls.upper[others]])
-        pulled = np.unique(np.array([part[ends], domain[ends]]), axis=1)
+        t, tc = pulls.domain_t[slot], pulls.domain_tc[slot]
+        turning = pulls.in_s & pulls.turned_by[slot] & pulls.apart(pulls.domain_tc, slot)
+        ends = np.concatenate([pulls.lower[turning], pulls.upper[turning]])
+        pulled = np.unique(np.array([t[ends], tc[ends]]), axis=1)
         pulled = pulled[:, pulled[0] > 1]
+        # None of these may belong to a plane, and no domain_tc may have two.
         if (pulled[1] < 2).any() or len(np.unique(pulled[1])) < pulled.shape[1]:
             return False
-        sums = pulls.sums(part, slot)
-        if not all(cancels for number, cancels in sums.items() if number > 1 and number not in pulled[0]):
+        cancels_at = pulls.known_pulls_cancel_at(t, slot)
+        if not all(cancels for number, cancels in cancels_at.items() if number > 1 and number not in pulled[0]):
             return False
     return True
 
 
 def _states_along_lines(
-    pulls: Pulls, between: Between, contacts: Slipping, turn: np.ndarray, moves: bool, count: int
+    pulls: Pulls, between: BetweenTwo, contacts: Slipping, turn: np.ndarray, moves: bool, count: int
 ) -> tuple[np.ndarray, bool | None]:
-    """States (E,), and whether there is only one minimum, by step 4 of the module docstring. contacts, turn : S near
-    u*, and the share (n,) by which each slip differs there. moves : whether some body is held, so that minima may
-    differ. count : E."""
-    rest = len(pulls.slips) - len(turn)
+    """Prove step 5: return the states (E,) of all contacts, and whether there is only one minimum (None if not known).
+
+    contacts, turn : slips of S near u*, and the share (n,) of its size by which each differs there at most.
+    moves : whether some domain_tc0 is held, so that minima may differ. count : E.
+    """
+    rest = len(pulls.in_s) - len(turn)
+    # Bounds of t: the slips of S with what they may differ at u*, 0 for C.
     least = np.append(contacts.size.least * (1 - turn) / PATH_ROUNDING, np.zeros(rest))
     most = np.append(contacts.size.most * (1 + turn) * PATH_ROUNDING, np.zeros(rest))
-    state = np.where(pulls.slips, SLIPPING, SLIPLESS)
-    state[between.unclear] = UNDECIDED
+    state = np.where(pulls.in_s, SLIPPING, SLIPLESS)
+    state[between.undecided] = UNDECIDED
+    # TIED, SLIPPING or SLIPLESS where shortest paths decide; undecided with all that shares a domain with BetweenTwo.
     for line in _lines(pulls):
         rests, always, some = line.limits(least[line.own], most[line.own])
         known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, SLIPLESS, UNDECIDED)))
-        unclear = line.with_others(between.unclear[line.own])
-        state[line.own] = np.where(unclear & (known != TIED), UNDECIDED, known)
+        undecided = line.sharing_a_domain(between.undecided[line.own])
+        state[line.own] = np.where(undecided & (known != TIED), UNDECIDED, known)
     found = np.full(count, SLIPLESS)
     found[pulls.own] = state
     tied, unproven = (found == TIED).any(), (found == UNDECIDED).any()
@@ -444,15 +512,16 @@ def _states_along_lines(
 
 
 def _lines(pulls: Pulls) -> list[Line]:
-    """The contacts whose slips change along either of the two components."""
-    found, size = [], pulls.domain.shape[1] + 2
+    """Return for either component the contacts whose slips change where minima differ: they lie along it alone and join
+    two different wide domains of domain_tc0."""
+    found, size = [], pulls.domain_tc.shape[1] + 2
     for slot in range(2):
-        cluster = pulls.clusters(pulls.body, slot)
-        ends = cluster[pulls.lower], cluster[pulls.upper]
-        own = np.flatnonzero(pulls.felt[slot] & ~pulls.turns[slot] & (ends[0] != ends[1]))
+        wide = pulls.wide_domains(pulls.domain_tc0, slot)
+        ends = wide[pulls.lower], wide[pulls.upper]
+        own = np.flatnonzero(pulls.felt[slot] & ~pulls.turned_by[slot] & (ends[0] != ends[1]))
         sign = pulls.sign[slot, own]
-        low, high = (pulls.domain[slot, end[own]] for end in (pulls.lower, pulls.upper))
+        low, high = (pulls.domain_tc[slot, end[own]] for end in (pulls.lower, pulls.upper))
         twin = np.where(sign > 0, low * size + high, high * size + low)
-        twin = np.where(pulls.slips[own], twin, size * size + own)
+        twin = np.where(pulls.in_s[own], twin, size * size + own)
         found.append(Line(own, ends[0][own], ends[1][own], sign, twin))
     return found
