@@ -9,7 +9,7 @@ BEFORE = "bearings: interrupted before a first result was reached; nothing is ke
 
 
 def _end(*_: object) -> NoReturn:
-    """End a process that has computed nothing yet."""
+    """Print that nothing is kept, and end the process: the handler of Ctrl-C while the program loads."""
     os.write(2, f"{BEFORE}\n".encode())
     os._exit(130)
 
@@ -21,7 +21,7 @@ from taichi_bearings import interrupts, leaving  # noqa: E402
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line. Ctrl-C ends it with a sentence and exit code 130 at any time."""
     try:
         interrupts.always_heard()
         from taichi_bearings_cli.main import main as bearings

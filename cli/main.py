@@ -50,19 +50,25 @@ class LazyGroup(click.Group):
     """
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
+        """Return the command that the first word names; for an unknown one the error names the command that was likely
+        meant.
+        """
         if words and words[0] not in COMMANDS and not words[0].startswith("-"):
             context.fail(f"No such command {words[0]!r}{meant(words[0], COMMANDS)}")
         return super().resolve_command(context, words)
 
     def list_commands(self, context: click.Context) -> list[str]:
+        """Return the names of all commands."""
         return list(COMMANDS)
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        """Return the command with this name, imported now; None if there is none."""
         if name not in COMMANDS:
             return None
         return importlib.import_module(f"taichi_bearings_cli.{name}").command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands of the help into `formatter`, group by group."""
         for title, names in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name, COMMANDS[name]) for name in names], col_max=12)
@@ -83,7 +89,7 @@ def bearings() -> None:
 
 
 def main() -> None:
-    """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
+    """Run the command line, and exit. An error made by the user is one sentence and exit code 2, never a traceback."""
     interrupts.heard_at_once()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's shell names its own, which need not be installed here
     os.environ.setdefault(
@@ -116,7 +122,9 @@ def main() -> None:
 
 
 def _interrupted(sentence: str) -> int:
-    """Say that a command was interrupted, end its process at once if it is our own, and return the exit code."""
+    """Print that a command was interrupted, and return the exit code. If the process is the command's own, it ends
+    here at once, without waiting for its threads. sentence : what is printed.
+    """
     interrupts.ignored()
     leaving.end_now(sentence)
     click.echo(sentence, err=True)

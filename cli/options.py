@@ -20,9 +20,11 @@ class Text(click.types.StringParamType):
     """The type of a text option; the shell completes it to one of the names or, without names, to a file."""
 
     def __init__(self, *names: str) -> None:
+        """names : values to which the shell completes what is typed; without names it completes to a file."""
         self.names = names
 
     def shell_complete(self, context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return what the shell can complete the typed text `incomplete` to."""
         if not self.names:
             return [CompletionItem(incomplete, type="file")]
         return [CompletionItem(name) for name in self.names if name.startswith(incomplete)]
@@ -32,6 +34,7 @@ class FileName(Text):
     """The type of a path; an option with an empty text is treated as not given."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """Return the value as a path; None for an empty text, except for an argument, which is not optional."""
         return Path(value) if value or isinstance(parameter, click.Argument) else None
 
 
@@ -39,7 +42,7 @@ class Choice(click.Choice):
     """A choice of words that suggests the one that was likely meant by a mistyped word."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
-        """Return the chosen word; for a mistyped one the error suggests what was likely meant."""
+        """Return the chosen word; for a mistyped one the error names the word that was likely meant."""
         try:
             return super().convert(value, parameter, context)
         except click.BadParameter as error:
@@ -53,12 +56,12 @@ FILES, FILE_PATH = Text(), FileName()  # types of names of files: as they were t
 class SettingsCommand(click.Command):
     """A command that takes all settings of a run beside options of its own.
 
-    Values stay texts, which RunSettings reads. Its help has sections for what is solved, for how, for files, and for
-    the options of some methods only. `--help` leaves out what few need, `--help-all` has everything.
+    Values stay texts, which RunSettings reads. Its help has sections: what is solved, how, files, and a section for
+    options that only some methods have. `--help` leaves out options that few need; `--help-all` shows everything.
     """
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
-        """Return the settings of a run, the command's own options, and --help-all."""
+        """Return all options: the settings of a run, the command's own, and --help-all."""
         everything = click.Option(
             ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_everything,
             help="Show the options that few need too, and exit.",
@@ -66,7 +69,7 @@ class SettingsCommand(click.Command):
         return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context), everything]
 
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options of the help, section by section."""
+        """Write the options of the help into `formatter`, section by section."""
         sections = dict[str, list[tuple[str, str]]](
             (title, []) for title in ("What is solved", "How", "Files and output")
         )
@@ -85,7 +88,7 @@ EVERYTHING = "taichi_bearings_cli.everything"  # key in a context's `meta`: True
 
 
 def _show_everything(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Print the help with all options, and exit, if `asked`."""
+    """Print the help with all options and exit, if `asked`: the callback of --help-all."""
     if asked:
         context.meta[EVERYTHING] = True
         click.echo(context.get_help())
@@ -93,7 +96,7 @@ def _show_everything(context: click.Context, _: click.Parameter, asked: bool) ->
 
 
 def _section_of(item: Option | None) -> str:
-    """Return the section of the help that lists an option; None stands for an option that is no setting of a run."""
+    """Return the title of the help's section for an option; None stands for an option that is no setting of a run."""
     if item is None:
         return "Files and output"
     owners = users_of(item)[0]
@@ -104,7 +107,9 @@ def _section_of(item: Option | None) -> str:
 
 @lru_cache(maxsize=8)
 def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
-    """Return the settings as options. The argument, names of methods and laws, only makes the cache depend on these."""
+    """Return the settings of a run as options. The argument, names of methods and laws, is not used: it only makes the
+    cache depend on these, since others can register their own.
+    """
     options = []
     for key, item in settings_table().items():
         laws = users_of(item)[1]
@@ -121,7 +126,7 @@ def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
 
 
 def _click_option(key: str, item: Option, text: str) -> click.Option:
-    """Return one setting as an option of the command line. text : its help."""
+    """Return one setting as an option of the command line. key : its name with underscores. text : its help."""
     name = key.replace("_", "-")
     if item.kind is TRUTH:
         return click.Option([f"--{name}/--no-{name}", key], default=None, help=text)
@@ -131,23 +136,26 @@ def _click_option(key: str, item: Option, text: str) -> click.Option:
 
 
 def options_in(table: Mapping[str, Option]) -> list[click.Parameter]:
-    """Return the options of a table; their values stay texts."""
+    """Return the settings of a table as options of the command line; their values stay texts. table : by name with
+    underscores.
+    """
     return [_click_option(key, item, item.help) for key, item in table.items()]
 
 
 def _shown(default: object) -> str:
+    """Return a default value as the help shows it; "" for None."""
     if isinstance(default, bool):
         return "on" if default else "off"
     return "" if default is None else ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
 def answer(report: Mapping[str, Any], as_json: bool, words: Callable[[], str]) -> None:
-    """Print what a command has found: one JSON object, or what `words` returns."""
+    """Print what a command has found: the report as one JSON object, or the text that `words` returns."""
     click.echo(json.dumps(report, allow_nan=False) if as_json else words() + replica_shown(report))
 
 
 def replica_shown(report: Mapping[str, Any]) -> str:
-    """Return the end of a sentence that says which of several replicas a report is of; "" if there is only one."""
+    """Return the end of a sentence that says which of several replicas a report is about; "" if there is only one."""
     if "replicas" not in report or not isinstance(report.get("replica"), int):
         return ""
     return f"; this is replica {report['replica']} of {report['replicas']}, counted from 0, which --replica chooses"
@@ -177,9 +185,13 @@ title_option = click.option("--title/--no-title", default=True, help="Titles abo
 def out_options(
     out: str, metavar: str = "DIR", force: str = "Replace existing files.", kind: click.ParamType = FILE_PATH
 ) -> Callable[[Any], Any]:
-    """Return a decorator that adds the options --out and --force with these help texts."""
+    """Return a decorator that adds the options --out and --force to a command.
+
+    out, force : help texts. metavar : name of the value of --out. kind : type of that value.
+    """
 
     def with_options(command: Any) -> Any:
+        """Return the command with both options."""
         command = click.option("--force", is_flag=True, help=force)(command)
         return click.option("--out", metavar=metavar, type=kind, help=out)(command)
 

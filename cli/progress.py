@@ -1,4 +1,4 @@
-"""Shows on a terminal how far a command is; in a pipe there is nothing to see."""
+"""Shows on a terminal how far a command is. If the output goes into a pipe, nothing is shown."""
 
 import os
 import shutil
@@ -19,8 +19,8 @@ Display = partial(progress.Display, STARTED)  # its times begin with the process
 
 
 def in_lines(text: str, err: bool = False) -> str:
-    """Return a report as it is printed: on a terminal long lines are broken between words, and what follows is
-    indented.
+    """Return a report as it is to be printed: for a terminal long lines are broken between words, with the next lines
+    indented; else it is unchanged. err : it is printed on stderr.
     """
     stream = sys.stderr if err else sys.stdout  # None where it is closed
     if stream is None or not stream.isatty():
@@ -36,9 +36,12 @@ HEARTBEAT = 30.0  # seconds between two lines in a log file
 
 
 class ScanDisplay(TerminalLine):
-    """A monitor for scan(): a live line if stderr is a terminal, one line now and then if it is a log file."""
+    """Shows how far a scan is: as one line that changes, if stderr is a terminal; as a new line every HEARTBEAT
+    seconds, if it is a log file.
+    """
 
     def __init__(self) -> None:
+        """Begin to show; until the first call of the display the line says "reading"."""
         self.progress: Any = None
         super().__init__(lambda: "reading" if self.progress is None else describe_scan(self.progress, samples=True))
         self.is_logged, self.last_line = False, time.monotonic()
@@ -46,7 +49,7 @@ class ScanDisplay(TerminalLine):
             self.is_logged = stat.S_ISREG(os.fstat(sys.stderr.fileno()).st_mode)
 
     def __call__(self, progress: Any) -> None:
-        """Hear how far the scan is."""
+        """Take note of how far the scan is now."""
         self.progress = progress
         if self.is_logged and time.monotonic() - self.last_line >= HEARTBEAT:
             self.last_line = time.monotonic()
@@ -55,7 +58,12 @@ class ScanDisplay(TerminalLine):
 
 
 def describe_scan(progress: Any, samples: bool = False) -> str:
-    """Return in one line where a scan stands. samples : name the samples that are being solved, too."""
+    """Return how far a scan is, in one line.
+
+    progress : a :class:`taichi_bearings.scans.scan.ScanProgress`: numbers of samples, rate, time left, and what is
+        being solved.
+    samples : name the samples that are being solved, too.
+    """
     words = [f"{progress.done:,} of {progress.total:,} samples"]
     words += [f"{progress.failed:,} failed"] if progress.failed else []
     words += [f"{progress.rate:.3g}/s"] if progress.rate else []

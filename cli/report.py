@@ -1,4 +1,7 @@
-"""Puts what commands have found into words: rows of the tables of quantities, a line each."""
+"""Puts what commands have found into words: a line for each quantity of a report.
+
+A report is the object of `--json`. With several samples, most of its values are lists with one entry for each sample.
+"""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -8,19 +11,21 @@ from taichi_bearings.words import driving_words, listed, sized
 
 
 def solved(report: Mapping[str, Any]) -> str:
-    """Return what was solved by which method, such as ``10x10 coulomb, planar-cut``."""
+    """Return in words what was solved by which method, such as ``10x10 coulomb, planar-cut``. report : of a run."""
     return f"{sized(report)} {report['law']}, {report['method']}{driving_words(report)}"
 
 
 def ends(report: Mapping[str, Any]) -> str:
-    """Return how the samples ended, each status once."""
+    """Return the statuses with which the samples of a report ended, each once, separated by commas."""
     return ", ".join(sorted(set(listed(report["status"]))))
 
 
 def lines_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
-    """Return a line for each of these quantities that a report has.
+    """Return a line of text for each of these quantities that a report has.
 
-    Of several samples a line has mean, least and largest value, or how many samples something is true of.
+    rows : entries of the table of quantities, each with a name and a text.
+    report : of one sample or of several; then a line has mean, least and largest value, or how many samples something
+        is true of.
     """
     several = isinstance(report.get("seed"), list)
     found = ((row.text, report[row.name]) for row in rows if row.name in report)
@@ -28,7 +33,10 @@ def lines_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
 
 
 def _of_several(text: str, value: Any) -> list[str]:
-    """Return a line on the values of several samples; nothing for lists and tables."""
+    """Return a line on a quantity of several samples, as a list; an empty one if their values are lists or tables.
+
+    text : what the quantity is. value : for each sample its value, or None.
+    """
     found = listed(value)
     values = [one for one in found if one is not None]
     if not values or isinstance(values[0], (dict, list)):
@@ -41,7 +49,9 @@ def _of_several(text: str, value: Any) -> list[str]:
 
 
 def _of_one(text: str, value: Any) -> list[str]:
-    """Return lines on one number, list or table; nothing where there is none."""
+    """Return lines on a quantity of one sample: a number, a list, or a table (a list of dictionaries); none if there
+    is no value. text : what the quantity is.
+    """
     if value is None or value == []:
         return []
     if isinstance(value, list) and isinstance(value[0], dict):
@@ -52,7 +62,9 @@ def _of_one(text: str, value: Any) -> list[str]:
 
 
 def _shown(value: Any, digits: int = 6) -> str:
-    """Return a value in words; entries of a table that are 0 are left out."""
+    """Return a value as a text; entries of a dictionary that are 0 are left out. digits : significant digits of a
+    number that is not whole.
+    """
     if isinstance(value, dict):
         return ", ".join(f"{name} {_shown(entry)}" for name, entry in value.items() if entry)
     if isinstance(value, list):

@@ -82,7 +82,9 @@ def command(
 
 
 def describe(report: dict[str, Any], times: str) -> str:
-    """Return the claims with their verdicts, in words."""
+    """Return all claims with their verdicts, and the files written, in words. report : the object of `--json`. times :
+    a sentence on where the time went.
+    """
     lines = list[str]()
     for found in report["figures"].values():
         for claim in found["claims"]:

@@ -15,6 +15,7 @@ from taichi_bearings.progress import duration
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.words import counted, listed, other_contacts
 
+# columns from which the line on each sample is made, see `_of_a_sample`
 OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "tied", "undecided", "unproven", "contacts")
 LAST_COLUMNS = (
     "driven_power", "slipless_motions", "largest_slipless_slip", "smallest_slipping_slip",
@@ -88,6 +89,7 @@ def command(
         click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
 
     def words() -> str:
+        """Return the report in words, and the verdict of --verify if there is one."""
         report = describe(summary, display.times())
         return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
@@ -101,7 +103,12 @@ def command(
 
 
 def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], as_json: bool) -> None:
-    """Print what the run would take."""
+    """Print the method, and the time and memory to expect, for --dry-run.
+
+    scene : path of the scene file or run directory, None without one.
+    resumed : value of --resume, which cannot be combined with --dry-run.
+    given : the options that the user gave, by name.
+    """
     from taichi_bearings.errors import InputError
     from taichi_bearings.runs.run import cost
 
@@ -112,7 +119,9 @@ def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], a
 
 
 def describe_cost(report: dict[str, Any]) -> str:
-    """Return what a run would take, in words."""
+    """Return in words what a run would take. report : object of `--dry-run --json`; its `seconds` is None where the
+    time cannot be known before.
+    """
     step, steps, seconds = report["seconds_per_step"], report["steps"], report["seconds"]
     words = (
         "not known before: it ends where its tolerance is reached" if seconds is None else f"about {duration(seconds)}"
@@ -125,7 +134,11 @@ def describe_cost(report: dict[str, Any]) -> str:
 
 
 def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
-    """Return sentences for a --seed from which nothing is drawn."""
+    """Return a list of sentences that warn of a --seed from which nothing is drawn; empty if there is nothing to warn
+    of.
+
+    settings : of the run. given : the options that the user gave, by name.
+    """
     if "seed" not in given or not settings.is_packing:
         return []
     from taichi_bearings.runs.packing_run import idle_seed
@@ -136,8 +149,12 @@ def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
 def _task(
     scene: str | None, out: str | None, force: bool, resumed: str | None, given: dict[str, Any]
 ) -> tuple[Callable[..., Any], str | None]:
-    """Return a function that solves the scene with these options, or goes on with a run; and the directory asked
-    for.
+    """Return a function that solves what the command line asks for, and the directory that it asks for, None if it
+    names none.
+
+    scene : path of the scene file or run directory. out, force : values of --out and --force.
+    resumed : value of --resume, the run to go on with.
+    given : the other options that the user gave, by name.
     """
     from taichi_bearings.errors import InputError
     from taichi_bearings.runs.run import resume, run
@@ -152,7 +169,11 @@ def _task(
 
 
 def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None]:
-    """Return the settings of a scene file with these options, and the directory that the file names."""
+    """Return the settings of a run, and the directory that the scene file names, None if it names none.
+
+    scene : path of a scene file (TOML) or of a run, None without one.
+    given : the options that the user gave, by name; they win over the file.
+    """
     from taichi_bearings.errors import InputError
     from taichi_bearings.runs.run_file import refuse_scan
     from taichi_bearings.runs.settings import RunSettings, read_toml
@@ -174,7 +195,10 @@ def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None
 
 
 def describe(summary: dict[str, Any], times: str) -> str:
-    """Return a short summary of a run in words. times : where the time went, in words."""
+    """Return a short report of a run in words, some lines.
+
+    summary : the object of `--json`. times : a sentence on where the time went.
+    """
     drawn, is_packing, seeds = summary["coefficients"] is None, summary["shape"] is None, listed(summary["seed"])
     driven = f", {summary['driven_spheres']:,} of them driven" if is_packing else ""
     lines = [f"{solved(summary)}{driven}: {ends(summary)}"]
@@ -204,7 +228,9 @@ def _of_a_sample(
     """Return a line on one sample: power, proven gap, how many contacts slip, and how many of these states are proven.
 
     summary : of the run. The other arguments are the sample's columns in the order of OF_A_SAMPLE; None where a number
-    is not finite or not known.
+        is not finite or not known.
+    proof : "proven", None, or words that say why the lower bound is not proven.
+    others : numbers of contacts: tied, undecided, with unproven state, and all.
     """
     *doubtful, unproven, contacts = (number or 0 for number in others)
     proven = "its potential proven" if "potential" in summary else "proven"

@@ -99,7 +99,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
 
 
 def _without_folder(scan: Path) -> InputError:
-    """Return the error for a scan of which parts cannot be solved or merged, since no folder is named."""
+    """Return the error for --part or --merge without a folder. scan : the path that the user gave."""
     if scan.suffix != ".toml" and not scan.exists():  # the name of a folder, mistyped
         return InputError(
             f"there is no {scan}; --part and --merge need the folder of a scan, or its file and --out DIR"
@@ -108,7 +108,7 @@ def _without_folder(scan: Path) -> InputError:
 
 
 def describe_estimate(expected: dict[str, Any]) -> str:
-    """Return what a scan would do, in words."""
+    """Return in words what a scan would do. expected : the object of `--dry-run --json`."""
     lines = [f"{counted(expected['samples'], 'sample')} over {', '.join(expected['scanned']) or 'nothing'}"]
     if expected["missing"] < expected["samples"]:
         lines[0] += f", of which {expected['missing']:,} are missing"
@@ -119,7 +119,7 @@ def describe_estimate(expected: dict[str, Any]) -> str:
 
 
 def describe(report: dict[str, Any]) -> str:
-    """Return the report in words."""
+    """Return the report of a scan in words, some lines. report : the object of `--json`."""
     done, failed, missing, lacking = (report[name] for name in ("done", "failed", "missing", "lacking"))
     again, incomplete = f"bearings scan {report['scan']}", report.get("incomplete_parts", [])
     now = f"{report['solved_now']:,} of them now, " if report["solved_now"] < done else ""

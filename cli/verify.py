@@ -41,7 +41,9 @@ def command(context: click.Context, run: Path, as_json: bool) -> None:
 
 
 def describe(report: dict[str, Any], times: str = "") -> str:
-    """Return the verdict in words. times : where the time went, in words."""
+    """Return the verdict on a run in words, some lines. report : the object of `--json`. times : a sentence on where
+    the time went.
+    """
     law = LAWS[report["law"]]
     shape = "x".join(map(str, report["shape"])) if report["shape"] else f"packing of {report['spheres']:,} spheres,"
     origin = "those of the seed" if report["coefficients"] == "drawn" else "as the file gives them"

@@ -11,7 +11,9 @@ from taichi_bearings.version import VERSION
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table, its columns padded so that it reads as plain text too. rows : the first one has the titles."""
+    """Return a table as Markdown text, its columns padded so that it reads as plain text, too. rows : texts of all
+    cells; the first row has the titles.
+    """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [rows[0], ["-" * width for width in widths], *rows[1:]]
     padded = ([word.ljust(width) for word, width in zip(line, widths, strict=True)] for line in lines)
@@ -19,12 +21,12 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
 
 
 def short(value: float) -> str:
-    """Return a number with three digits, never as a power of ten."""
+    """Return a number with three significant digits, never as a power of ten."""
     return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def duration(seconds: float | None) -> str:
-    """Return seconds with a unit that suits them; a dash for None."""
+    """Return seconds in words, with a unit that suits them (s, ms or us); a dash for None."""
     if seconds is None:
         return "–"
     unit, scale = ("s", 1.0) if seconds >= 1 else ("ms", 1e3) if seconds >= 1e-3 else ("us", 1e6)
@@ -32,7 +34,7 @@ def duration(seconds: float | None) -> str:
 
 
 def scaled(rate: float) -> str:
-    """Return a rate in millions."""
+    """Return a rate (number a second) in millions, in words."""
     return f"{short(rate / 1e6)} M"
 
 
@@ -47,12 +49,14 @@ def processor() -> str:
 
 
 def load() -> float | None:
-    """Return how many processes want a processor now; None where the system does not say."""
+    """Return how many processes want a processor now, as a mean over the last minute; None where the system does not
+    say.
+    """
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def environment() -> dict[str, str]:
-    """Return the machine and the programs, in words; nothing that names the machine or its owner."""
+    """Return the machine and the programs, in words by name; nothing that would identify the machine or its owner."""
     return {
         "taichi_bearings": VERSION,
         **versions(),

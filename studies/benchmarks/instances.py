@@ -29,13 +29,15 @@ KINDS: dict[str, dict[str, Any]] = {
     "bimodal": {"distribution": "bimodal:0.1,1,0.5"},  # many ties
     "equal": {"distribution": "constant:0.5"},  # whole layers tie
 }
-CLOSEST, ASKED_OF_PEERS = 1e-14, 1e-8  # relative gaps that we, and other solvers, are asked for
+CLOSEST, ASKED_OF_PEERS = 1e-14, 1e-8  # relative gaps that our method, and other solvers, are asked for
 LONGEST = 3600.0  # seconds that another solver may take
 COLUMNS = ("name", "unknowns", "contacts", "power", "lower_bound", "gap", "unproven", "seconds", "processor")
 
 
 def instances() -> dict[str, Scene]:
-    """Return the problems by name; the side of the lattice is the seed, so that no two share their friction."""
+    """Return the problems by name. The seed is the side of the lattice, so that problems of different sides differ in
+    their friction.
+    """
     return {
         f"{kind}-{side}": Scene.random((side, side, side), seed=side, **options)
         for side in SIDES
@@ -44,8 +46,9 @@ def instances() -> dict[str, Scene]:
 
 
 def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
-    """Write the files of an instance, and return its row of the table. peers : largest side that other solvers are
-    given.
+    """Write the files of one problem, solve it, and return its row of the table.
+
+    folder : for the files. peers : largest side that other solvers are given.
     """
     write_problem(scene, "fclib", folder / f"{name}.hdf5")
     written = write_problem(scene, "cbf", folder / f"{name}.cbf")
@@ -69,7 +72,7 @@ def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Make the instances that the folder lacks, and print the table."""
+    """Make the problems that the folder lacks, as the command line asks, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--most", type=int, default=max(SIDES), help="largest side that is made")

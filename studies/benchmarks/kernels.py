@@ -31,7 +31,12 @@ FOREVER = 2**40  # sweeps: more than are ever made
 
 
 class Candidate(NamedTuple):
-    """Something that is timed. call : repeats it so many times. components : of the spins that it computes."""
+    """Something that is timed.
+
+    name : in the table. call : function that repeats it as often as its argument says.
+    components : number of spin components that it computes.
+    seconds_compile : seconds that its first start took to compile; None if nothing is compiled.
+    """
 
     name: str
     call: Callable[[int], None]
@@ -40,7 +45,9 @@ class Candidate(NamedTuple):
 
 
 def measure(plan: Plan, precision: str, threads: int) -> Found:
-    """Yield the rows of all lattices, measured in this process; a text for a lattice that is left out."""
+    """Yield a row for each kernel and lattice, measured in this process, and a sentence for each lattice that does not
+    fit into memory.
+    """
     runtime.start("cpu", precision, threads)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for shape in plan.shapes:
@@ -53,8 +60,10 @@ def measure(plan: Plan, precision: str, threads: int) -> Found:
 
 
 def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Path) -> Iterator[Row]:
-    """Yield a row for each candidate of a lattice, timed in the same rounds; other programs' sweeps are compared
-    with ours.
+    """Yield a row for each kernel on one lattice, all timed in the same rounds. The sweeps in NumPy and C have a
+    column with their time over that of our plain sweep.
+
+    folder : for files that the C compiler writes.
     """
     candidates = list(_candidates(scene, precision, folder))
     found = timed({str(n): one.call for n, one in enumerate(candidates)}, plan.rounds, plan.slice_seconds)
@@ -70,7 +79,9 @@ def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Pa
 
 
 def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidate]:
-    """Yield all candidates with their kernels compiled, the plain sweep first."""
+    """Yield all that is timed on a lattice, compiled and ready, the plain sweep first. folder : for files that the C
+    compiler writes.
+    """
     plain = GradientDescentMethod(GradientDescent(momentum=False))
     yield _candidate("sweep", plain, scene, "random")
     plain.epoch_length = FOREVER  # stay in the part of the epoch that does not average
@@ -85,8 +96,10 @@ def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidat
 
 
 def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
-    """Return a method as candidate, with the time that its first start took longer: to compile, or to load from a
-    cache.
+    """Return a method as something to time, with the seconds by which its first start took longer than its second: to
+    compile, or to load compiled code.
+
+    name : in the table. method : built from its options. start : name of the initial spins.
     """
     spin, took = initial_spin(scene, start), []
     for _ in range(2):
@@ -97,10 +110,8 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
 
 
 def draw_throughput(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw contacts a second against the number of spheres, a curve for each kernel, kind of body and number of
-    components.
-
-    Rows are those of the first precision and with the fewest threads.
+    """Draw contacts a second against the number of spheres: a curve for each kernel, kind of body (discs or spheres)
+    and number of spin components. Rows of the first precision and with the fewest threads are drawn.
     """
     precision, threads = rows[0]["precision"], min(row["threads"] for row in rows)
     points: dict[str, list[tuple[float, float]]] = {}

@@ -51,11 +51,14 @@ LEAST = 1e-17  # lower end of the grey band, below all errors in double precisio
 
 
 def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, rounds: int) -> Found:
-    """Yield a row for each method and conic solver on the scene of the settings; a text for a method that is left out.
+    """Yield a row for each method and conic solver on one scene, and a sentence for each method that is left out.
 
-    names : of the methods. with_peers : measure conic solvers, too. rounds : runs of what is quick.
+    settings : of the scene; their time limit is that of each method (of a conic solver: for each tolerance).
+    names : of the methods.
+    with_peers : measure conic solvers, too.
+    rounds : how often those that take less than BRIEF seconds are run; the run of the median time is reported.
 
-    Each gets at most the time limit (a conic solver: for each tolerance), in this process.
+    Everything runs in this process.
     """
     runtime.start("cpu", "f64", settings.threads)
     scene = build_scene(settings)
@@ -90,9 +93,14 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
 
 
 def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, _: int = 0) -> Row:
-    """Return the history of a method with its default options.
+    """Return the course of one run of a method with its default options: a row whose lists have one entry for each
+    check.
 
-    power : what the method would return, or the potential where the law minimises that.
+    name : of the method.
+    seconds : time limit.
+
+    `power` is what the method would return (the potential, where the law minimises that), and `lower_bound` what it has
+    proven, energy/time. The last argument, the number of the round, is not used.
     """
     spin = initial_spin(scene, "linear")
     first = uninterrupted(solve(scene, options.build(), spin, StopRule(TIGHTEST, iterations=1)))
@@ -110,7 +118,11 @@ def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, 
 
 
 def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int, _: int = 0) -> Row:
-    """Return what a conic solver reaches at one tolerance after another, until it fails within the time limit."""
+    """Return what a conic solver reaches at one tolerance after another: a row whose lists have one entry for each
+    tolerance. It ends at the first that the solver does not reach.
+
+    seconds : time limit for each tolerance. The last argument, the number of the round, is not used.
+    """
     answers, asked = [], []
     for tolerance in TOLERANCES:
         answers.append(peer.solve(programme, tolerance, seconds, threads))
@@ -122,13 +134,22 @@ def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int
 
 
 def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[float]:
-    """Return (power - bound) / power of each, or the rounding of doubles if that is larger."""
+    """Return (power - bound) / power of each entry, at least the rounding of double precision. bound : one number for
+    all, or one for each.
+    """
     high = np.array(power)
     return np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
 
 
 def judged(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows of a scene with proven gaps, errors that they cannot exceed, and the times to reach TARGETS."""
+    """Return the rows of one scene, from which all are judged together, with further columns.
+
+    * `gap`: list, proven relative distance of power and lower bound at each check;
+    * `error`: list, relative distance of the power from the best lower bound of all rows; the true error is no larger;
+    * `reference_gap`: distance of that bound from the best power of all rows, relative;
+    * `proven_gap`, `true_error`, `after`: least gap, the error there, and the seconds until then;
+    * `seconds_to`: for each of TARGETS the seconds until that gap was proven, or None.
+    """
     reference, found = max(max(row["lower_bound"]) for row in rows), []
     open_gap = relative([min(min(row["power"]) for row in rows)], reference)[0]
     for row in rows:
@@ -145,7 +166,9 @@ def judged(rows: Sequence[Row]) -> list[Row]:
 
 
 def contradictions(rows: Sequence[Row]) -> list[str]:
-    """Return sentences on runs that prove a bound above the power of another one: a bug in one of them."""
+    """Return a sentence for each run that proves a lower bound above the power of another run of the same scene, which
+    shows a bug in one of them.
+    """
     found = []
     for of_scene in _by_scene(rows):
         least = min(of_scene, key=lambda row: min(row["power"]))
@@ -159,20 +182,23 @@ def contradictions(rows: Sequence[Row]) -> list[str]:
 
 
 def _label(row: Row) -> str:
+    """Return the name of a row's scene: lattice and law."""
     return f"{'x'.join(map(str, row['shape']))} {row['law']}"
 
 
 def _by_scene(rows: Sequence[Row]) -> Iterator[list[Row]]:
+    """Yield the rows of each scene as a list."""
     for _, of_scene in groupby(rows, key=lambda row: (row["shape"], row["law"])):
         yield list(of_scene)
 
 
 @in_our_style
 def draw_accuracy(rows: Sequence[Row]) -> Figure:
-    """Draw error above and proven gap below against the wall time, log-log, a column a scene; wrapped after three
-    scenes.
+    """Draw error (above) and proven gap (below) against wall time, both axes logarithmic: a column for each scene,
+    wrapped after MOST_COLUMNS.
 
-    rows : as `judged` returns them. Errors in the grey band, below the gap of the reference, are not resolved.
+    rows : as :func:`judged` returns them. Errors in the grey band, below the gap of the reference, cannot be told from
+        0.
     """
     scenes = list(_by_scene(rows))
     columns = min(len(scenes), MOST_COLUMNS)
@@ -205,7 +231,9 @@ def draw_accuracy(rows: Sequence[Row]) -> Figure:
 
 
 def looks_of(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return colour, marker and dashes of each method, and of each conic solver with each of its linear solvers."""
+    """Return the colour, marker and dashes of each method and of each conic solver with its linear solver, as
+    arguments of matplotlib's plot by name.
+    """
     looks: dict[str, dict[str, Any]] = {}
     for what, method in {row["what"]: row["method"] for row in rows}.items():
         if method in PEERS:

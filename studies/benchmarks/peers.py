@@ -45,10 +45,15 @@ HOW_TO_INSTALL = "not installed; pip install taichi-bearings[peers]"
 
 @dataclass(frozen=True)
 class ConicProgramme:
-    """Matrices as in the module docstring; rows of A: `equalities`, then `inequalities`, then three a cone.
+    """The least power of a scene as a conic programme: matrices as in the module docstring.
 
-    slips : number of each row's slip among the d A slips of the system: contacts of one component, then the first
-        component of contacts of two, then the second.
+    scene, system : the sample, and its contacts and unknown spins.
+    slips : index of each row's slip among the d A slips of the system (A contacts that can slip, d components):
+        contacts with one component, then the first component of contacts with two, then the second.
+    quadratic, linear : P and q of the objective x.P.x / 2 + q.x.
+    matrix, offset : A and b of the constraints; the rows of A are first the equalities, then the inequalities, then
+        three for each cone.
+    equalities, inequalities, cones : their numbers.
     """
 
     scene: Scene
@@ -63,8 +68,10 @@ class ConicProgramme:
     cones: int = 0
 
     def spins(self, x: np.ndarray) -> np.ndarray:
-        """Return staggered spins (C, 1, *N) of a solution x: finite, between the spins of the planes, and with
-        these imposed.
+        """Return the spins of a solution x: (C, 1, *N) for C components and lattice shape N, staggered, 1/time.
+
+        Numbers that are not finite become 0; spins beyond those of the planes are cut to them, and the planes get
+        theirs.
         """
         scene, axes, lattice = self.scene, self.scene.minimum_spin_axes, self.scene.lattice
         own = self.system.all_spins(scene.jump * np.nan_to_num(x[: self.system.unknowns]))
@@ -73,7 +80,7 @@ class ConicProgramme:
         return scene.impose_driving(scene.clip_to_box(staggered, axes), axes)
 
     def forces(self, z: np.ndarray) -> np.ndarray:
-        """Return contact forces (C, 1, E) from the multipliers z of the rows."""
+        """Return contact forces (C, 1, E), staggered, from the multipliers z of the rows."""
         scene, pairs = self.scene, self.inequalities // 2
         if not scene.law.holds:
             along = scene.lattice.radius * scene.jump / 2 * z
@@ -86,7 +93,9 @@ class ConicProgramme:
         return staggered_forces(friction[None], scene.lattice, scene.minimum_spin_axes)
 
     def with_friction(self, scene: Scene) -> "ConicProgramme":
-        """Return the Coulomb programme of another sample of the same lattice and driving: only the costs change."""
+        """Return the programme of another Coulomb sample of the same lattice and driving: only the costs in `linear`
+        change.
+        """
         linear = self.linear.copy()
         costs = linear[self.system.unknowns :]
         costs[costs > 0] = scene.coefficient[0, self.system.contact][costs > 0]
@@ -94,7 +103,9 @@ class ConicProgramme:
 
 
 def conic_programme(scene: Scene) -> ConicProgramme:
-    """Return the least power of `scene`, which must have one replica, as a conic programme."""
+    """Return the least power of a scene of one sample as a conic programme. Raises InputError for several samples, and
+    for contacts with both friction and viscosity.
+    """
     if scene.replicas != 1:
         raise InputError(f"the scene has {scene.replicas} replicas; a conic programme is of one sample")
     if scene.law.holds and scene.law.flows:
@@ -144,10 +155,13 @@ def conic_programme(scene: Scene) -> ConicProgramme:
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer of a peer.
+    """What a conic solver has found for one tolerance.
 
-    power, lower_bound : of its spins and forces, by the certificate, energy/time.
-    done : it says that it reached the tolerance.
+    power, lower_bound : of its spins and forces, recomputed by the certificate, energy/time.
+    seconds : wall time to set up and solve.
+    iterations : number that the solver reports.
+    status : how the solver says that it ended.
+    done : True if it says that it reached the tolerance.
     """
 
     power: float
@@ -158,22 +172,30 @@ class Answer:
     done: bool
 
 
-Raw = tuple[np.ndarray, np.ndarray, int, str, bool]  # unknowns, multipliers, iterations, status, done
+Raw = tuple[np.ndarray, np.ndarray, int, str, bool]
+"""What a conic solver returns: unknowns x, multipliers z of the rows, iterations, status, and whether the tolerance was
+reached."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """A conic solver with one of its linear solvers."""
+    """A conic solver with one of its linear solvers.
+
+    name : "clarabel" or "scs". linear_solver : see LINEAR_SOLVERS.
+    """
 
     name: str
     linear_solver: str
 
     def __str__(self) -> str:
+        """Return the solver with its linear solver in brackets."""
         return f"{self.name} ({self.linear_solver})"
 
     def solve(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int = 0) -> Answer:
-        """Solve to `tolerance` within `seconds`, and judge the answer. threads : 0 for all, as far as the solver
-        can be told.
+        """Return the answer at a tolerance, with power and bound recomputed by the certificate.
+
+        seconds : time limit.
+        threads : number of threads, 0 for all, as far as the solver can be told.
         """
         began = time.perf_counter()
         x, z, iterations, status, done = self.run(programme, tolerance, seconds, threads)
@@ -183,12 +205,14 @@ class Peer:
         return Answer(float(power), float(bound), took, iterations, status, done)
 
     def run(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int) -> Raw:
-        """Solve to `tolerance` within `seconds`, without judging the answer."""
+        """Return what the solver returns at a tolerance, not judged: see `Raw`. seconds : time limit. threads : 0 for
+        all.
+        """
         return _RUNS[self.name](programme, self.linear_solver, tolerance, seconds, threads)
 
 
 def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
-    """Solve by Clarabel; for the result see `Raw`."""
+    """Return what Clarabel returns: see `Raw`. Arguments are those of :meth:`Peer.run`."""
     import clarabel
 
     settings = clarabel.DefaultSettings()
@@ -209,7 +233,7 @@ def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, s
 
 
 def _scs(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
-    """Solve by SCS; for the result see `Raw`."""
+    """Return what SCS returns: see `Raw`. Arguments are those of :meth:`Peer.run`."""
     import scs
 
     described = {"A": programme.matrix, "b": programme.offset, "c": programme.linear}
@@ -237,9 +261,9 @@ LINEAR_SOLVERS = {"clarabel": ("qdldl", "faer", "mkl"), "scs": ("qdldl", "mkl")}
 
 
 def find_peers() -> tuple[list[Peer], dict[str, str]]:
-    """Return the peers that work here, and for the others the reason why they do not.
+    """Return the conic solvers that work here, and for the others the reason why they do not.
 
-    All are tried on six discs. The reasons are by name, or by name and linear solver.
+    Each is tried on six discs. The reasons are by name, or by name and linear solver.
     """
     here: list[Peer] = []
     missing: dict[str, str] = {}

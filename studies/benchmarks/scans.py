@@ -31,7 +31,9 @@ OURS = "this program, states proven"
 
 
 def samples_of(shape: tuple[int, ...], first: int, number: int) -> list[Sample]:
-    """Return samples of the paper's scene with seeds from `first` on, as a scan plans them."""
+    """Return `number` samples of the paper's scene on a lattice, with consecutive seeds from `first` on, as a scan
+    plans them.
+    """
     seeds = range(first, first + number)
     chosen = [RunSettings(shape=shape, seed=seed, tolerance=TOLERANCE, threads=1) for seed in seeds]
     return [Sample(sample_key(settings), settings, {"seed": settings.seed}) for settings in chosen]
@@ -39,11 +41,14 @@ def samples_of(shape: tuple[int, ...], first: int, number: int) -> list[Sample]:
 
 @lru_cache(maxsize=1)
 def _template(shape: tuple[int, ...]) -> ConicProgramme:
+    """Return the conic programme of any sample on this lattice; its matrices serve for all samples."""
     return conic_programme(Scene.random(shape))
 
 
 def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]:
-    """Solve one sample after another by another solver, with matrices that all samples of a lattice share."""
+    """Solve samples by a conic solver, one after another, and return a record of each, as workers of scans do: key,
+    status, and that no contact state is proven.
+    """
     found = []
     for one in samples:
         programme = _template(one.settings.shape).with_friction(build_scene(one.settings))
@@ -53,9 +58,12 @@ def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]
 
 
 def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
-    """Return functions that solve samples: ours, and Clarabel with its quickest linear solver, if that is installed."""
+    """Return by name the functions that solve samples: ours and, if it is installed, Clarabel with the linear solver
+    that is quickest on this lattice.
+    """
 
     def seconds(peer: Peer) -> float:
+        """Return the seconds that a conic solver takes for one sample."""
         began = time.perf_counter()
         peer.run(_template(shape), TOLERANCE, np.inf, threads=1)
         return time.perf_counter() - began
@@ -68,7 +76,10 @@ def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
 
 
 def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Found:
-    """Yield rows of rounds in which every contender solves the same `number` samples, one contender after another.
+    """Yield a row for each contender: seconds for a sample in a scan, in rounds in which all solve the same `number`
+    samples.
+
+    rounds : how often each solves such a set. workers : number of processes.
 
     Raises BearingsError if a sample has no result.
     """
@@ -77,8 +88,10 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> F
         engines = {name: stack.enter_context(closing(LocalEngine(work, workers))) for name, work in known.items()}
 
         def solve(turn: int, name: str, most: int | None = None) -> tuple[float, float]:
-            """Return seconds a sample, and the share of samples with all states proven. most : units that are
-            solved.
+            """Let one contender solve the samples of a round, and return the seconds for a sample and the share of
+            samples all of whose contact states are proven.
+
+            turn : number of the round. name : of the contender. most : solve so many units of work only; None for all.
             """
             samples = samples_of(shape, turn * number, number)
             units = units_of(samples, workers=workers) if name == OURS else [(one,) for one in samples]

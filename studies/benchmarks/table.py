@@ -1,4 +1,6 @@
-"""The table of benchmarks: what commands measure, and how much."""
+"""The table of benchmarks: what `bearings benchmark` can measure, and how much of it in its quick, usual and full
+form.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -41,11 +43,15 @@ PLANS = {"quick": QUICK, "usual": USUAL, "full": FULL}
 
 
 def _kernels(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    """Yield the parts of the benchmark of kernels: for each precision and number of threads a name and a function that
+    yields its rows.
+    """
     for precision, threads in product(plan.precisions, plan.threads):
         yield f"{precision}, threads {threads}", partial(elsewhere, kernels.measure, plan, precision, threads)
 
 
 def _methods(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    """Yield the parts of the benchmark of methods: for each scene a name and a function that yields its rows."""
     for shape, law in plan.scenes:
         settings = RunSettings(shape=shape, law=law, seed=plan.seed, time_limit=plan.seconds, threads=max(plan.threads))
         what = (methods.measure, settings, plan.methods, plan.peers, plan.rounds)
@@ -53,12 +59,14 @@ def _methods(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
 
 
 def _scans(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    """Yield the parts of the benchmark of scans: for each lattice a name and a function that yields its rows."""
     workers = min(2, runtime.available_threads())
     for shape, samples in plan.scanned.items():
         yield f"of {'x'.join(map(str, shape))}", partial(scans.measure, shape, samples, min(3, plan.rounds), workers)
 
 
 def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    """Yield the parts of the benchmark of dynamics: for each lattice a name and a function that yields its rows."""
     for shape in plan.moved:
         yield f"of {'x'.join(map(str, shape))}", partial(elsewhere, dynamics.measure, shape, plan.rounds, plan.steps)
 
@@ -94,9 +102,13 @@ def planned(
     precision: str | None = None,
     **of_methods: Any,
 ) -> Plan:
-    """Return a plan with these lattices and laws in every part, if there are any; InputError for bad ones.
+    """Return a plan of what the options of the command ask for. Raises InputError for a bad value.
 
-    budget : "quick", "full" or None. of_methods : seed, methods, peers and time_limit, for run time against error.
+    budget : "quick", "full" or None for the usual extent.
+    shape, law : texts of lattices and names of laws that replace the usual ones; empty to keep these.
+    threads : numbers of threads, separated by commas; None for the usual ones.
+    precision : "f64" or "f32"; None for the usual ones.
+    of_methods : `seed`, `methods`, `peers` and `time_limit` of the benchmark of methods; None for the defaults.
     """
     plan = PLANS[budget or "usual"]
     if precision is not None:
@@ -121,10 +133,12 @@ def planned(
 
 
 def chosen_threads(text: str | None, full: bool) -> tuple[int, ...]:
-    """Return thread counts that a text lists, separated by commas; for None 1 and all, with `full` also those in
-    between.
+    """Return numbers of threads, rising.
 
-    InputError for more than this process may use.
+    text : such numbers separated by commas; None for 1 and all threads that this process may use.
+    full : with no text, take the powers of two between them, too.
+
+    Raises InputError for what is no number, or more than this process may use.
     """
     most = runtime.available_threads()
     between = {2**k for k in range(most.bit_length())} if full else set()

@@ -1,13 +1,15 @@
-"""A claim of the paper, what was found, and the verdict. Sentences, limits and rules of a figure: claims/FIGURE.toml.
+"""A claim of the paper, what was found, and the verdict. Sentences, limits and rules of a figure's claims stand in
+claims/FIGURE.toml.
 
-In that file a claim has
+In that file a claim is a table with these keys:
 
-* `claim`, `finding`, `paper` (by default "not given"), `ours`, `uncertainty` and `after_data`: sentences with named
-  numbers;
-* `limits`: numbers;
-* expressions in what the study names: `let`, more names, each of which may use those before; `numbers`, which the
-  report keeps for programs and which are names too; the rules `holds`, `refined`, `samples` and `needed`; `when`,
-  whether it can be judged at all; `cases`, the names of each case, if it is judged for several.
+* sentences: `claim`, `finding`, `paper` (by default "not given"), `ours`, `uncertainty` and `after_data`; a number in
+  them is written as {name}, or {name:format} (:class:`_Sentences`);
+* `limits`: numbers by name, which the rules use;
+* Python expressions in the values that the study returns: `let`, further values by name, each of which may use those
+  before; `numbers`, values that the report keeps for programs and sentences may use; the rules `holds`, `refined`,
+  `samples` (how many it was judged by) and `needed` (how many it takes); `when`, whether the claim can be judged at
+  all; and `cases`, a list of further values by name if the claim is judged once for each of them.
 """
 
 import math
@@ -37,7 +39,7 @@ KINDS = {
     "theorem": "follows from the equations; the samples check the program, not the claim",
 }
 """Grounds on which a verdict can rest."""
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # of each end of the interval of a share
 SAMPLES, QUICK_SAMPLES = 200, 20  # default numbers of seeds for a statistical claim
 MOST_DIGITS = 12  # after the point of a share
 LEAST_EXPONENT = -4  # numbers with a smaller decimal exponent are written with it
@@ -45,7 +47,10 @@ ROUND_OFF = 1e-12  # relative difference that numbers of samples may have by rou
 
 
 def share(value: float, digits: int = 1) -> str:
-    """Return a share as percent; one that is not quite all, or not quite nothing, gets the digits to say so.
+    """Return a share as percent. One that is not quite all, or not quite nothing, gets as many digits as it takes to
+    say so.
+
+    digits : after the point, at least.
 
     >>> share(0.5), share(0.99996), share(1.0), share(2e-5)
     ('50.0%', '99.996%', '100.0%', '0.002%')
@@ -57,9 +62,10 @@ def share(value: float, digits: int = 1) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """Return a value and its error with digits up to the first one of the error, or the second if the first is 1.
+    """Return a value and its error as a text, rounded to the first digit of the error, or to the second if the first
+    is 1.
 
-    Without an error (not-a-number or 0) only the value is returned.
+    error : standard error; not-a-number or 0 if there is none, then only the value is returned.
 
     >>> with_error(135.278, 41.2), with_error(0.51972, 0.0121), with_error(2.0, 0.577), with_error(1.0, math.nan)
     ('140 +- 40', '0.520 +- 0.012', '2.0 +- 0.6', '1')
@@ -76,15 +82,20 @@ def with_error(value: float, error: float) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim with what was found.
+    """A claim of the paper with what was found.
 
-    claim : what the paper says. finding : what came out, and by which criterion.
-    confirmed : it holds. refined : it holds with a condition or a correction, which the finding states.
-    numbers : of the finding, for programs.
-    samples : how many it was judged by. samples_needed : fewer allow no verdict.
+    claim : what the paper says.
+    finding : what came out, and by which criterion.
+    confirmed : True if the claim holds.
+    refined : True if it holds with a condition or a correction, which the finding states.
+    numbers : values of the finding, for programs.
+    samples : number of samples that it was judged by.
+    samples_needed : with fewer samples there is no verdict.
     kind : what the verdict rests on, one of KINDS.
-    paper, ours : the number of the paper and the one found, in a few words. uncertainty : of ours.
-    chosen_after_the_data : limits and choices of the criterion that were made with results in view, if any.
+    paper, ours : the number of the paper and the one found, in a few words.
+    uncertainty : of `ours`, in words.
+    chosen_after_the_data : limits and choices of the criterion that were made with results in view, in words; "" if
+        none.
     """
 
     claim: str
@@ -102,7 +113,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """One of VERDICTS."""
+        """The verdict, one of the keys of VERDICTS."""
         if self.samples < self.samples_needed:
             return "too few samples"
         if not self.confirmed:
@@ -110,7 +121,7 @@ class Claim:
         return "refined" if self.refined else "confirmed"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the claim as reports have it."""
+        """Return the claim and its verdict as reports have them; the finding says so if there were too few samples."""
         found = {name: value for name, value in vars(self).items() if name not in ("confirmed", "refined")}
         if self.verdict == "too few samples":
             needed = counted(self.samples_needed, "such sample")
@@ -120,10 +131,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class Effort:
-    """The extent of the computations.
+    """How much is computed.
 
-    seed : first seed of all samples. samples : number of seeds for a statistical claim.
-    quick : the short form, with fewer iterations and sizes, too.
+    seed : first seed of all samples.
+    samples : number of seeds for a statistical claim.
+    quick : True for the short form, with fewer iterations and sizes, too.
     """
 
     seed: int = 0
@@ -131,15 +143,19 @@ class Effort:
     quick: bool = False
 
     def seeds(self, number: int) -> range:
-        """Return so many seeds, from the first on."""
+        """Return `number` consecutive seeds, beginning with the first."""
         return range(self.seed, self.seed + number)
 
 
 @dataclass(frozen=True)
 class Share:
-    """A share of all samples, estimated from those drawn.
+    """The share of all samples that have a property, estimated from those drawn.
 
-    least, most : the exact interval (Clopper, Pearson), each end at the confidence CONFIDENCE.
+    hits : number of samples drawn that have it.
+    samples : number of samples drawn.
+
+    `least` and `most` are the ends of the exact binomial interval (Clopper and Pearson); each is right with the
+    probability CONFIDENCE.
     """
 
     hits: int
@@ -147,23 +163,31 @@ class Share:
 
     @classmethod
     def of(cls, hits: Any) -> "Share":
-        """Return the share of True among booleans, one a sample."""
+        """Return the share of True among booleans, one for each sample."""
         return cls(int(np.sum(hits)), len(hits))
 
     @property
     def least(self) -> float:
+        """The lower end of the interval: with the probability CONFIDENCE at least this share of all samples has the
+        property.
+        """
         misses = self.samples - self.hits
         return float(betaincinv(self.hits, misses + 1, 1 - CONFIDENCE)) if self.hits else 0.0
 
     @property
     def most(self) -> float:
+        """The upper end of the interval: with the probability CONFIDENCE at most this share of all samples has the
+        property.
+        """
         misses = self.samples - self.hits
         return float(betaincinv(self.hits + 1, misses, CONFIDENCE)) if misses else 1.0
 
     def needed_for(self, limit: float) -> int:
-        """Return how many samples a share like this needs to show on which side of `limit`, within (0, 1), it is.
+        """Return about how many samples, of which the same share has the property, would show that the true share lies
+        above, or below, `limit`, a number between 0 and 1.
 
-        If it shows that already, that is the number of its samples.
+        If the samples drawn show that already, their number is returned; if more than 10^6 were needed, a number above
+        that.
         """
         number = max(self.samples, 1)
         while True:
@@ -176,25 +200,29 @@ class Share:
 
     @property
     def interval(self) -> str:
-        """The uncertainty in words."""
+        """The interval in words."""
         if not self.samples:
             return "no sample"
         return f"{share(self.least)} to {share(self.most)} of all, exact binomial, each end at {share(CONFIDENCE, 0)}"
 
     def __str__(self) -> str:
+        """Return hits, number of samples and the interval in words."""
         ends = f"{share(self.least, 0)} to {share(self.most, 0)} of all"
         return f"{self.hits:,} of {counted(self.samples, 'sample')} ({ends})"
 
 
 def every(samples: int) -> str:
-    """Return in words what it says of all samples that each of `samples` does something."""
+    """Return a text on what follows if each of `samples` samples has a property: which share of all possible samples
+    has it at least (exact binomial bound).
+    """
     return "no sample" if not samples else f"in at least {share(Share(samples, samples).least)} of all, exact binomial"
 
 
 def interval_of(values: Any) -> str:
-    """Return the uncertainty in words, of a Share or of a mean over samples.
+    """Return the uncertainty of a share, or of the mean of numbers, in words.
 
-    For few and for many samples it is Student's t, else a bootstrap (BCa).
+    values : a :class:`Share`, or (samples,) numbers. The interval of a mean is Student's t for few and for many
+        samples, else a bootstrap (BCa).
     """
     if isinstance(values, Share):
         return values.interval
@@ -206,7 +234,9 @@ def interval_of(values: Any) -> str:
 
 
 def mean(values: Sequence[float] | np.ndarray) -> str:
-    """Return mean and standard error in words; without the error if the samples are too few for one."""
+    """Return mean and standard error of numbers (samples,) as a text; without the error if there are too few samples,
+    or if they differ by rounding alone.
+    """
     found = np.asarray(values, dtype=float)
     if len(found) < LEAST_SAMPLES or np.ptp(found) <= ROUND_OFF * np.abs(found).max():
         return with_error(found.mean(), np.nan)
@@ -214,10 +244,11 @@ def mean(values: Sequence[float] | np.ndarray) -> str:
 
 
 def span(values: np.ndarray) -> str:
-    """Return the least and the largest value in words."""
+    """Return the least and the largest of some numbers as a text."""
     return f"{values.min():.4f} ... {values.max():.4f}" if len(values) > 1 else f"{values[0]:.4f}"
 
 
+# ways to reduce an array to one number, and ways to write a value, for sentences
 REDUCED: dict[str, Callable[[Any], Any]] = {"max": np.max, "min": np.min, "mean": np.mean, "median": np.median,
                                             "sum": np.sum, "len": len}  # fmt: skip
 WRITTEN: dict[str, Callable[[Any], str]] = {
@@ -228,25 +259,32 @@ WRITTEN: dict[str, Callable[[Any], str]] = {
 
 
 class _Sentences(string.Formatter):
-    """Formats sentences of a claim: a number is {name}, or {name:way format}.
+    """Fills numbers into the sentences of a claim. A number is written as {name}, or as {name:WAY FORMAT}, with one of
+    these ways:
 
-    Ways are
-
-    * those of REDUCED, and then a format; those of WRITTEN;
-    * `count WORD`: 3 words;
-    * `list`: its parts in the format that follows;
-    * `by`: numbers by name, or by the side of cubes, in the format that follows; `by COLUMN`: a table by that column;
-    * `each PHRASE`: for each of several numbers the phrase of that name in the claim, filled with `it` or with names.
+    * one of REDUCED (`max`, `mean`, `len`, ...) reduces an array to a number, which is then written by FORMAT;
+    * one of WRITTEN (`interval`, `share`, `percent`, ...) writes a value or an array in its own manner;
+    * `count WORD` writes a number with a noun: 3 words;
+    * `list FORMAT` writes the entries of a list, separated by commas;
+    * `by FORMAT` writes the entries of a dictionary with their keys; integer keys are sides of cubes, L^3. `by COLUMN
+      FORMAT` first splits a table by the values of this column;
+    * `each PHRASE` writes for each entry of a dictionary the phrase of that name in the claim, in which {name} is the
+      key and {it}, or the names of the entry, are the value;
+    * anything else is a format of Python, such as `.2f`.
     """
 
     def __init__(self, phrases: Mapping[str, str], named: Mapping[str, Any]) -> None:
+        """phrases : texts with places to fill, by name, which `each` uses. named : the values that sentences use, by
+        name.
+        """
         self.phrases, self.named = phrases, named
 
     def fill(self, text: str, **more: Any) -> str:
+        """Return a sentence with all its numbers filled in. more : further values by name, beside those of the claim."""
         return self.vformat(text, (), {**self.named, **more})
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Return a value in words, by one of the ways of the class and what follows it."""
+        """Return a value as a text. format_spec : one of the ways of the class, and what follows it."""
         way, _, rest = format_spec.partition(" ")
         if way in REDUCED:
             return self.format_field(REDUCED[way](value) if len(value) or way in ("sum", "len") else math.nan, rest)
@@ -273,32 +311,43 @@ class _Sentences(string.Formatter):
 
 @lru_cache
 def sentences(figure: str) -> dict[str, dict[str, Any]]:
-    """Return the claims of a figure by name, as its file has them."""
+    """Return the claims of a figure by name, as its file has them: for each a dictionary with the keys that the head
+    of this module lists.
+    """
     return read_toml(Path(__file__).parent / "claims" / f"{figure}.toml")
 
 
 def claims_of(figure: str, named: Mapping[str, Any]) -> list[Claim]:
-    """Return the claims of a figure with their verdicts, in their order; those that its numbers say nothing of are
-    left out.
+    """Return the claims of a figure with their verdicts, in the order of its file. Claims that cannot be judged by
+    these values (whose rule `when` is false) are left out.
+
+    named : the values that sentences and rules use, by name.
     """
     return [claim for name in sentences(figure) for claim in judged(f"{figure}.{name}", **named)]
 
 
 def judge(claim: str, /, **named: Any) -> Claim:
-    """Return the claim FIGURE.NAME with its verdict. named : the values that its sentences and rules use."""
+    """Return one claim with its verdict. claim : "FIGURE.NAME". named : the values that its sentences and rules use,
+    by name. Raises ValueError if it has not exactly one case.
+    """
     (found,) = judged(claim, **named)
     return found
 
 
 def judged(claim: str, /, **named: Any) -> list[Claim]:
-    """Return the claim FIGURE.NAME with its verdict, once for each of its cases; empty if the numbers say nothing
-    of it.
+    """Return one claim with its verdict, once for each of its cases; an empty list if its rule `when` is false.
+
+    claim : "FIGURE.NAME", the name of its file and its name there.
+    named : the values that its sentences and rules use, by name.
     """
     figure, _, name = claim.partition(".")
     text = {"paper": "not given"} | sentences(figure)[name]
     scope = {"np": np, "Share": Share, "span": span, **text.get("limits", {}), **named}
 
     def rule(key: str, default: Any = None) -> Any:
+        """Return a value of the claim's table; a text is evaluated as a Python expression in the names known so far.
+        default : value if the table lacks the key.
+        """
         found = text.get(key, default)
         return eval(found, scope) if isinstance(found, str) else found
 
@@ -329,7 +378,9 @@ def judged(claim: str, /, **named: Any) -> list[Claim]:
 
 
 def _plain(value: Any) -> Any:
-    """Return numbers in arrays, lists and mappings in types that JSON has."""
+    """Return a value in types that JSON has: arrays become lists, and NumPy's numbers those of Python, in lists and
+    mappings, too.
+    """
     if isinstance(value, Mapping):
         return {str(key): _plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

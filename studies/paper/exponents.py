@@ -1,11 +1,13 @@
 """Minimum cuts of discs as directed polymers: how their weight and their course fluctuate with the length.
 
-The interface of two bearing states in a plane is the lightest path from one side of the lattice to the other, in the
-random friction of the contacts that it crosses: a directed polymer at no temperature, of the class of Kardar, Parisi
-and Zhang. Its weight E fluctuates like L^theta and the path wanders like L^zeta with theta = 1/3 and zeta = 2/3 (Huse
-and Henley, Phys. Rev. Lett. 54, 1985). With both ends held, -E follows the Tracy-Widom law of unitary matrices
+The interface of two rigid domains of discs in a plane is the lightest path from one side of the lattice to the other,
+in the random friction of the contacts that it crosses: a directed polymer at zero temperature, of the class of Kardar,
+Parisi and Zhang. Its weight E fluctuates like L^theta and the path wanders like L^zeta with theta = 1/3 and zeta = 2/3
+(Huse and Henley, Phys. Rev. Lett. 54, 1985). With both ends held, -E follows the Tracy-Widom law of unitary matrices
 (Johansson, Commun. Math. Phys. 209, 2000), whose skewness is 0.2241. With free ends in a tall lattice the path is the
 lightest of many that are nearly independent, and extreme-value statistics take over: Gumbel, skewness -1.1395.
+
+A cut has held ends if the path must begin and end in the middle of both sides, else free ends.
 """
 
 from itertools import pairwise
@@ -41,10 +43,14 @@ THETA = 1 / 3  # exponent of directed polymers; the next term of the variance go
 
 
 def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[str, Any]:
-    """Return the weights of the minimum cuts of some samples, in units of the largest friction, and where they cross
-    the middle.
+    """Return numbers of the minimum cuts of some random lattices: lists with one entry for each sample.
 
-    kind : "held" if both ends of the cut are, else "free". length, height : of the lattice.
+    kind : "held" if both ends of the cut are, else "free".
+    length, height : discs of the lattice along the cut and across it.
+    samples, seed : number of samples, and seed from which all of them are drawn.
+
+    `weight`: friction of the contacts of the cut, in units of the largest friction. `middle`: height at which the cut
+    crosses the middle column, in discs.
     """
     rng = np.random.default_rng([seed, length, height])
     found: dict[str, list[float]] = {"weight": [], "middle": []}
@@ -62,7 +68,12 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Find cuts with held ends, by their length, and with free ends, by the height."""
+    """Find cuts with held ends for several lengths, and with free ends for several heights; return table, figure and
+    values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
+        quick form.
+    """
     sizes, tall, long = (QUICK_SIZES, QUICK_TALL, QUICK_LONG) if effort.quick else (SIZES, TALL, LONG)
     points = {("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3): several for size, several in sizes.items()}
     points |= {("free", FREE, height): OF_FREE for height in tall}
@@ -85,7 +96,12 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Return a point in numbers: mean and standard deviations, and the skewness of the weight with its error."""
+    """Return a row of the table for one kind and size of lattice: number of samples, mean and standard deviations of
+    weight and middle height, and skewness of the weight with its error.
+
+    point : ends ("held" or "free"), length and height.
+    found : `weight` and `middle` (samples,), as :func:`draw` returns them.
+    """
     numbers = (len(found["weight"]), found["weight"].mean(), found["weight"].std(), found["middle"].std())
     names = ("ends", "length", "height", "samples", "mean_weight", "sd_weight", "sd_middle", "skewness", "its_error")
     return dict(zip(names, (*point, *numbers, *skewness(found["weight"])), strict=True))
@@ -93,9 +109,11 @@ def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, An
 
 @in_our_style
 def draw_exponents(of: Any) -> Figure:
-    """Draw (a) standard deviations of weight and middle height of held cuts against their length, with the fitted laws.
+    """Draw the figure. of : the values that :func:`study` names, as attributes.
 
-    (b) is the skewness of the weight, of held cuts against the length and of free ones against the height.
+    (a) Standard deviations of weight and middle height of cuts with held ends against their length, with the fitted
+        laws.
+    (b) Skewness of the weight: with held ends against the length, with free ends against the height.
     """
     figure = new_figure(7.1, 2.8)
     left, right = figure.subplots(1, 2)

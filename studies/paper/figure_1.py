@@ -1,15 +1,20 @@
 """Figure 1 of the paper: stationary states of 10x10 discs with the bottom at rest, viscous and Coulomb.
 
-The least power of the Coulomb law is computed in three ways that share no code: the shortest path of the dual graph
-with the friction forces that it implies (planar/), the largest flow of a general graph (minimum_cut.py), and the
-interior-point method, which settles each contact by forces of its own. The paper counts states that a descent has
-reached in finitely many steps, so a descent is followed too.
+With Coulomb friction the discs form two rigid domains, one that rolls with the bottom and one with the top; the
+contacts between them are the minimum cut: those of the least total friction that part bottom from top. Its power is
+computed in three ways that share no code: as a shortest path of the dual graph (planar/), as a largest flow
+(minimum_cut.py), and by the interior-point method. The paper counts states that a gradient descent has reached in
+finitely many steps, so such descents are made, too.
 
-What a descent shows of the cut before its end is a matter of levels. Each level between the spins of bottom and top
-parts the discs in two, and the power is the mean of the powers of all these cuts. If the second cut is heavier than the
-minimum cut by the factor 1 + e, and a share s of the levels is not at the minimum cut, then P >= (1 + s e) P_min. (A
-level around an island of discs costs more than one at a near second cut: here 0.3 for three contacts, 0.1 each.) So a
-contact off the cut can slip by s of the jump, or one of the cut by 1 - s, only if e <= (P / P_min - 1) / s.
+What can be seen of the minimum in a descent that has not ended: each level between the spins of bottom and top parts
+the discs in two, and the power is the mean of the powers of all these cuts. If the second lightest cut is heavier than
+the minimum cut by the factor 1 + e, and a share s of the levels is not at the minimum cut, then P >= (1 + s e) P_min.
+(A level around an island of discs costs more than one at a near second cut: here 0.3 for three contacts, 0.1 each.) So
+a contact that is not of the cut can slip by s of the jump, or one of the cut by 1 - s, only if e <= (P / P_min - 1) /
+s.
+
+Letters: R samples, E contacts, N the shape of the lattice. Units: powers energy/time, spins 1/time. The jump is the
+difference of the imposed spins of top and bottom.
 """
 
 from functools import partial
@@ -50,7 +55,11 @@ STARTS = ("random", "zero")
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Compute viscous states, minimum cuts with the descents to them, minima without cuts, and relaxations."""
+    """Compute viscous states, minimum cuts with the descents to them, minima by the interior-point method, and
+    relaxations; return tables, figure and values for the claims.
+
+    folder : not used, since no sample takes long enough to be kept. effort : first seed and number of samples.
+    """
     draw = partial(Scene.random, seed=effort.seed)
     few = partial(draw, SHAPE, replicas=min(FEW, effort.samples))
     with stage("viscous states"):
@@ -73,7 +82,7 @@ def study(folder: Path, effort: Effort) -> Found:
     shown = int(
         exact.is_level[: effort.samples].argmin()
     )  # the first sample whose cut is not level, else the first one
-    spins = {law: spins_of(of, shown) for law, of in (("viscous", viscous), ("coulomb", minimum))}
+    spins = {law: spins_of(solution, shown) for law, solution in (("viscous", viscous), ("coulomb", minimum))}
     named = {
         "sizes": {"x".join(map(str, of.scene.network.shape)): viscous_numbers(of) for of in (viscous, cubes)},
         "exact": exact, "settled": settled, "others": others, "driven": driven, "apart": apart,
@@ -85,16 +94,24 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def contacts_between(scene: Scene, above: np.ndarray) -> np.ndarray:
-    """Return contacts (R, E) whose ends lie on different sides (R, *N)."""
+    """Return a mask (R, E) of the contacts that join a disc above a cut with one below. above : mask (R, *N) of the
+    discs above.
+    """
     low, high = above.reshape(len(above), scene.lattice.sites)[:, scene.lattice.ends].swapaxes(0, 1)
     return np.asarray(low != high)
 
 
 def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
-    """Return the exact Coulomb minima of a 2D scene by shortest paths beside the same cuts by flows.
+    """Return a table of the exact minima of 2D Coulomb samples, found as shortest paths, compared with the same cuts
+    found as largest flows.
 
-    distance : weight of the second cut over that of the minimum cut, less 1. spread : largest relative difference of
-    the power, its bound by friction forces and those of the flow. same_cut : path and flow cut the same contacts.
+    minimum : the solution from the shortest paths. cut, by_flow : the minimum cuts by shortest paths and by flows.
+
+    Columns: `power`, its `lower_bound`, and `cut_power_by_flow`, energy/time; `distance`, weight of the second lightest
+    cut over that of the minimum cut, less 1; `contacts_of_cut`, their number; `is_level`, True if the cut lies between
+    two layers; `unique`, True if no other cut is as light; `spread`, the largest relative difference between the power
+    and its three other values: the bound by friction forces, and cut and bound by the flow; `same_cut`, True if both
+    ways cut the same contacts.
     """
     scene, power = of_lattice(minimum.scene), minimum.power
     unit, contacts = cut_unit(scene), contacts_between(scene, cut.above)
@@ -116,16 +133,21 @@ def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
 
 
 def visible(scene: Scene, ended: Solution) -> np.ndarray:
-    """Return contacts (R, E) that slip visibly where a descent has ended."""
+    """Return a mask (R, E) of the contacts that slip visibly at the end of a descent: by more than VISIBLE of the
+    largest possible slip.
+    """
     return np.asarray(ended.slip > VISIBLE * scene.lattice.radius * scene.jump)
 
 
 def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
-    """Return the table with two more columns on the end of a descent.
+    """Return the table of exact minima with two more columns, which compare them with where gradient descents ended.
 
-    exact, cut : minima and minimum cuts. ended : where the descent ended.
+    exact : as :func:`cuts_of` returns it.
+    cut : the minimum cuts.
+    ended : the solution at the end of the descents.
 
-    excess : relative excess of its power. differs : other contacts slip visibly there than those of the cut.
+    Columns: `excess`, power of the descent over that of the minimum, less 1; `differs`, True if the contacts that slip
+    visibly are not exactly those of the cut.
     """
     scene = of_lattice(ended.scene)
     differs = (visible(scene, ended) != contacts_between(scene, cut.above)).any(axis=1)
@@ -133,11 +155,11 @@ def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
 
 
 def beside_cut(scene: Scene) -> Table:
-    """Return minima by the interior-point method beside the minimum cuts of the same scene.
+    """Return a table that compares minima by the interior-point method with the minimum cuts of the same samples.
 
-    spread : largest relative difference of the cut's power and both proven bounds. differing : number of contacts that
-        slip
-    but are not of the cut, or the other way round. proven : the states of all contacts are.
+    Columns: `spread`, largest relative difference between the power of the cut and the two proven bounds of the
+    minimum; `differing`, number of contacts that slip at the minimum but are not of the cut, or the other way round;
+    `unique`, True if no other cut is as light; `proven`, True if the states of all contacts are proven.
     """
     solution, cut = solved(scene, InteriorPoint(), StopRule(1e-10)), cut_of(scene)
     power, slips = cut_unit(scene) * cut.weight, solution.state == ContactState.SLIPPING
@@ -152,15 +174,16 @@ def beside_cut(scene: Scene) -> Table:
 
 
 def spins_of(solution: Solution, shown: int) -> Table:
-    """Return the discs of one sample with their spins over that of the top."""
+    """Return a table of the discs of one sample: place and spin over that of the top. shown : index of the sample."""
     spin = solution.spin[shown]
     x, y = np.indices(spin.shape).reshape(2, -1)
     return Table({"seed": [solution.scene.seeds[shown]] * spin.size, "x": x, "y": y, "spin_over_top": spin.ravel()})
 
 
 def viscous_numbers(solution: Solution) -> dict[str, Any]:
-    """Return least and largest slip of the contacts of all samples that can slip, over R times the jump, and the
-    least rise.
+    """Return numbers of viscous samples: how many there are, the least and the largest slip of a contact that can
+    slip, in units of radius times jump, and the least rise of the spin from layer to layer (see
+    :func:`least_rise`).
     """
     scene = of_lattice(solution.scene)
     slips = solution.slip[:, ~scene.lattice.between_driven] / (scene.lattice.radius * scene.jump)
@@ -169,8 +192,11 @@ def viscous_numbers(solution: Solution) -> dict[str, Any]:
 
 
 def least_rise(scene: Scene, spin: np.ndarray) -> float:
-    """Return the least difference of the mean staggered spin from a layer to the next, over the jump, towards the
-    top.
+    """Return the least change, from one layer to the next towards the top, of the mean spin of a layer, over the jump;
+    the least of all samples.
+
+    spin : (R, *N, ...), laboratory frame. Spins are taken staggered (with opposite signs on neighbours) and along the
+        direction of the jump, so that 0 means no change and a negative number a step backwards.
     """
     axes = scene.minimum_spin_axes
     top = scene.top_spin(axes).reshape(len(axes), -1)[:, 0]
@@ -181,12 +207,13 @@ def least_rise(scene: Scene, spin: np.ndarray) -> float:
 
 
 def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
-    """Return the samples whose descent differs from the cut, with three more columns.
+    """Return the samples whose descent does not end at the minimum cut, with columns on the second lightest cut.
 
     exact, cut, ended : see :func:`beside_descent`.
 
-    within : all that slips visibly is of the lightest two cuts. at_second : some contact of the second cut alone does.
-    same : flows that spare a contact of the cut find the second one as heavy.
+    Columns: `within`, True if all contacts that slip visibly belong to one of the two lightest cuts; `at_second`, True
+    if some contact slips visibly that belongs to the second alone; `same`, True if flows find a second cut of the same
+    weight: the lightest of those that spare a contact of the minimum cut.
     """
     scene, chosen = of_lattice(ended.scene), np.flatnonzero(exact.differs)
     weight = scene.lattice.by_axis(cut_weights(scene)[chosen])
@@ -202,9 +229,9 @@ def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
 
 
 def apart_from_cut(scene: Scene) -> dict[str, float]:
-    """Return how far the spins at the end of Cundall-Strack dynamics are from the minimum cut's domains, by the start.
-
-    It is the largest distance of any spin, over the jump.
+    """Return how far the spins at the end of Cundall-Strack dynamics are from those of the two rigid domains of the
+    minimum cut: for each of STARTS, the name of the initial spins, the largest difference of any spin, over the
+    jump.
     """
     cut = np.where(cut_of(scene).above, scene.spin_top, scene.spin_bottom)
     return {start: float(np.abs(relax(scene, start).last[0] - cut).max() / scene.jump) for start in STARTS}
@@ -212,10 +239,10 @@ def apart_from_cut(scene: Scene) -> dict[str, float]:
 
 @in_our_style
 def draw_configurations(of: Any) -> Figure:
-    """Draw (a) viscous and (b) Coulomb spins as colour, the minimum cut in black; (c) the distance of cuts of all
-    samples.
+    """Draw the figure: (a) viscous and (b) Coulomb spins of one sample as colour, with its minimum cut in black, and
+    (c) how much heavier the second lightest cut of each sample is; those whose descent ended elsewhere are marked.
 
-    (c) also marks samples whose descent ended elsewhere.
+    of : the values that :func:`study` names, as attributes.
     """
     figure = new_figure(DOUBLE, 2.5)
     parts: Any = figure.subfigures(1, 2, width_ratios=(2.1, 1.1), wspace=0.05)
@@ -233,7 +260,9 @@ def draw_configurations(of: Any) -> Figure:
 
 
 def _draw_ranks(axes: Any, exact: Any) -> None:
-    """Draw the distance of each sample's second cut, by rank. exact : samples by rising distance."""
+    """Draw how much heavier the second cut of each sample is than the first, by rank. exact : the samples, sorted by
+    that column, `distance`.
+    """
     ranks = np.arange(1, len(exact) + 1)
     for chosen, mark, colour, ms, label in (
         (~exact.differs, ".", BLUE, 3, "descent ends at the cut"),

@@ -1,6 +1,10 @@
 """Figure 2 of the paper: a 3x3x3 Coulomb bearing relaxes to a power below that of the minimum cut.
 
-Followed by the paper's Cundall-Strack dynamics and, with the same inertia, under rigid friction without springs.
+Samples are followed in time by the paper's Cundall-Strack dynamics (a spring and a damper at each contact) and, with
+the same inertia, with rigid contacts.
+
+Letters: R samples, T recorded times. Spins are staggered: with opposite signs on neighbours, so that spheres that roll
+on each other have equal values. The jump is the difference of the imposed spins of top and bottom.
 """
 
 from collections.abc import Sequence
@@ -28,16 +32,20 @@ SHAPE, LARGER = (3, 3, 3), (6, 6, 6)
 STARTS = {"random": "random spins", "minimum-cut": "the minimum cut"}
 RUNS, RIGID_RUNS = 8, 3  # samples that are followed in time, by Cundall-Strack dynamics and without springs
 LARGER_SAMPLES = 20
-STIFFER, STIFFER_STEPS = 10.0, 30_000  # factor of the damping; steps after which springs bear all loads
+STIFFER, STIFFER_STEPS = 10.0, 30_000  # factor of the damping; time steps that are followed with it
 SPRINGS: Any = tuple({"color": colour, "lw": 1.3} for colour in (BLUE, ORANGE))  # lines, one for each start
 RIGID: Any = tuple({"color": colour, "lw": 0.8, "ls": (0, (4, 1.5))} for colour in ("#0b2545", "#6b2d00"))
 DRAWN_RADIUS = 0.36  # of spheres, over the spacing: touching ones would hide those behind
-SEEN = View(20, -60)
+SEEN = View(20, -60)  # elevation and azimuth from which spheres are seen, degrees
 ARROW, LEAST_ARROW = 0.84, 0.02  # length of the arrow of the imposed spin; smaller spins have no arrow
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Follow samples from both starts, and find the minima of more samples."""
+    """Follow samples from random spins and from the minimum cut, and find the minima of more samples; return tables,
+    figure and values for the claims.
+
+    folder : not used, since no sample takes long enough to be kept. effort : first seed and number of samples.
+    """
     draw = partial(Scene.random, seed=effort.seed)
     scene, rigid_scene = (draw(SHAPE, replicas=min(most, effort.samples)) for most in (RUNS, RIGID_RUNS))
     stiff = CundallStrack(damping=STIFFER * CundallStrack().damping)
@@ -63,13 +71,20 @@ def study(folder: Path, effort: Effort) -> Found:
 def names_of(
     runs: Sequence[Run], stiffer: Sequence[Run], rigid: Sequence[Run], minima: Table, larger: Table
 ) -> dict[str, Any]:
-    """Return the values that the claims use, by name.
+    """Return the values that the figure and the claims use, by name.
 
-    runs, stiffer, rigid : relaxations with springs, with stiffer dampers, and without springs. minima, larger : tables
-        of minima, those of larger samples too.
+    runs, stiffer, rigid : for each start (random spins, minimum cut) the relaxation with springs, with STIFFER times
+        the damping, and with rigid contacts.
+    minima, larger : tables of the minima of the samples, and of larger ones, as :func:`.samples.minima_of` returns
+        them.
 
-    followed, rigidly : minima of the samples that are followed. place : number of the sample shown, the first of those
-    followed whose minimum is below its minimum cut, else the first.
+    Among the values:
+
+    * `pairs`: for each start a dictionary with its three relaxations (`run`, `stiff`, `hard`) and the `distance`
+      (samples,) between the power curves with springs and with rigid contacts;
+    * `followed`, `rigidly`: the minima of the samples that `runs` and `rigid` follow;
+    * `place`: index of the sample that the figure shows: the first one followed whose minimum has less power than its
+      minimum cut.
     """
     samples, rigid_samples = (of[0].power.shape[1] for of in (runs, rigid))
     pairs = [
@@ -86,21 +101,29 @@ def names_of(
 
 
 def apart(run: Run, other: Run) -> float:
-    """Return the largest difference of the spins at the end, without the parts that are free."""
+    """Return the largest difference of any spin at the end of two relaxations, without the parts that make no contact
+    slip (see :func:`without_idle_spin`).
+    """
     return float(np.abs(without_idle_spin(run.last) - without_idle_spin(other.last)).max())
 
 
 def course_of(run: Run, seeds: Sequence[int], minima: Table) -> Table:
-    """Return the power against time, a row a sample and time, of the first of these seeds and minima."""
+    """Return the power of one relaxation against time, a table with a row for each sample and time.
+
+    seeds, minima : of at least the samples of the run, of which they are the first.
+
+    Columns: `time`, `power`, and the power over its initial value and over the least power.
+    """
     samples, over = run.power.shape[1], {"power_over_initial": run.power / run.power[0]}
     over["power_over_minimum"] = run.power / minima.power[:samples]
     return curves(seeds[:samples], time=run.time, power=run.power, **over)
 
 
 def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
-    """Return staggered spins (3, R, nx, ny, nz) less the mean of each free layer about the height.
+    """Return a copy of staggered spins (3, R, nx, ny, nz) in which the spins about the height have mean 0 in each
+    layer that is not driven.
 
-    That part makes no contact slip and never changes (equations.md, 3).
+    That mean makes no contact slip and never changes (docs/equations.md, 3), so states can only be compared without it.
     """
     rest = staggered.copy()
     free = rest[2, ..., 1:-1]
@@ -109,8 +132,10 @@ def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
 
 
 def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
-    """Return the number (R,) of free spheres that rotate neither with the bottom nor with the top, to 0.001 of the
-    jump.
+    """Return (R,) the number of free spheres that rotate neither with the bottom nor with the top.
+
+    spin : laboratory frame. A sphere rotates with a plane if its staggered spin differs from the plane's by less than
+        0.001 of the jump: far above the error of the minimum.
     """
     axes = scene.minimum_spin_axes
     staggered = scene.staggered_spin(spin, axes)
@@ -123,11 +148,11 @@ def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
 
 @in_our_style
 def draw_relaxation(of: Any) -> Figure:
-    """Draw P/P_0 above and its excess over the minimum below, both against time; beside them the spins at both ends.
+    """Draw the figure for one sample. of : the values of :func:`names_of` as attributes.
 
-    P_0 is the initial power of the first. An inset enlarges the end around the power of the minimum cut. Spins are of
-    the dynamics with springs: staggered, in units of the larger imposed one, and less the mean of each free layer about
-    the height: that part makes no contact slip and never changes, so ends can only be compared without it.
+    (a) Power over its initial value, and (b) its excess over the least power, against time; an inset of (a) enlarges
+        the end, around the power of the minimum cut. (c) Spins of the dynamics with springs at the beginning and at the
+        end: staggered, over the larger imposed one, and without the mean of each layer about the height.
     """
     figure, sample = new_figure(DOUBLE, 4.6), of.place
     parts: Any = figure.subfigures(1, 2, width_ratios=(1.12, 1.0), wspace=0.02)
@@ -150,9 +175,11 @@ def draw_relaxation(of: Any) -> Figure:
 
 
 def _draw_curves(figure: Any, courses: Sequence[Any], least_power: float, cut_power: float) -> None:
-    """Draw power and excess of all relaxations.
+    """Draw panels (a) and (b), power and excess of all relaxations against time.
 
-    courses : time, power and line style of each. least_power, cut_power : of the minimum, and of the minimum cut.
+    courses : for each relaxation the times (T,), the powers (T,), and arguments of matplotlib's plot. P_0 is the first
+        power of the first one.
+    least_power, cut_power : power of the minimum, and of the minimum cut.
     """
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.3, 1))
     inset = top.inset_axes((0.57, 0.46, 0.42, 0.5))
@@ -182,7 +209,11 @@ def _draw_curves(figure: Any, courses: Sequence[Any], least_power: float, cut_po
 
 
 def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
-    """Draw shaded spheres from the back to the front with their spins as arrows, the driven planes in boxes."""
+    """Draw one sample as shaded spheres, those behind first, with an arrow for each spin and the driven planes in
+    boxes.
+
+    spin : (nx, ny, nz, 3), over the largest imposed one.
+    """
     shape, spins = spin.shape[:-1], spin.reshape(-1, 3)
     frame_block(axes, shape, SEEN)
     seen, length = SEEN.seen(np.argwhere(np.ones(shape, dtype=bool))), np.linalg.norm(spins, axis=1)

@@ -1,9 +1,9 @@
 """Figures 3 and 4 of the paper: a 10x10x10 sample with omega_T = 10 omega_B, its slipless network and a path through
 it.
 
-Fig. 4 has the same sample along the planes that hold most of the path. The paper shows one sample. Shown here is the
-first seed whose slipless contacts join bottom and top; paper/network.py asks for how many samples, and for which sizes,
-the same holds.
+The slipless network consists of the contacts whose spheres roll on each other without slip. Fig. 4 has the same sample,
+cut along the planes that hold most of the path. The paper shows one sample. Shown here is the first seed whose slipless
+contacts join bottom and top; network.py asks for how many samples, and for which sizes, that is so.
 """
 
 from functools import lru_cache
@@ -34,7 +34,11 @@ TOWARDS_READER = (1, -1, 1)  # sign, for planes across x, y and z, of the direct
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Find certified samples of the paper's size, and the spheres of the path of the one that is shown."""
+    """Find the minima of samples of the paper's size, for Fig. 3; return the spheres of the path of the one that is
+    shown, the figure, and values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    """
     table, shown = minima(folder, effort)
     path, scene = shown.network.shortest_path, of_lattice(shown.scene)
     columns = [*path.T, *shown.spin[tuple(path.T)].T]
@@ -47,7 +51,9 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def planes(folder: Path, effort: Effort) -> Found:
-    """Find for Fig. 4 which contacts of the path lie in the planes drawn."""
+    """Find for Fig. 4 the lattice planes that are drawn, and which contacts of the path lie in them; return the figure
+    and values for the claims. Arguments are those of :func:`study`.
+    """
     table, shown = minima(folder, effort)
     path = shown.network.shortest_path
     chosen = planes_of(path) if len(path) else ()
@@ -58,7 +64,9 @@ def planes(folder: Path, effort: Effort) -> Found:
 
 @lru_cache(maxsize=1)  # of both figures
 def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
-    """Return certified samples of the paper's size, and the first one that spans, else the first."""
+    """Return a table of certified samples of the paper's size, and the structure of the one that is shown: the first
+    whose slipless contacts join bottom and top, or the first of all.
+    """
     seeds = effort.seeds(min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]
     table = measured(chosen, sample_of, folder / "fig3.jsonl")
@@ -67,10 +75,10 @@ def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
 
 @in_our_style
 def draw_plane_cuts(shown: Structure) -> Figure:
-    """Draw the upright planes that together hold most of the path, or the middle ones if there is no path.
+    """Draw Fig. 4: the upright planes that together hold most of the path, or the middle ones if there is no path.
 
-    Spheres are coloured by |spin|, slipless contacts of the plane grey, the path green. A circle marks where the path
-    leaves the plane: with a dot towards the reader, with a cross away.
+    Spheres are coloured by |spin|; slipless contacts of the plane are grey, the path is green. A circle marks where the
+    path leaves the plane: with a dot towards the reader, with a cross away.
     """
     network, imposed = shown.network, of_lattice(shown.scene).imposed
     speed, path = speed_of(shown.spin, *imposed), network.shortest_path
@@ -90,9 +98,10 @@ def draw_plane_cuts(shown: Structure) -> Figure:
 
 
 def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """Return (axis, index) of up to three upright planes, each with most contacts of the path that those before lack.
+    """Return up to PLANES upright lattice planes that hold most of a path, each as (axis across it, index along that
+    axis). Each next one is the plane with most contacts of the path that are not in those before.
 
-    path : (L, 3) spheres of the path.
+    path : (spheres, 3) lattice indices of the spheres along the path.
     """
     step, lower = np.diff(path, axis=0), np.minimum(path[:-1], path[1:])
     shown, chosen = np.zeros(len(step), dtype=bool), []
@@ -110,8 +119,10 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
 
 
 def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
-    """Return places in the plane `index` across `axis` where the path leaves it, and +1 towards the reader or -1
-    away, (m, 3).
+    """Return where the path leaves a lattice plane: (m, 3), the two coordinates within the plane, and +1 if it goes
+    towards the reader of the figure or -1 if away.
+
+    axis, index : the plane: index along the axis across it.
     """
     lattice = network.lattice
     ends = lattice.ends[:, network.on_path & (lattice.axis == axis)]
@@ -124,7 +135,12 @@ def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
 
 
 def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNetwork, site: float) -> None:
-    """Draw one plane. site : points between two discs."""
+    """Draw the discs in which a lattice plane cuts the spheres, its slipless contacts, and the path.
+
+    sheet : the plane, with the places of its discs and contacts.
+    speed : |spin| of its spheres, as a share of the colour scale.
+    site : distance of two discs in the figure, in points.
+    """
     sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
     sheet.box_driven(axes)
     sheet.draw(axes, network.slipless, colors="0.35", lw=line_on_site(site, 0.1, 0.3), zorder=2)
@@ -134,7 +150,9 @@ def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNet
 
 
 def _mark_leaves(axes: Any, leaves: np.ndarray, site: float) -> None:
-    """Draw circles where the path leaves the plane. leaves : as `leaves_of` returns them."""
+    """Draw circles where the path leaves the plane. leaves : as :func:`leaves_of` returns them. site : distance of two
+    discs in the figure, in points.
+    """
     size = float(np.clip(0.75 * site, 3.0, 9.0))
     axes.plot(*leaves[:, :2].T, "o", mfc="white", mec=GREEN, ms=size, mew=0.12 * size, zorder=4)
     for side, mark in ((1, "o"), (-1, "x")):

@@ -1,7 +1,12 @@
-"""Exponents and limits of large samples with their errors: laws of the size, fitted to samples of several sizes.
+"""Fits laws of the size to samples of several sizes: exponents, and limits of infinitely large samples, with their
+errors.
 
-Each law is fitted from each smallest size on, and the first fit that is good enough is taken. Errors come from
-resampling the disorder. Letters: L size, R resamples, T trial exponents.
+Samples are given as arrays of numbers by size. Each law is fitted to all sizes, then without the smallest one, and so
+on; the first fit that is good enough is taken. Errors come from resampling: drawing the samples of each size again with
+replacement.
+
+Letters: L size, R resamples, T trial exponents. A misfit is the sum of squares of deviations over errors, chi^2; the
+goodness is the probability of a misfit as large if the law holds.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,14 +20,14 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import chi2, skew
 
 RESAMPLES = 400
-EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: range, trials in it, and number of resamples
+EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of a collapse: range of a, trials in it, number of resamples
 MOST_MISFIT = 1.5  # curves lie together if chi^2 a degree of freedom is no larger
 LEAST_FREE, LEAST_CURVES = 2, 3  # least degrees of freedom of a fit, and curves of a collapse
 POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # range of exponents of deviations, with a constant and without
 FINELY = 500  # trial exponents in that range
 VARIANCE = partial(np.var, ddof=1)  # unbiased
 LEAST_GOODNESS = 0.05  # a fit is good enough if a misfit as large has at least this probability
-STATED = 1.0  # exponent w of a surface over its volume
+STATED = 1.0  # exponent w of a limit: that of the share of a sample which its surface is
 OTHERS = (0.5, 2.0)  # other w, which add to the error where they fit as well
 LEAST_OF_LIMIT, LEAST_SAMPLES = 3, 3  # least sizes of the fit of a limit, and samples of a size
 ROUND_OFF = 1e-12  # a spread that is a smaller share of the mean is rounding
@@ -30,13 +35,13 @@ ROUND_OFF = 1e-12  # a spread that is a smaller share of the mean is rounding
 
 @dataclass(frozen=True)
 class Fitted:
-    """A number that is fitted from a smallest size on, with its errors.
+    """A number fitted to the sizes from `smallest` on, with its errors.
 
-    error : from the disorder.
-    systematic : largest change of the value if the next size, or the next two, are left out, or the last one that was
-        left out is not.
-    smallest : size from which on it is fitted.
-    fits : the value for each smallest size.
+    value : the number.
+    error : standard error, from the scatter of the samples.
+    systematic : largest change of the value if the fit begins one size lower, or one or two sizes higher.
+    smallest : smallest size of the fit.
+    fits : for each smallest size that was tried, the value.
     """
 
     value: float
@@ -47,18 +52,21 @@ class Fitted:
 
     @property
     def total(self) -> float:
+        """Root of the sum of the squares of both errors."""
         return float(np.hypot(self.error, self.systematic))
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """The attributes by name, as reports keep them; fits become a list by the smallest size."""
+        """The attributes by name, as reports keep them; `fits` becomes a list, from the smallest size on."""
         return vars(self) | {"total": self.total, "fits": list(self.fits.values())}
 
 
 @dataclass(frozen=True)
 class Law(Fitted):
-    """A fitted law of the size. goodness : probability of a misfit as large. amplitude : factor of the power of the
-    size.
+    """A fitted law in which a power of the size appears.
+
+    goodness : probability of a misfit as large if the law holds.
+    amplitude : the factor of the power of the size.
     """
 
     goodness: float
@@ -74,8 +82,9 @@ class Law(Fitted):
 class Exponent(Law):
     """The growth of a standard deviation with the size L: sd^2 = amplitude L^(2 value) + offset + further terms.
 
-    The offset is what single contacts add. errors : of the value of each of `fits`, from the disorder; where one is as
-    large as the systematic error, both are the same scatter.
+    offset : what single contacts add, whatever the size.
+    errors : standard error of the value for each of `fits`. Where one is as large as the systematic error, both are the
+        same scatter.
     """
 
     offset: float
@@ -83,22 +92,26 @@ class Exponent(Law):
 
 
 def first_that_fits(goodness: Sequence[float]) -> int:
-    """Return the number of the first fit that is good enough, or of the last one."""
+    """Return the index of the first fit whose goodness is at least LEAST_GOODNESS, or of the last one."""
     return next((number for number, one in enumerate(goodness) if one >= LEAST_GOODNESS), len(goodness) - 1)
 
 
 def _changed(values: Sequence[float], chosen: int) -> float:
-    """Return the largest change of the chosen value if one or two more sizes are left out, or one less.
+    """Return the largest difference of the chosen value from those of its neighbours: with one size more, and with one
+    or two sizes less.
 
-    values : of the fits, by rising smallest size.
+    values : of all fits, from that with most sizes on. chosen : index of the fit that was taken.
     """
     return float(max(abs(value - values[chosen]) for value in values[max(chosen - 1, 0) : chosen + 3]))
 
 
 def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return value at 0 and slope (2, ...) of least squares, and the probability of a misfit as large, all together.
+    """Return the straight line of least squares through points with errors: value at 0 and slope, (2, ...), and the
+    goodness of all lines together.
 
-    x, spread : (sizes,) abscissae, and errors of y. y : (sizes, ...).
+    x : (sizes,) abscissae.
+    spread : (sizes,) standard errors of y.
+    y : (sizes, ...) ordinates; a line for each of the further indices.
     """
     rows = np.stack([np.ones(len(x)), x], axis=1) / spread[:, None]
     weighed = (y.T / spread).T
@@ -109,24 +122,28 @@ def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.n
 def exponent(
     samples: Mapping[int, np.ndarray], square: Callable[[np.ndarray], Any] = VARIANCE, beside: Sequence[float] = (0.0,)
 ) -> Exponent:
-    """Return the growth of the deviation of samples, from the smallest size on from which the law fits.
+    """Return the exponent with which the standard deviation of samples (or another quantity) grows with the size.
 
-    samples : (samples, ...) by size.
-    square : returns what grows like A L^(2 value), from the samples of a size.
-    beside : exponents of terms that are added to it, that of the offset first.
+    samples : for each size, (samples, ...).
+    square : function that returns what grows like A L^(2 value), from the samples of one size; by default their
+        variance.
+    beside : exponents of further terms that are fitted with it, first that of the offset, 0.
     """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
+    # what grows, of the samples and of R resamples of each size; deviations of the latter made free of bias
     variance = np.array([square(samples[L]) for L in sizes])
     again = np.array([[square(rng.choice(samples[L], len(samples[L]))) for _ in range(RESAMPLES)] for L in sizes])
     again = variance[:, None] + (again - variance[:, None]) * _unbiased(samples)[:, None]
     spread, fits = again.std(axis=1, ddof=1), []
     columns = np.concatenate([variance[:, None], again], axis=1)
+    # fits from each smallest size on: the first column gives the value, the scatter of the others its error
     for first in range(max(1, len(sizes) - LEAST_FREE - 1 - len(beside))):
         values, misfit = _grown(sizes[first:], spread[first:], beside, columns[first:])
         goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - len(beside))))
         fits.append((int(sizes[first]), float(values[0]), float(values[1:].std(ddof=1)), goodness))
     chosen = first_that_fits([fit[-1] for fit in fits])
     smallest, value, error, goodness = fits[chosen]
+    # amplitude and offset at the exponent found, by linear least squares
     rows = _rows(sizes[chosen:], spread[chosen:], beside, np.array([value]))[0]
     amplitude, offset = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
     beyond = _changed([fit[1] for fit in fits], chosen)
@@ -135,13 +152,21 @@ def exponent(
 
 
 def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
-    """Return for each size, rising, the factor by which errors of resampling are too small."""
+    """Return (sizes,), from the smallest size on, sqrt(n / (n - 1)) for n samples: by this factor errors from
+    resampling are too small.
+    """
     number = np.array([len(samples[L]) for L in sorted(samples)])
     return np.sqrt(number / (number - 1))
 
 
 def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values: np.ndarray) -> np.ndarray:
-    """Return (T, sizes, terms): for each trial exponent the value of the terms at each size, in units of its error."""
+    """Return (T, sizes, terms): for each trial exponent the value of the terms of the law at each size, over its
+    error.
+
+    sizes, spread : (sizes,) the sizes, and the standard error of what is fitted.
+    beside : exponents of the further terms.
+    values : (T,) trial exponents; the first term is L^(2 value).
+    """
     exponents = [2 * values, *(np.full_like(values, power) for power in beside)]
     return sizes[:, None] ** np.stack(exponents, axis=1)[:, None] / spread[:, None]
 
@@ -149,9 +174,14 @@ def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values
 def _grown(
     sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], columns: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Return exponents (R,) of least squares of several courses (sizes, R), and the least sum of squares of the first.
+    """Return the exponents (R,) that fit several courses best, and the misfit of the first one.
 
-    For each trial exponent it is a linear fit in L^(2 value); the best one is refined by a parabola.
+    sizes, spread : (sizes,) the sizes, and the standard error of what is fitted.
+    beside : exponents of the further terms.
+    columns : (sizes, R) what grows with the size: one column for each course.
+
+    For each trial exponent the law is fitted linearly; the best trial exponent is then refined by the parabola through
+    its misfit and those of its two neighbours.
     """
     trials = np.linspace(*POSSIBLE[bool(beside)], FINELY)
     target, every = columns / spread[:, None], np.arange(columns.shape[1])
@@ -166,20 +196,22 @@ def _grown(
 
 @dataclass(frozen=True)
 class Limit(Law):
-    """The limit of a mean: q(L) = value + amplitude L^-w with w = STATED.
+    """The limit of a mean for infinite size: q(L) = value + amplitude L^-w with w = STATED.
 
-    systematic : covers w of OTHERS, too. sizes : number of sizes in the fit.
+    systematic : as of :class:`Fitted`; it covers the change of the value with w of OTHERS, too, where these fit as
+        well.
+    sizes : number of sizes in the fit.
     """
 
     sizes: int
 
 
 def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
-    """Return the limit of the mean of samples, from the smallest size on from which the law fits.
+    """Return the limit of the mean of samples for infinite size, from the smallest size on from which the law fits;
+    the largest three sizes are used if it fits from none. None where fewer than three sizes have enough samples, or
+    a size has no scatter.
 
-    If none fits it is that of the largest three sizes; None where fewer than three sizes have a spread.
-
-    samples : (samples,) by size.
+    samples : for each size, numbers (samples,).
     """
     known = {L: samples[L] for L in sorted(samples) if len(samples[L]) >= LEAST_SAMPLES}
     mean = np.array([of.mean() for of in known.values()])
@@ -205,25 +237,29 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
 
 @dataclass(frozen=True)
 class Collapse(Fitted):
-    """The exponent a at which curves against n / L^a lie closest together, from the smallest size on from which they
-    do.
+    """The exponent a (`value`) for which curves against n / L^a lie closest together, from the smallest size on from
+    which they do.
 
-    misfit : chi^2 a degree of freedom. fits : value, error and misfit for each smallest size.
+    fits : for each smallest size, the value, its error and the misfit.
+    misfit : chi^2 for each degree of freedom: the mean square distance of points from the other curves, in units of
+        their errors.
     """
 
     misfit: float
 
 
 def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
-    """Return the collapse of the means of samples, as functions of log n, cubic between its points.
+    """Return the exponent a for which the means of samples against n / L^a fall onto one curve for all sizes. Each
+    curve is a cubic spline in log n.
 
-    curves : for each L and each n, (samples,).
+    curves : for each size L and each n, numbers (samples,).
     """
     rng, sizes = np.random.default_rng(0), sorted(curves)
 
     def best(sizes: Sequence[int], drawn: Callable[[np.ndarray], np.ndarray] = np.asarray) -> tuple[float, float]:
-        """Return the exponent at which curves lie closest together, and their misfit. drawn : resamples the samples
-        of a point.
+        """Return the trial exponent with which the curves of some sizes lie closest together, and their misfit.
+
+        drawn : function that resamples the samples of a point; by default they are taken as they are.
         """
         means = {L: np.array([drawn(v).mean() for v in curves[L].values()]) for L in sizes}
         courses = {L: CubicSpline(np.log(list(curves[L])), means[L]) for L in sizes}
@@ -231,7 +267,7 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
         return float(trials[np.argmin(misfits)]), min(misfits)
 
     def fitted(sizes: Sequence[int]) -> tuple[float, float, float]:
-        """Return the exponent for these sizes, its error from resampling, and the misfit."""
+        """Return for some sizes the exponent, its standard error from resampling, and the misfit."""
         value, misfit = best(sizes)
         again = [best(sizes, lambda v: rng.choice(v, len(v)))[0] for _ in range(COLLAPSES)]
         return value, float(np.std(again, ddof=1)), misfit
@@ -249,9 +285,12 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
 def _apart(
     courses: Mapping[int, CubicSpline], means: Mapping[int, np.ndarray], errors: Mapping[int, np.ndarray], a: float
 ) -> float:
-    """Return the mean square distance, in errors, of each point of a curve from every other curve.
+    """Return the mean square distance of each point of a curve from every other curve, in units of the errors;
+    infinite if no curves overlap.
 
-    Points beyond the ends of the other curve are left out. courses : of log n. a : exponent that shifts them.
+    courses : for each size the mean as a spline in log n.
+    means, errors : for each size the means (points,) and their standard errors.
+    a : trial exponent: the curve of size L is shifted by -a log L.
     """
     total, count = 0.0, 0
     for L, M in permutations(courses, 2):
@@ -265,7 +304,7 @@ def _apart(
 
 
 def skewness(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """Return the skewness with its standard error, from the disorder."""
+    """Return the skewness of numbers, and its standard error from resampling."""
     found = np.asarray(values, dtype=float)
     rng = np.random.default_rng(0)
     several = [skew(rng.choice(found, len(found))) for _ in range(RESAMPLES)]
@@ -273,11 +312,13 @@ def skewness(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
 
 
 def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
-    """Return the skewness s of the part of a weight that grows with the size, from the smallest size on from which it
-    fits.
+    """Return the skewness s of the part of a weight that grows with the size.
 
-    The variance is A L^(2 theta) + B, the third cumulant s A^(3/2) L^(3 theta) + C; B and C are what single contacts
-    add.
+    samples : for each size L the weights (samples,).
+    theta : exponent with which the standard deviation of that part grows.
+
+    The variance is fitted by A L^(2 theta) + B and the third cumulant by s A^(3/2) L^(3 theta) + C; B and C are what
+    single contacts add. In the result `amplitude` is A.
     """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
     growth = sizes[:, None] ** (theta * np.array([2, 3]))
@@ -286,7 +327,9 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     spread = again.std(axis=1, ddof=1)
 
     def fitted(first: int, values: np.ndarray) -> tuple[Any, float, float]:
-        """Return skewness, probability of a misfit as large, and A, for cumulants (sizes, ..., 2)."""
+        """Return the skewness, the goodness of the fit, and A, for the sizes from the index `first` on. values :
+        cumulants (sizes, ..., 2).
+        """
         lines = [line_through(growth[first:, k], spread[first:, k], values[first:, ..., k]) for k in range(2)]
         (variance, third), goodness = (line[0][1] for line in lines), min(line[1] for line in lines)
         return third / variance**1.5, goodness, variance
@@ -301,19 +344,23 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
 
 
 def _cumulants(values: np.ndarray) -> tuple[float, float]:
-    """Return the second and the third cumulant."""
+    """Return the second and the third cumulant of some numbers: the mean square and the mean cube of their deviation
+    from the mean.
+    """
     apart = values - values.mean()
     return float((apart**2).mean()), float((apart**3).mean())
 
 
 def skewness_of_least(values: np.ndarray, several: int) -> tuple[float, float]:
-    """Return the skewness of the least of `several` independently drawn values, with its standard error from the
-    disorder.
+    """Return the skewness of the least of `several` numbers, drawn independently from a distribution, and its standard
+    error from resampling. values : (samples,) numbers drawn from the distribution.
     """
     count, rng = len(values), np.random.default_rng(0)
-    share = -np.diff((np.arange(count, -1, -1) / count) ** several)  # of the least, in the order of the values
+    # probability that the least is the k-th smallest value: the rest is above with ((count - k) / count) ** several
+    share = -np.diff((np.arange(count, -1, -1) / count) ** several)
 
     def of(drawn: np.ndarray) -> float:
+        """Return the skewness of the least, for samples drawn from the distribution."""
         apart = np.sort(drawn)
         apart -= share @ apart
         return float(share @ apart**3 / (share @ apart**2) ** 1.5)

@@ -1,9 +1,11 @@
-"""Asks what of the paper's picture survives in large samples: shares, networks and domains, extrapolated in the side.
+"""Asks how the results of the paper change with the size of the sample, and what they become in infinitely large ones.
 
-The scans in examples/studies have the samples, and anybody can start them alone: the paper's bearing from 4^3 to 48^3,
-and beside it, one thing at a time, periodic sides, another state of the top, a rate C, other distributions of friction.
-Every share q is taken to its limit by q(L) = q_inf + a L^-w (:func:`.fits.limit`): the driven planes and the free
-sides are a share 1/L of a sample, so w = 1 is stated and not fitted.
+The samples are those of the scan files limits*.toml in examples/studies: the paper's bearing with sides from 4 to 48
+spheres, and systems that differ from it in one thing: periodic sides, another axis of the top, a rate C (the spin of
+the top changes with the place), or another distribution of friction.
+
+A quantity q that is a share is extrapolated in the side L by q(L) = q_inf + a L^-w (:func:`.fits.limit`) with w = 1,
+which is not fitted: driven planes and free sides are a share 1/L of a sample.
 """
 
 from collections.abc import Mapping
@@ -23,16 +25,22 @@ from .network import LARGE, sample_of
 from .samples import Found, Table, measured, planned
 
 QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 24, "limits-largest": 32}
-"""Scans, and the largest side of their samples in the quick form."""
+"""The scan files by name, and the largest side of their samples that the quick form takes."""
 PAPER, PERIODIC = "as in the paper", "periodic sides"
 WEAK, BROAD = ("uniform:0.5,1", "uniform:0.9,1"), ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
 OF_ALL = ("power_over_cut", "slipless_fraction", "intermediate", "domains_a_sphere", "largest_share")
 OF_SPANNING = ("path_over_height", "busiest_link_share")
-COLUMNS = ("value", "error", "systematic", "smallest", "sizes", "goodness", "amplitude", "follows")  # from a Limit
+# attributes of a Limit that are written to the table
+COLUMNS = ("value", "error", "systematic", "smallest", "sizes", "goodness", "amplitude", "follows")
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Find certified samples of all scans, and the limits of their shares."""
+    """Solve the samples of all scans, extrapolate their shares to infinite size, and return tables, figure and values
+    for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
+        quick form.
+    """
     settings = list(planned(QUICK, effort))
     found = measured(settings, sample_of, folder / "limits.jsonl")
     table = with_ratios(Table({"system": [system_of(of) for of in settings], **found.columns}))
@@ -47,10 +55,9 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def with_ratios(table: Table) -> Table:
-    """Return the table with the shares whose limits are asked for.
-
-    They are rigid domains, and spheres of the largest intermediate one, over all spheres; contacts of the shortest path
-    over the height.
+    """Return the table with three columns more: rigid domains over spheres (`domains_a_sphere`), spheres of the
+    largest domain that is locked to no driven plane over all spheres (`largest_share`), and contacts of the
+    shortest slipless path over the height (`path_over_height`).
     """
     spheres = table.side**3
     return table | {
@@ -61,18 +68,25 @@ def with_ratios(table: Table) -> Table:
 
 
 def limits_of(table: Table) -> dict[str, Limit]:
-    """Return the limit of each quantity over samples of one system, where there are enough."""
+    """Return for each quantity its value extrapolated to infinite size, for the samples of one system.
+
+    Quantities OF_SPANNING are taken from the samples alone whose slipless contacts join bottom and top. A quantity is
+    left out if fewer than three sizes have enough samples.
+    """
     spanning = table[table.spans]
     found = {name: limit(table.by(name)) for name in OF_ALL} | {name: limit(spanning.by(name)) for name in OF_SPANNING}
     return {name: of for name, of in found.items() if of is not None}
 
 
 def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> dict[str, Any]:
-    """Return the values that the claims use, by name.
+    """Return the values that the figure and the claims use, by name.
 
-    of_systems : samples of each system. limits : the limits of its shares.
+    of_systems : for each system the table of its samples.
+    limits : for each system and quantity the extrapolated value.
 
-    variants : samples of each other system, of the largest size that all have. beside : those of the paper's bearing.
+    Among them: `paper`, the samples of the paper's bearing; `large`, those of at least LARGE spheres a side;
+    `spanning`, those whose slipless contacts join bottom and top; `common`, the largest side that all systems have;
+    `variants`, for each other system its samples of that side, and `beside`, those of the paper's bearing.
     """
     paper = of_systems[PAPER]
     common = min(of.side.max() for of in of_systems.values())
@@ -86,7 +100,7 @@ def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, 
 
 
 def system_of(settings: RunSettings) -> str:
-    """Return what differs from the paper's bearing, in words."""
+    """Return in words how a sample differs from the paper's bearing, or "as in the paper"."""
     _, y, _, rate = settings.top or (1.0, 1.0, 0.0, 0.0)
     words = {
         PERIODIC: settings.periodic, f"state (1, {y:g})": y != 1, "C (L - 1) = 1": rate,
@@ -97,11 +111,13 @@ def system_of(settings: RunSettings) -> str:
 
 @in_our_style
 def draw_limits(named: Any) -> Figure:
-    """Draw how shares, spanning samples and paths depend on the size.
+    """Draw the figure in six panels. named : the values of `names_of` as attributes.
 
-    (a, b, c) Shares against 1/L of the first system and of the second one, with the fitted laws and, at 1/L = 0, their
-    limits with all errors; (d) samples that span, (e) shortest paths and busiest links against L, of the first system;
-    (f) least power of all systems over that of the cut, at the largest size that all have.
+    (a, b, c) Three shares against 1/L, for the first two systems: means, fitted lines, and the extrapolated values with
+    all errors at 1/L = 0.
+    (d) Share of the samples whose slipless contacts join bottom and top, against L.
+    (e) Shortest path, number of disjoint paths and busiest contact of the paper's bearing, against L.
+    (f) Least power over that of the minimum cut, for each system at the largest side that all have.
     """
     of_systems, figure = named.of_systems, new_figure(DOUBLE, 4.6)
     panels: Any = figure.subplots(2, 3).ravel()
@@ -138,7 +154,9 @@ def draw_limits(named: Any) -> Figure:
 
 
 def _draw_limit(axes: Any, limit: Limit | None, colour: str) -> None:
-    """Draw a fitted law and its limit, if the samples follow one."""
+    """Draw the fitted line and the extrapolated value with its error at 1/L = 0; nothing where the samples do not
+    follow the law.
+    """
     if limit is not None and limit.follows:
         x = np.array([0, 1 / limit.smallest])
         axes.plot(x, limit.value + limit.amplitude * x, color=colour, lw=0.8)

@@ -1,5 +1,6 @@
 """The slipless network in three dimensions: what the paper says of Figs. 3 and 4, over samples and sizes.
 
+The network consists of the slipless contacts, whose spheres roll on each other. It spans if it joins bottom and top.
 Samples of 24^3 and more are called large; that was chosen after seeing which sizes span.
 """
 
@@ -39,7 +40,10 @@ VIEWED: dict[str, Callable[[Structure], Any]] = {
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Find certified samples of all sizes."""
+    """Find certified cubes of all sizes; return table, figure and values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    """
     chosen = [
         RunSettings(shape=(side, side, side), seed=seed)
         for side, share in SHARE_OF_SAMPLES.items()
@@ -50,7 +54,12 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(table: Table) -> dict[str, Any]:
-    """Return the values that the claims use, by name."""
+    """Return the values that the figure and the claims use, by name. table : as :func:`study` makes it, a row for each
+    sample.
+
+    `bulk`: samples of the paper's size and larger; `spanning`: those of them that span; `large`: samples of LARGE
+    spheres a side and more; `viewed`: names of the numbers that are compared between thresholds.
+    """
     bulk = table[table.side >= BULK]
     return {
         "table": table, "side_of_bulk": BULK, "side_of_large": LARGE, "practically": PRACTICALLY_ALL, "bulk": bulk,
@@ -60,11 +69,11 @@ def names_of(table: Table) -> dict[str, Any]:
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
-    """Return the numbers of one sample and, for each of VIEWED, a list NAME_seen.
+    """Return the columns of one sample: those of :func:`sample_of` and, for each of VIEWED, a list NAME_seen.
 
-    The list has, for each of THRESHOLDS, the number that would be found if smaller slips were taken for none; its last
-    entry is by the contact states. At the minimum of a large sample the slips span many decades, so a coarse threshold
-    merges slipping contacts into the network and domains into each other.
+    The list has, for each of THRESHOLDS, the number that would be found if contacts with a smaller slip were taken for
+    slipless; its last entry is by the proven contact states. At the minimum of a large sample the slips span many
+    decades, so a coarse threshold merges slipping contacts into the network and domains into each other.
     """
     unit = structure.scene.slip_radius * structure.scene.jump
     seen = [*(structure.by_threshold(threshold * unit) for threshold in THRESHOLDS), structure]
@@ -75,8 +84,14 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
 
 
 def sample_of(structure: Structure) -> dict[str, Any]:
-    """Return the numbers of one sample. reached_by_chance : share that as many contacts at random places would
-    touch.
+    """Return the columns of one sample at its minimum: those of :func:`.samples.shared_numbers`, and these.
+
+    unique : True if the minimum is proven to be the only one.
+    reached_by_chance : share of the free spheres that as many contacts at random places would touch.
+    shortest_path : contacts of the shortest slipless path from bottom to top; 0 without one.
+    planes_x, planes_y : numbers of lattice planes across x and across y that the path goes through.
+    busiest_link_share : the largest share of shortest paths that use one contact.
+    plane_spans : True if the slipless contacts of a single upright lattice plane join bottom and top.
     """
     network, passed = structure.network, structure.bottlenecks
     assert passed is not None  # as a lattice has two planes
@@ -95,22 +110,29 @@ def sample_of(structure: Structure) -> dict[str, Any]:
 
 
 def spans_within_planes(network: SliplessNetwork, axis: int) -> np.ndarray:
-    """Return for each lattice plane across `axis` True if its slipless contacts alone join bottom and top."""
+    """Return (planes,) for each lattice plane across `axis` True if the slipless contacts within it join bottom and
+    top.
+    """
     inside, plane = network.axis != axis, network.contact[:, axis]
     pieces = [network.pieces(inside & (plane == index)) for index in range(network.lattice.shape[axis])]
     return np.array([label[0] == label[-1] for label in pieces])
 
 
 def reached_by_chance(lattice: Lattice, density: float) -> float:
-    """Return the mean share of free spheres that are touched, if each contact is there with probability `density`."""
+    """Return the expected share of free spheres that are touched by a contact, if each contact of the lattice is
+    present with probability `density`.
+    """
     contacts = np.bincount(lattice.ends.ravel(), minlength=lattice.is_driven.size)  # of each sphere
     return float((1 - (1 - density) ** contacts[~lattice.is_driven.ravel()]).mean())
 
 
 @in_our_style
 def draw_sizes(named: Any) -> Figure:
-    """Draw power over that of the minimum cut, network, domains and paths against the side, and the effect of
-    thresholds.
+    """Draw the figure, six panels. named : the values of :func:`names_of` as attributes.
+
+    Against the side of the cube: least power over that of the minimum cut; shares of spheres and contacts; share of
+    samples that span; paths; spheres of the largest domain that is locked to no driven plane. The last panel shows what
+    slip thresholds make of the largest cubes.
     """
     table, figure = named.table, new_figure(DOUBLE, 4.9)
     axes: Any = figure.subplots(2, 3)
@@ -142,9 +164,11 @@ def draw_sizes(named: Any) -> Figure:
 
 
 def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> None:
-    """Draw the share of samples whose slipless network joins the planes, by some thresholds and certified.
+    """Draw the share of samples whose slipless network joins the planes, by some thresholds and by certified states,
+    against the side.
 
-    spans : for each of the sides (samples, thresholds), True where it does.
+    sides : of the cubes. spans : for each of them (samples, thresholds + 1), True where the network spans; last by the
+        certified states.
     """
     share = np.array([of.mean(axis=0) for of in spans])
     for place, colour in enumerate(COARSE):
@@ -155,7 +179,7 @@ def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> N
 
 
 def _by_threshold(axes: Any, largest: Any) -> None:
-    """Draw numbers of the largest samples against the slip threshold. largest : their table."""
+    """Draw numbers of network and domains against the slip threshold. largest : table of the largest cubes."""
     for name, colour, label in (
         ("slipless", ORANGE, "slipless contacts"),
         ("domains", BLUE, "rigid domains"),

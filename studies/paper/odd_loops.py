@@ -2,23 +2,25 @@
 
 Samples are square lattices to which contacts across diagonals are added, and honeycombs to which discs in the hexagons
 are added; with all of these a honeycomb is a triangular lattice, so it is one with vacancies on one of three
-sublattices.
+sublattices. What is added is called an odd contact (of a honeycomb: the six contacts of an added disc), since it closes
+loops of an odd number of discs.
 
 Around a loop of an odd number of discs neighbours cannot all rotate in opposite ways, so there discs are at rest, or
-contacts slip. Without such loops, the bottom at rest, half of the discs roll with the top on average. A contact across
-a diagonal inside the part that rolls slips by twice the speed of the others, so it costs about twice a mean friction, a
-disc in a hexagon six times that, and the interface moves out of their way. Let n be the number of odd contacts, L the
-size and s the share of discs that roll.
+contacts slip. Without such loops, the bottom at rest, half of the discs roll with the top on average; the interface is
+the layer of slipping contacts between them and the discs at rest. A contact across a diagonal inside the part that
+rolls slips by twice the speed of the others, so it costs about twice a mean friction, a disc in a hexagon six times
+that, and the interface moves out of their way. Let n be the number of odd contacts, L the size and s the share of discs
+that roll.
 
 * Below the top the interface encloses s n odd contacts. It wanders by L^(2/3), and interfaces further apart than that
   differ by about L^(1/3) in power, so few odd contacts leave s ~ L^(1/3) / n.
 * If s L is below L^(2/3), the interface is confined between the top and the odd contacts: in each of L / (s L)^(3/2)
-  stretches of a length (s L)^(3/2) it loses (s L)^(1/2), so 1 / s in all, and s n + c / s is least at
-  s = (c / n)^(1/2), whatever the size.
+  stretches of a length (s L)^(3/2) it loses (s L)^(1/2), so 1 / s in all, and s n + c / s is least at s = (c /
+  n)^(1/2), whatever the size.
 * Both together: s n^(1/2) is a function of n / L^(2/3), constant where that is large.
 
-In any case a vanishing density stops large bearings. Every sample is solved exactly, by cuts of the double cover.
-For comparison the same is done with contacts across the squares of cubic lattices of spheres, whose minima are proven.
+In any case a vanishing density stops large bearings. Every sample is solved exactly, by cuts of the double cover. For
+comparison the same is done with contacts across the squares of cubic lattices of spheres, whose minima are proven.
 """
 
 from collections.abc import Mapping, Sequence
@@ -69,10 +71,15 @@ SURE = 1e-6  # relative gap of minima of spheres; spheres with less of the top's
 
 
 def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Packing:
-    """Return a lattice without odd loops, but for `odd` random places where something closes odd loops.
+    """Return a lattice without odd loops, to which something is added at `odd` random places: in squares a contact
+    across a diagonal, in hexagons the disc that a triangular lattice has there.
 
-    Between the four discs or spheres of a square that is a contact across a diagonal, within the six discs of a hexagon
-    the disc that a triangular lattice has there. Each side is L = `size` diameters, and the top rotates with 1.
+    lattice : "square", "triangular" (a honeycomb with added discs) or "cubic".
+    size : L, the length of each side in diameters.
+    bottom : spin of the bottom; that of the top is 1.
+    seed : of the places and of the friction.
+
+    Raises InputError if `odd` is more than a share DENSEST of the places.
     """
     rng = np.random.default_rng([seed, size, odd])
     bare, holes, tree, reach = _without_odd_loops(lattice, size, bottom)
@@ -98,10 +105,12 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
 
 @lru_cache(maxsize=4)
 def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing, np.ndarray, cKDTree, float]:
-    """Return the lattice without odd loops, and where something can be put into it.
+    """Return a lattice without odd loops, and where something can be put into it: a tuple of
 
-    returns : the lattice; the places (holes, D) of its whole squares or hexagons; a search tree of its centres; the
-        largest distance of these from the place that they surround.
+    * the lattice;
+    * the places (holes, D), the middles of its whole squares or hexagons;
+    * a search tree of the centres of its discs or spheres;
+    * the distance within which the discs around a place are found: those of its square or hexagon, and no others.
     """
     if lattice == "triangular":
         bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
@@ -116,7 +125,9 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
 
 
 def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
-    """Return the spins (N,) of discs, exactly, or (N, 3) of spheres."""
+    """Return the spins at the minimum, 1/time: (N,) of discs, which are exact, or (N, 3) of spheres. lattice : name,
+    by which the solver is chosen.
+    """
     if lattice == "cubic":
         return np.asarray(solve_packing(packing, SURE).spin[0])
     system = ContactSystem.of(packing)
@@ -124,12 +135,15 @@ def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
 
 
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
-    """Return numbers of the minima of samples, one a sample.
+    """Return numbers of the minima of some samples: lists with one entry for each sample.
 
-    odd : number of odd contacts. bottom : its spin over that of the top.
+    lattice, size : name and side of the lattice, see :func:`network`.
+    odd : number of odd contacts.
+    bottom : spin of the bottom over that of the top.
+    samples, seed : number of samples, and the first of their seeds.
 
-    rolling, resting : share of the free discs or spheres that rotate faster than half of the top, and of those at rest.
-    power_over_rest : least power over that with all free ones at rest.
+    `rolling`: share of the free discs or spheres that rotate faster than half of the top. `resting`: share of those at
+    rest. `power_over_rest`: least power over the power if all free discs or spheres were at rest.
     """
     found: dict[str, list[float]] = {"rolling": [], "resting": [], "power_over_rest": []}
     for number in range(seed, seed + samples):
@@ -145,23 +159,28 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
 
 
 def dilute(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
-    """Return those numbers of odd contacts for which there are places enough."""
+    """Return those of some numbers of odd contacts for which the lattice has places enough."""
     return [n for n in numbers if n <= DENSEST * len(_without_odd_loops(lattice, size, 0.0)[1])]
 
 
-Curves = Mapping[int, Mapping[int, np.ndarray]]  # L -> n -> shares that roll
+Curves = Mapping[int, Mapping[int, np.ndarray]]  # by size L and number n of odd contacts: shares (samples,) that roll
 
 
 def well_known(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
-    """Return sizes with ENOUGH samples, without the share that rolls when there is no odd contact."""
+    """Return the sizes that have at least ENOUGH samples for each number of odd contacts; without the entry for no odd
+    contact.
+
+    curves : for each size L and number n of odd contacts, the shares (samples,) of discs that roll.
+    """
     with_odd = {L: {n: of for n, of in by.items() if n} for L, by in curves.items()}
     return {L: by for L, by in with_odd.items() if min(map(len, by.values()), default=0) >= ENOUGH}
 
 
 def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
-    """Return the points whose interface is held by odd contacts alone.
+    """Return the points whose interface can only be held by odd contacts: its mean place is at least FEWEST_LAYERS
+    layers below the top, and above the bottom, since less than LARGEST_SHARE of the discs roll.
 
-    It is neither within FEWEST_LAYERS of the top nor near the bottom.
+    curves : for each size L and number n of odd contacts, the shares (samples,) of discs that roll. n = 0 is left out.
     """
     return {
         L: {n: of for n, of in by.items() if n and FEWEST_LAYERS / L < of.mean() < LARGEST_SHARE}
@@ -170,16 +189,24 @@ def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
 
 
 def confined(curves: Curves) -> Collapse | None:
-    """Return the collapse of s n^(1/2) against n / L^a; None where too few sizes have three numbers of odd contacts."""
+    """Return the exponent a for which s n^(1/2) against n / L^a falls onto one curve for all sizes; None where fewer
+    than two sizes have three numbers of odd contacts.
+
+    curves : for each size L and number n of odd contacts, the shares s (samples,) of discs that roll.
+    """
     held = held_by_nothing_else(well_known(curves))
     scaled = {L: {n: of * n**0.5 for n, of in by.items()} for L, by in held.items() if len(by) > 2}
     return collapse(scaled) if len(scaled) > 1 else None
 
 
 def crowded(curves: Curves) -> dict[str, Any] | None:
-    """Return the fit of s = c n^-x to all sizes together where the interface is confined between top and odd contacts.
+    """Return the fit of s = c n^-x to all sizes together, over the points with many odd contacts: n > CROWDED L^(2/3),
+    where the interface is confined between the top and the odd contacts.
 
-    returns : x, its error, the probability of such a misfit and the number of points; None for fewer than three points.
+    curves : for each size L and number n of odd contacts, the shares s (samples,) of discs that roll.
+
+    returns : x (`value`), its standard error, the probability of a misfit as large (`goodness`), and the number of
+        points; None for fewer than three points.
     """
     held = held_by_nothing_else(well_known(curves))
     points = [(n, of) for L, by in held.items() for n, of in by.items() if n > CROWDED * L**WANDERING]
@@ -194,7 +221,12 @@ def crowded(curves: Curves) -> dict[str, Any] | None:
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Solve bearings by lattice, size, number of odd contacts or discs, and spin of the bottom."""
+    """Find the minima of bearings for several lattices, sizes, numbers of odd contacts and spins of the bottom; return
+    table, figure and values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
+        quick form.
+    """
     shares, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
     sizes = {
         lattice: enough
@@ -241,12 +273,14 @@ def study(folder: Path, effort: Effort) -> Found:
 
 @in_our_style
 def draw_odd_loops(of: Any) -> Figure:
-    """Draw three panels for each lattice.
+    """Draw three panels for each lattice. of : the values that :func:`study` names, as attributes.
 
-    (a) The share s of discs that roll with the top against the number n of odd contacts. (b) Of discs s n^(1/2) against
-    n / L^(2/3), where odd contacts alone hold the interface; of spheres s against n / L^a, with the exponent a at which
-    three or more sizes lie closest together, from the smallest size on from which they do. (c) The share of discs at
-    rest against the bottom's speed, with as many odd contacts as in (a) at most.
+    (a) The share s of discs that roll with the top, against the number n of odd contacts.
+    (b) Discs: s n^(1/2) against n / L^(2/3), over the points where odd contacts alone hold the interface. Spheres: s
+        against n / L^a, with the exponent a at which the sizes lie closest together, from the smallest size on from
+        which three or more do.
+    (c) The share of discs at rest, against the spin of the bottom over that of the top, with the largest number of odd
+        contacts.
     """
     figure = new_figure(7.1, 2.4 * len(of.courses))
     rows: Any = figure.subplots(len(of.courses), 3, squeeze=False)

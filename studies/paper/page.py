@@ -30,11 +30,16 @@ dl.facts dt { color: #666; } dl.facts dd { margin: 0; } .note { color: #555; fon
 p.finding { margin: .3rem 0; overflow-wrap: anywhere; }
 @media print { body { font-size: 10pt; margin: 0; max-width: none; } section.figure { break-before: page; } }
 """
+# proper symbols for what is typed in plain text
 SYMBOLS = {"<=": "\u2264", ">=": "\u2265", "+-": "\u00b1", "omega_": "\u03c9_", "Omega_": "\u03a9_"}
 
 
 def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """Return the whole report as HTML. pictures : PNG of each figure, by name."""
+    """Return the whole report as an HTML text.
+
+    report : the report as plain data, as :func:`.reproduce.describe` returns it.
+    pictures : for each figure by name the bytes of its PNG.
+    """
     title = "Frustrated bearings: the figures and claims of the paper, computed anew"
     parts = [
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
@@ -49,8 +54,8 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
 
 
 def typeset(text: str) -> str:
-    r"""Return a text with the symbols that plain text lacks: at most, plus or minus, powers, Greek letters,
-    3\u00d73.
+    """Return a text in which what was typed as plain ASCII is replaced by proper symbols: <= and >=, +-, powers such
+    as 10^6, Greek letters, and the cross of 3x3.
     """
     for plain, symbol in SYMBOLS.items():
         text = text.replace(plain, symbol)
@@ -59,25 +64,31 @@ def typeset(text: str) -> str:
 
 
 def _words(text: str) -> str:
+    """Return a text with proper symbols, escaped for HTML."""
     return escape(typeset(text))
 
 
 def _verdict(claim: Mapping[str, Any]) -> str:
+    """Return the HTML of the verdict of a claim, coloured by its CSS class. claim : as :meth:`.claims.Claim.as_dict`
+    returns it.
+    """
     name = escape(claim["verdict"])
     return f'<span class="verdict {name.replace(" ", "-")}">{name}</span>'
 
 
 def _row(cells: Iterable[str], kind: str = "td") -> str:
+    """Return the HTML of a table row. kind : tag of its cells, "td" or "th"."""
     return f"<tr>{''.join(f'<{kind}>{cell}</{kind}>' for cell in cells)}</tr>"
 
 
 def _facts(facts: Mapping[str, Any]) -> str:
+    """Return the HTML of a list of names and values; empty values are left out."""
     rows = (f"<dt>{escape(key)}</dt><dd>{_words(str(text))}</dd>" for key, text in facts.items() if text != "")
     return f'<dl class="facts">{"".join(rows)}</dl>'
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the summary: numbers of verdicts, and a table of all claims."""
+    """Yield the HTML of the summary: the number of claims with each verdict, and a table of all claims."""
     found = [f"{report[name.replace(' ', '_')]} <strong>{name}</strong> ({text})" for name, text in VERDICTS.items()]
     yield f"<p>{'; '.join(found)}.</p>"
     form = ", the quick form: fewer samples, sizes and iterations" if report["quick"] else ""
@@ -99,7 +110,12 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Iterator[str]:
-    """Yield the section of a figure: the picture, and each claim with its facts."""
+    """Yield the HTML of one figure: its picture, and each claim with verdict, numbers and grounds.
+
+    name : of the figure.
+    figure : its entry in the report.
+    picture : bytes of its PNG, or None if there is none.
+    """
     yield f'<section class="figure" id="{name}"><h2>{name}: {_words(figure["title"])}</h2>'
     if picture is not None:
         data = base64.b64encode(picture).decode("ascii")
@@ -121,7 +137,9 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
 
 
 def _environment(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield how it was computed: machine, programs and times."""
+    """Yield the HTML of the last section: the command, the machine, versions of programs, and the times that figures
+    took.
+    """
     yield '<section class="figure" id="environment"><h2>How it was computed</h2>'
     yield _facts({"command": report["command"], "first seed": report["seed"], **report["environment"]})
     yield f"<table><thead>{_row(('figure', 'wall time, s', 'processor time, s'), 'th')}</thead><tbody>"

@@ -1,9 +1,11 @@
-"""Stiffness K_t, damping A_t and normal force F_n: what depends on them, and what does not.
+"""Stiffness K_t, damping A_t and normal force F_n: which results depend on them, and which do not.
 
-The stationary state minimises P = F_n sum mu |v|. Springs and dampers are not in it, and F_n is a factor. Rigid
-friction, I d(omega)/dt = -dP/d(omega), knows F_n as a factor of the time alone, so curves are compared at equal F_n t.
-What depends on K_t and A_t is the trajectory: contacts that hold stretch by up to mu F_n / K_t and creep at up to
-mu F_n / A_t.
+The stationary state minimises P = F_n sum mu |v|. Springs and dampers are not in it, and F_n is a factor. With rigid
+contacts the motion, I d(omega)/dt = -dP/d(omega), depends on F_n only as a factor of the time, so curves are compared
+at equal F_n t. What depends on K_t and A_t is the way to the minimum: contacts that do not slip stretch by up to mu F_n
+/ K_t and creep at up to mu F_n / A_t.
+
+Letters: R samples, T recorded times, E contacts. A variant is one choice of (K_t, A_t, F_n).
 """
 
 from collections.abc import Mapping
@@ -28,7 +30,7 @@ SHAPE, START = (3, 3, 3), "random"
 RUNS = 8
 STIFFNESS, DAMPING, FORCE = 1e5, 1e3, 50.0  # the paper's
 STEPS = 4_000_000  # most time steps; with ten times the damping it takes a million
-LATE = 1e-3  # excess of the power over the minimum, relative, at which the times of two courses are compared
+LATE = 1e-3  # the minimum counts as reached when the power exceeds it by no more than this share
 PAPER = "K = 1e5, A = 1e3, F_n = 50"
 VARIANTS = {  # stiffness, force / length; damping, force * time / length; normal force
     PAPER: (STIFFNESS, DAMPING, FORCE),
@@ -50,13 +52,16 @@ COLOURS = (
     "#8a8a8a",
     "#0072B2",
 )  # one for each variant
-GREATER, LOADED = ("K = 1e6", "A = 1e4", "K = 1e6, A = 1e4"), ("F_n = 5", "F_n = 500")
+GREATER = ("K = 1e6", "A = 1e4", "K = 1e6, A = 1e4")  # variants that are stiffer than the paper's
+LOADED = ("F_n = 5", "F_n = 500")  # variants that have another normal force
 
 
 def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Return the time (R,) from which on the power is within LATE of the minimum; the last time if it never is.
+    """Return (R,) the time from which on the power stays within a share LATE of the minimum; the last time if it never
+    does.
 
-    time : (T,). excess : relative excess of the power over the proven least one, (T, R).
+    time : (T,), rising.
+    excess : (T, R) power over the proven least one, less 1.
     """
     late = excess > LATE
     last = len(late) - 1 - np.argmax(late[::-1], axis=0)
@@ -64,7 +69,11 @@ def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Follow the samples under all variants, and find their minima under all normal forces."""
+    """Follow the samples under all variants, and find their minima under all normal forces; return tables, figure and
+    values for the claims.
+
+    folder : not used, since no sample takes long enough to be kept. effort : first seed and number of samples.
+    """
     scenes = {
         force: Scene.random(SHAPE, effort.seed, replicas=min(RUNS, effort.samples), normal_force=force)
         for force in dict.fromkeys(force for *_, force in VARIANTS.values())
@@ -89,12 +98,15 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> dict[str, Any]:
-    """Return what figure and claims use of runs, by variant.
+    """Return the values that figure and claims use of the relaxations, by name; each has an entry for each variant.
 
-    runs : relaxations by variant. bounds : (R,) on the least power, by normal force.
-    returns : `courses`, the runs with their times F_n t over the paper's F_n; `excess`, relative, of the power over the
-        proven least one, (T, R), and its `last` value; `apart`, the distance from the paper's course, and `ratio`, the
-        time until the minimum over that of the paper's course, (R,).
+    runs : for each variant its relaxation.
+    bounds : for each normal force (R,) proven lower bounds on the least power, energy/time.
+
+    * `courses`: the relaxations with their times multiplied by F_n over the paper's F_n;
+    * `excess`: (T, R) power over the proven least one, less 1; `last`: (R,) at the end;
+    * `apart`: (R,) largest difference of power / initial power from the paper's variant;
+    * `ratio`: (R,) time until the minimum is reached, over that of the paper's variant.
     """
     forces = {name: VARIANTS[name][2] for name in runs}
     courses = {name: replace(run, time=run.time * (forces[name] / FORCE)) for name, run in runs.items()}
@@ -110,7 +122,11 @@ def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> d
 
 
 def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
-    """Return what claims use of the minima, by normal force: power over it (R,), states (R, E), samples proven."""
+    """Return the values that claims use of the minima: for each normal force the power over it (R,); the contact
+    states (R, E) of each; the number of samples whose states are all proven; and the number of slipless contacts.
+
+    minima : for each normal force the solution.
+    """
     return {
         "per_force": {force: found.power / force for force, found in minima.items()},
         "states": [found.state for found in minima.values()],
@@ -121,8 +137,10 @@ def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
 
 @in_our_style
 def draw_parameters(of: Any) -> Figure:
-    """Draw (a) P / P_0 and (b) its excess over the least power against F_n t, of the first sample; the paper's is
-    black.
+    """Draw (a) power over its initial value and (b) its excess over the least power, of the first sample, against F_n
+    t; a curve for each variant, the paper's in black.
+
+    of : the values that :func:`study` names, as attributes.
     """
     figure = new_figure(7.1, 3.2)
     left, right = figure.subplots(1, 2)

@@ -1,8 +1,8 @@
 """Computes the figures and claims of the paper anew and judges them: `bearings reproduce`.
 
-A study is a module with one function, `study(folder, effort)`. It makes its samples, as many as the effort says, and
+A study is a module with a function `study(folder, effort)`. It makes its samples, as many as the effort says, and
 returns their tables, the figure and the values that its claims use (:class:`.samples.Found`); finished samples are kept
-in the folder until its end. The sentences, limits and rules of its claims stand in claims/FIGURE.toml.
+in the folder until the study ends. The sentences, limits and rules of its claims stand in claims/FIGURE.toml.
 """
 
 import importlib
@@ -36,12 +36,14 @@ from .page import page
 class PaperFigure:
     """One figure, with the claims about it.
 
-    module : of paper/, whose function `study`, or the one named after a point, finds its numbers.
-    seconds : roughly, in full and in the quick form, on two cores.
-    shown : which samples the figure shows.
-    tables : ends of the names of its tables.
-    asked : it is a question beyond the paper, computed only if it is named.
-    samples_of : the figure whose samples it uses.
+    name : by which users ask for it; its files begin with it.
+    title : what it shows.
+    module : the module of this folder whose function `study` finds its numbers; MODULE.FUNCTION for another function.
+    seconds : rough times in full and in the quick form, on two cores.
+    shown : which samples the figure shows, a sentence.
+    tables : ends of the names of its CSV files.
+    asked : True for a question beyond the paper, computed only if the user names it.
+    samples_of : name of the figure whose samples it uses; "" for its own.
     """
 
     name: str
@@ -55,10 +57,15 @@ class PaperFigure:
 
     @property
     def files(self) -> tuple[str, ...]:
+        """Names of all files of the figure: pictures and tables."""
         return tuple(f"{self.name}{ending}" for ending in (".png", ".pdf", *self.tables))
 
     def reproduce(self, folder: Path, effort: Effort, title: bool = True) -> list[Claim]:
-        """Write its files into the folder; returns the claims with their verdicts. title : see :func:`reproduce`."""
+        """Compute the figure, write its pictures and tables into the folder, and return its claims with their
+        verdicts.
+
+        title : False leaves out titles: panels have their letters alone.
+        """
         runtime.start("cpu", "f64")
         module, _, function = self.module.partition(".")
         found = getattr(importlib.import_module(f".{module}", __package__), function or "study")(folder, effort)
@@ -74,13 +81,15 @@ class PaperFigure:
         return claims
 
     def forget(self, folder: Path) -> None:
-        """Remove what an interrupted study has kept of its samples."""
+        """Delete the journals with finished samples that a study, perhaps interrupted, has left in the folder."""
         for ending in JOURNALS:
             (folder / f"{self.samples_of or self.name}{ending}").unlink(missing_ok=True)
 
 
 def _untitled(figure: Figure) -> Figure:
-    """Return the figure without a title; titles of its panels are cut to their letters, if they have one."""
+    """Return the figure, changed in place, without a title; titles of its panels that begin with a letter such as (a)
+    are cut to that.
+    """
     figure.suptitle("")
     for axes in figure.axes:
         if axes.get_title().startswith("("):
@@ -118,11 +127,13 @@ FIGURES = {
 }  # fmt: skip
 MOST_PICTURE = 2**26  # most bytes of a picture in the page
 REPORTS = ("report.html", "report.json")
-JOURNALS = (".jsonl", "-cuts.jsonl")  # ends of the names of files in which studies keep their samples
+JOURNALS = (".jsonl", "-cuts.jsonl")  # ends of the names of the files in which studies keep finished samples
 
 
 def choose_figures(names: Sequence[str]) -> list[str]:
-    """Return the figures asked for, each once; all of the paper and its supplement if none is named."""
+    """Return the names of the figures to compute, each once; those of the paper and its supplement if the user names
+    none. Raises InputError for an unknown name.
+    """
     for name in names:
         if name not in FIGURES:
             raise InputError(f"figure is {name!r}; allowed are {', '.join(FIGURES)}{meant(name, FIGURES)}")
@@ -137,14 +148,17 @@ def reproduce(
     tell: Callable[[str], None] = lambda _: None,
     title: bool = True,
 ) -> dict[str, Any]:
-    """Compute the figures, write their files and the report, as HTML and JSON, into `folder`; returns the report.
+    """Compute figures, write their files and the report, as HTML and JSON, into `folder`; return the report as plain
+    data.
 
-    The report is written after each figure. Figures that it has already, of the same effort and version, are not
-    computed again, unless with `force`. Ctrl-C ends it early: finished figures are kept, and "missing" names the
-    others.
+    The report is written anew after each figure. Figures that it has already, of the same effort and version, are not
+    computed again. Ctrl-C ends it early: finished figures are kept, and `missing` in the report names the others.
 
-    tell : called with a line about each finished figure.
-    title : put titles above figures; else panels have letters alone.
+    names : figures to compute; empty for all of the paper and its supplement.
+    effort : first seed, number of samples, and whether it is the quick form.
+    force : compute the figures again, and replace files that exist.
+    tell : function that is called with a line of text about each finished figure.
+    title : False leaves titles out of the figures.
 
     Raises InputError or FileError before anything is computed.
     """
@@ -173,11 +187,16 @@ def reproduce(
 
 
 def _files(name: str, folder: Path) -> list[Path]:
+    """Return the paths of all files of a figure."""
     return [folder / file for file in FIGURES[name].files]
 
 
 def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
-    """Return the report that a folder has: figures and those missing. FileError if its effort or version differ."""
+    """Return what the report in a folder has: `figures`, its finished figures as plain data by name, and `missing`,
+    the names of others that were asked for; both empty without a report.
+
+    Raises FileError if the report is of another effort or version, or cannot be read.
+    """
     path = folder / "report.json"
     if not path.exists():
         return {"figures": {}, "missing": []}
@@ -199,7 +218,10 @@ def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
 
 
 def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> None:
-    """Write the report as JSON and as HTML."""
+    """Write report.json and report.html.
+
+    done : finished figures as plain data, by name. missing : names of those that are not done yet.
+    """
     report = describe(folder, effort, done, missing)
     write_text(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
     pictures = {name: _files(name, folder)[0] for name in done}
@@ -208,7 +230,9 @@ def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence
 
 
 def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str, Any]:
-    """Return a figure as plain data, with the wall and the processor time that it took."""
+    """Compute a figure and return it as plain data: title, claims with verdicts, and the seconds of wall and processor
+    time that it took.
+    """
     began, processor = time.perf_counter(), time.process_time()
     claims = FIGURES[name].reproduce(folder, effort, title)
     return {
@@ -221,7 +245,7 @@ def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str,
 
 
 def _tally(figure: dict[str, Any]) -> str:
-    """Return in words how many claims of a figure have which verdict."""
+    """Return in words how many claims of a figure have which verdict. figure : as :func:`_computed` returns it."""
     found = Counter(claim["verdict"] for claim in figure["claims"])
     return ", ".join(f"{number} {verdict}" for verdict, number in found.items()) or "nothing to judge"
 
@@ -229,7 +253,7 @@ def _tally(figure: dict[str, Any]) -> str:
 def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> dict[str, Any]:
     """Return the report as plain data, figures in the order of FIGURES.
 
-    done : finished figures, as plain data, by name. missing : names of the others.
+    done : finished figures as plain data, by name. missing : names of those that are not done yet.
     """
     figures = {name: done[name] | {"files": list(map(str, _files(name, folder)))} for name in FIGURES if name in done}
     verdicts = Counter(claim["verdict"] for found in figures.values() for claim in found["claims"])
@@ -248,7 +272,7 @@ def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequen
 
 
 def _command(names: Sequence[str], effort: Effort) -> str:
-    """Return the command that gives the same numbers again."""
+    """Return the command line that computes these figures with the same numbers again."""
     asked = [] if set(names) == set(choose_figures(())) else [name for name in FIGURES if name in names]
     quick = ["--quick"] if effort.quick else []
     return " ".join(

@@ -1,6 +1,7 @@
-"""Samples of the studies: followed in time, or solved part by part by the workers of scans, and tables of them.
+"""Makes the samples of the studies: solves them, follows them in time, or shares them among worker processes; and
+gathers their numbers in tables.
 
-Letters: R samples, T times, N the shape of a lattice.
+Letters: R samples solved together, T recorded times, N the shape of a lattice, E contacts.
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -41,8 +42,8 @@ TIGHT = StopRule(1e-12)
 STEPS = 1_000_000  # most time steps; most samples of 3x3x3 are certified within 100 000
 END = 1e-8  # proven gap at which a relaxation has ended
 RIGID_END = 1e-10  # proven gap at which a relaxation without springs has ended
-TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # times at which the power is recorded
-SPARE = 0.7  # share of the free memory that workers may take
+TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # times at which the power is recorded, in units of 1 / spin
+SPARE = 0.7  # share of the free memory that workers may take, so that others have some left
 SAME = 1e-6  # relative difference up to which two powers are taken for equal
 HERE = Path(__file__).resolve()
 SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
@@ -51,10 +52,16 @@ ANY = RunSettings(threads=1)  # settings of parts that solve no sample in partic
 
 
 class Table:
-    """Samples in columns: arrays (samples, ...) by name, each an attribute too; missing numbers are not-a-number."""
+    """A table of samples: for each column name an array with one entry (a number, text or array) for each sample.
+
+    Each column is an attribute, too: `table.power`. A missing number is not-a-number. The table is never changed; each
+    method returns a new one.
+    """
 
     def __init__(self, columns: Mapping[str, Any]) -> None:
-        """columns : values of the samples by name; None stands for a missing number."""
+        """Make a table from the values of the samples by column name, in the same order in each column. None is a
+        missing number.
+        """
         self.columns = {
             name: np.array(values, dtype=float if any(value is None for value in values) else None)
             for name, values in columns.items()
@@ -62,10 +69,15 @@ class Table:
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, Any]]) -> "Table":
-        """Return a table of rows, which all have the same names."""
+        """Return the table of some rows, dictionaries that all have the same keys; these become the names of the
+        columns.
+        """
         return cls({name: [row[name] for row in rows] for name in rows[0]} if rows else {})
 
     def __getattr__(self, name: str) -> np.ndarray:
+        """Return the column of this name, an array with one entry for each sample. Raises AttributeError if there is
+        none.
+        """
         try:
             found: np.ndarray = self.__dict__["columns"][name]
         except KeyError:
@@ -73,41 +85,58 @@ class Table:
         return found
 
     def __getitem__(self, chosen: Any) -> "Table":
-        """Return the samples that a mask or a slice picks."""
+        """Return a table of some of the samples. chosen : mask (samples,), slice, or indices."""
         return Table({name: values[chosen] for name, values in self.columns.items()})
 
     def __or__(self, more: Mapping[str, Any]) -> "Table":
+        """Return a table with further columns, or with new values in columns of the same name; `more` has them by
+        name.
+        """
         return Table({**self.columns, **more})
 
     def __len__(self) -> int:
+        """Return the number of samples (rows)."""
         return len(next(iter(self.columns.values()), ()))
 
     def by(self, name: str, key: str = "side") -> dict[Any, np.ndarray]:
-        """Return a column split by the values of another one (`key`), which rise."""
+        """Return a column, split into groups of samples that agree in another column.
+
+        name : the column that is returned.
+        key : the column that defines the groups, by default the side of the lattice.
+
+        returns : for each value of `key`, from the least on, the values of `name` of the samples that have it.
+        """
         own = self.columns[key]
         return {value.item(): self.columns[name][own == value] for value in np.unique(own)}
 
     def only(self, names: str) -> dict[str, list[Any]]:
-        """Return some columns as lists of plain numbers. names : with spaces between."""
+        """Return some columns as lists of plain Python numbers, by name. names : those of the columns, separated by
+        spaces.
+        """
         return {name: self.columns[name].tolist() for name in names.split()}
 
     def write(self, path: Path) -> None:
-        """Write the columns of one number a sample as CSV."""
+        """Write the table as a CSV file, one line for each sample; columns whose entries are arrays are left out."""
         flat = {name: values.tolist() for name, values in self.columns.items() if values.ndim == 1}
         write_csv(path, list(flat), zip(*flat.values(), strict=True))
 
 
 def joined(tables: Mapping[str, Table], key: str) -> Table:
-    """Return tables below one another, the name of each in a column `key`."""
+    """Return one table with the rows of several, which have the same columns, one table after the other.
+
+    tables : by name.
+    key : name of an additional first column, which says from which table a row comes.
+    """
     columns = next(iter(tables.values())).columns
     names = [name for name, table in tables.items() for _ in range(len(table))]
     return Table({key: names} | {of: np.concatenate([t.columns[of] for t in tables.values()]) for of in columns})
 
 
 def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
-    """Return a table of samples' numbers against time, one row a sample and time.
+    """Return quantities that change with time as a table with one row for each sample and time, sorted by sample.
 
-    seeds : of the R samples. columns : (T,) or (T, R).
+    seeds : seed of each of the R samples.
+    columns : by name, arrays (T,) of what is the same for all samples, or (T, R). One of them is `time`.
     """
     shape = (len(seeds), len(columns["time"]))
     rows = {name: np.broadcast_to(values.T, shape).ravel() for name, values in columns.items()}
@@ -116,11 +145,11 @@ def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
 
 @dataclass(frozen=True)
 class Found:
-    """The results of a study.
+    """What a study returns: everything that its figure, its CSV files and the verdicts on its claims are made from.
 
-    tables : to be written, by the ends of their file names.
-    draw : draws its figure from `named`, whose names are attributes there.
-    named : values by the names that the figure and its claims use (see :mod:`.claims`).
+    tables : what is written as CSV, by the end of the file name, such as "-samples.csv".
+    draw : function that draws the figure from an object whose attributes are the entries of `named`.
+    named : the values that the figure and the sentences and rules of the claims use, by name (see :mod:`.claims`).
     """
 
     tables: Mapping[str, Table]
@@ -129,18 +158,25 @@ class Found:
 
 
 def solved(scene: Scene, method: MethodOptions, rule: StopRule = TIGHT, start: str = "linear") -> Solution:
-    """Return where a method ends; KeyboardInterrupt if it was stopped before. rule : when it stops. start : its
-    first spins.
+    """Return the solution at which a method ends. Raises KeyboardInterrupt if the user stopped it before.
+
+    method : options of the solver.
+    rule : tolerance and limits at which it stops; by default a relative gap of 1e-12.
+    start : name of the initial spins: "linear" (they grow evenly with the height), "random", "zero" or "minimum-cut".
     """
     return uninterrupted(solve(scene, method.build(), initial_spin(scene, start), rule))
 
 
 @dataclass(frozen=True)
 class Part:
-    """Work whose result is kept as a whole: `work(*words)` returns valid JSON.
+    """One piece of a study's work, which a worker process does and whose result is kept in a file: `work(*words)`.
 
-    work : a function of a module, so that workers find it.
-    settings : of the sample that it solves, or of none in particular.
+    key : name of the piece, different for each; by it the result is found again after an interruption.
+    work : function at the top level of a module, so that another process can import it; returns a dictionary that JSON
+        can store.
+    words : the arguments of `work`.
+    settings : settings of the sample that is solved, by which time and memory are estimated. The default stands for
+        work that solves no single sample.
     """
 
     key: str
@@ -150,18 +186,21 @@ class Part:
 
     @property
     def label(self) -> str:
+        """The name of the piece in progress reports."""
         return self.key
 
 
 def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) -> list[dict[str, Any]]:
-    """Return what each part gives, computed by worker processes.
+    """Return the result of each piece of work, in the order of `parts`. Pieces that the journal does not have are
+    computed by worker processes.
 
-    journal : file that keeps finished parts; parts that it has are not computed again. It is removed at the study's
-        end.
-    name : of a part, for progress and errors.
-    workers : processes; 1 for none but this one, 0 for as many as the work pays for.
+    journal : file to which each finished piece is appended at once; what it has already is not computed again. The
+        caller removes it when the study is done.
+    name : what a piece is called in progress reports and errors, such as "sample".
+    workers : number of processes. 1 computes everything in this process; 0 takes as many as processors and memory allow
+        and the work is worth.
 
-    Raises BearingsError if a part has no result.
+    Raises BearingsError if the computation of a piece fails.
     """
     known = read_journal(journal)
     missing = [part for part in parts if part.key not in known]
@@ -183,7 +222,12 @@ def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) 
 def _records(
     parts: Sequence[Part], units: Sequence[tuple[Part, ...]], workers: int
 ) -> Generator[dict[str, Any], None, None]:
-    """Yield a record of each part as it comes."""
+    """Yield for each piece, as it is finished, a record with its key, its status and its result (`numbers`) or its
+    error.
+
+    units : groups of pieces that are sent to a worker together. workers : number of processes; up to 1, this process
+        does all.
+    """
     if workers <= 1:
         yield from map(_record, parts)
         return
@@ -193,11 +237,14 @@ def _records(
 
 
 def _record(part: Part) -> dict[str, Any]:
+    """Compute one piece, and return its record: key, status, and the result as `numbers`."""
     return {"key": part.key, "scalars": {"status": "solved"}, "numbers": part.work(*part.words)}
 
 
 def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
-    """Return the records of some parts, in a worker."""
+    """Compute some pieces in a worker process, and return their records; a piece that raises gets a record of its
+    error.
+    """
     runtime.start("cpu", "f64", 1)
     records = []
     with one_thread():
@@ -209,23 +256,32 @@ def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
     return records
 
 
-Numbers = Callable[[Structure], dict[str, Any]]  # returns the numbers that a study wants of a sample
+Numbers = Callable[[Structure], dict[str, Any]]  # returns the columns of a sample, by name
 
 
 def certified(settings: RunSettings) -> Structure:
-    """Return the structure of the sample that the settings name, at its certified minimum."""
+    """Return the structure (slipless network, rigid domains, cut, ...) of the sample with these settings at its
+    minimum, which is certified to a relative gap of 1e-9.
+    """
     return structure_of(solved(build_scene(settings), InteriorPoint(), StopRule(1e-9)))
 
 
 def measured(chosen: Iterable[RunSettings], numbers: Numbers, journal: Path) -> Table:
-    """Return a table of `numbers` of each sample at its certified minimum. journal : see :func:`computed`."""
+    """Return a table with a row for each sample, solved to its certified minimum.
+
+    chosen : settings of each sample.
+    numbers : function that returns the columns of a row, by name, from the structure of a solved sample.
+    journal : file of finished samples, see :func:`computed`.
+    """
     return Table.of(computed([Part(sample_key(s), _measure, (s, numbers), s) for s in chosen], journal, "sample"))
 
 
 def planned(scans: Mapping[str, int], effort: Effort) -> Iterator[RunSettings]:
-    """Yield the samples of scans in examples/studies, with a number of seeds in proportion to the effort.
+    """Yield the settings of all samples of some scan files of examples/studies.
 
-    scans : for each name the largest first side of its samples in the quick form.
+    scans : names of the files; for each the largest first side of samples that the quick form takes.
+    effort : the number of seeds of each scan is that of its file times effort.samples over the default number SAMPLES,
+        at least LEAST_SEEDS.
     """
     for name, largest in scans.items():
         path = SCANS / f"{name}.toml"
@@ -238,16 +294,24 @@ def planned(scans: Mapping[str, int], effort: Effort) -> Iterator[RunSettings]:
 
 
 def _measure(settings: RunSettings, numbers: Numbers) -> dict[str, Any]:
+    """Solve the sample with these settings, and return its columns of the table of :func:`measured`."""
     return numbers(certified(settings))
 
 
 def drawn(
     draw: Callable[..., dict[str, Any]], wanted: Mapping[tuple[Any, ...], int], block: int, seed: int, journal: Path
 ) -> dict[tuple[Any, ...], dict[str, np.ndarray]]:
-    """Return what `draw(*point, samples, seed)` gives for many small samples, as arrays by point.
+    """Return the results of many small samples, for several points of a parameter grid, computed in blocks by all
+    processors.
 
-    wanted : number of samples of each point, with seeds from `seed` on. block : samples of one call; calls are shared
-        by as many processes as there are cores. journal : see :func:`computed`.
+    draw : function; `draw(*point, count, first_seed)` computes `count` samples with consecutive seeds and returns lists
+        with one entry for each sample, by name.
+    wanted : for each point, a tuple of parameters, the number of samples.
+    block : number of samples that one call of `draw` computes.
+    seed : first seed.
+    journal : file of finished blocks, see :func:`computed`.
+
+    returns : for each point the arrays (samples,) by name.
     """
     parts = [
         Part("-".join(map(str, (*point, seed + first))), draw, (*point, min(block, count - first), seed + first))
@@ -264,11 +328,13 @@ def drawn(
 
 
 def shared_numbers(structure: Structure, *names: str) -> dict[str, Any]:
-    """Return numbers of a minimum that studies share, and numbers of `bearings analyse` by their `names`.
+    """Return columns that several studies have, for one sample at its minimum.
 
-    Fractions are of the free spheres.
+    names : further quantities that are added, by the names that `bearings analyse --json` gives them.
 
-    intermediate : share of them that are not locked to a driven plane in all components.
+    Among the columns are `gap`, relative; `power_over_cut`, least power over the power of the minimum cut; `below_cut`,
+    True if the minimum is proven to have less power than any cut; `intermediate`, the share of free spheres that
+    rolling contacts lock neither to the bottom nor to the top.
     """
     cut, free = structure.interface, structure.network.free
     assert cut is not None  # as a lattice has two planes
@@ -290,10 +356,13 @@ def shared_numbers(structure: Structure, *names: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Run:
-    """A relaxation of R samples.
+    """The relaxation in time of R samples that are followed together.
 
-    start : spins that it began with. time : (T,). power : (T, R). first, last : staggered spins (3, R, *N) at both
-        ends.
+    start : name of the initial spins.
+    time : (T,) recorded times.
+    power : (T, R) dissipated power, energy/time.
+    first, last : (3, R, *N) spins at the beginning and at the end, 1/time, staggered: with opposite signs on
+        neighbours, so that spheres that roll on each other have equal values.
     """
 
     start: str
@@ -304,19 +373,21 @@ class Run:
 
     @property
     def ends(self) -> np.ndarray:
-        """(R,) last power over the first."""
+        """(R,) power at the last recorded time over that at the first."""
         return np.asarray(self.power[-1] / self.power[0])
 
     @property
     def largest_rise(self) -> np.ndarray:
-        """(R,) largest rise of the power above its lowest value before, over the initial power."""
+        """(R,) largest amount by which the power rises above its lowest value before, over the initial power."""
         return np.asarray((self.power - np.minimum.accumulate(self.power)).max(axis=0) / self.power[0])
 
     def distance(self, other: "Run", at: np.ndarray) -> np.ndarray:
-        """Return the largest difference of power / initial power from another relaxation, for each sample that both
-        have.
+        """Return how far the power curves of two relaxations are apart: (samples that both have,) the largest
+        difference of power / initial power.
 
-        at : times that are compared. Powers are linear between recorded times and constant after the last one.
+        other : the relaxation to compare with.
+        at : times at which they are compared. Power is interpolated linearly between recorded times, and constant after
+            the last.
         """
         own, theirs = (run.power / run.power[0] for run in (self, other))
         pairs = zip(own.T, theirs.T, strict=False)
@@ -326,23 +397,30 @@ class Run:
 def relax(
     scene: Scene, start: str, springs: CundallStrack | None = None, steps: int = STEPS, times: np.ndarray = TIMES
 ) -> Run:
-    """Follow Cundall-Strack dynamics until every sample is certified to END, or for `steps` time steps.
+    """Return the relaxation by Cundall-Strack dynamics, followed until each sample is proven to be within END of its
+    least power, or for `steps` time steps.
 
-    springs : the paper's by default. times : at which the power is recorded.
+    start : name of the initial spins.
+    springs : options of the dynamics; by default stiffness and damping of the paper.
+    times : times at which the power is recorded.
 
-    Rigid friction is a steepest descent of the power F_n sum mu |v|. These contacts are not rigid: one that holds by
-    its spring and damper creeps at up to mu F_n / A_t, so the power can rise by as much as this creep is worth.
+    With rigid contacts the power F_n sum mu |v| would fall all the time. With springs it may rise: a contact that does
+    not slip is held by spring and damper and creeps at a speed of up to mu F_n / A_t.
     """
     return _followed(scene, start, springs or CundallStrack(), StopRule(END, steps), Recording(history=times))
 
 
 def relax_rigidly(scene: Scene, start: str) -> Run:
-    """Follow the rigid limit until every sample is certified to RIGID_END; the power is recorded at every step."""
+    """Return the relaxation with rigid contacts, without springs, followed until each sample is proven to be within
+    RIGID_END of its least power. The power is recorded at each step.
+    """
     return _followed(scene, start, RigidLimit(), StopRule(RIGID_END), Recording())
 
 
 def _followed(scene: Scene, start: str, method: MethodOptions, rule: StopRule, recording: Recording) -> Run:
-    """Return the relaxation of a scene by a method. start : name of the initial spins."""
+    """Return the relaxation of a scene by a method. start : name of the initial spins. rule : when it stops. recording
+    : at which times the power is recorded.
+    """
     axes, spin = scene.lattice.all_spin_axes, initial_spin(scene, start)
     solution = uninterrupted(solve(scene, method.build(), spin, rule, recording=recording))
     time, power = solution.history["time"], solution.history["power"]
@@ -350,10 +428,12 @@ def _followed(scene: Scene, start: str, method: MethodOptions, rule: StopRule, r
 
 
 def minima_of(scene: Scene) -> Table:
-    """Return least powers with bounds and spins by the interior-point method, and the powers of the minimum cuts.
+    """Return a table of the R samples of a scene at their minima, by the interior-point method, with their minimum
+    cuts.
 
-    below_cut : True where some spins are proven to dissipate less than any two rigid domains. cut_is_minimum : True
-        where no spins dissipate less than the minimum cut by more than SAME; proven.
+    Columns: `power` and its proven `lower_bound`, and `cut_power` of the minimum cut, energy/time; `below_cut`, True if
+    the minimum is proven to have less power than any two rigid domains; `cut_is_minimum`, True if it is proven that no
+    state has a power lower than that of the cut by more than a share SAME of it; `spin`, laboratory frame.
     """
     solution, cut = solved(scene, InteriorPoint(settle=False), StopRule(1e-10)), cut_of(scene)
     unit = scene.normal_force * scene.lattice.radius * scene.jump

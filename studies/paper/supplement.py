@@ -1,9 +1,12 @@
-"""The supplement's distribution of power over the contacts of 32x32x32 spheres: the certified one beside the descent's.
+"""The supplement's distribution of power over the contacts of 32x32x32 spheres: the certified one beside that of a
+gradient descent.
 
-At the minimum a contact slips or it does not, and which of both is proven. A descent that has not ended lets all of
-them slip a little, so its histogram has decades that are not there at the minimum. The states of the minimum show how
-many of the contacts in each decade of the descent really slip. The range of the minimum itself is proven, too: every
-slip is enclosed (proof/curvature.py), so the smallest and the largest power are.
+At the minimum a contact either slips or does not, and which of the two is proven. A descent that has not ended lets all
+of them slip a little, so its histogram has decades that are not there at the minimum. The states of the minimum show
+how many of the contacts in each decade of the descent really slip. The range of the minimum itself is proven, too:
+every slip is enclosed (proof/curvature.py), so the smallest and the largest power are.
+
+Letters: n contacts that can slip, those of a lattice less those between two driven spheres.
 """
 
 import zlib
@@ -29,7 +32,7 @@ from .claims import Effort
 from .samples import Found, Part, Table, computed, joined, solved
 
 SHAPE, SPIN_BOTTOM = (32, 32, 32), 0.1
-SHARE_OF_SAMPLES = 0.04
+SHARE_OF_SAMPLES = 0.04  # minima that are found, over the samples of the effort
 PAPER_ITERATIONS = 1_000_000  # of the paper's descent
 ITERATIONS, QUICK_ITERATIONS = (10_000, 100_000, PAPER_ITERATIONS), (10_000, 100_000)
 BUDGET, QUICK_BUDGET = 1500.0, 90.0  # most seconds of a descent
@@ -40,12 +43,14 @@ COUNT = "contacts per bin"
 
 @dataclass(frozen=True)
 class Ending:
-    """The end of a method in one sample, for the n contacts that can slip.
+    """The state of one sample at the end of a method, for the n contacts that can slip.
 
-    power : (n,) over F_n R omega_T.
-    slips : (n,) True if the contact slips at the minimum, or of a descent moves at all.
-    total : power of all contacts. iterations : made.
-    slip_error : proven: no slip differs from that of the minimum by a larger share; None where that is not known.
+    power : (n,) dissipated power of each contact, over F_n R omega_T.
+    slips : (n,) True if the contact slips at the minimum; of a descent, if it moves at all.
+    total : power of all contacts, in the same unit.
+    iterations : number of iterations made.
+    slip_error : proven bound on the relative difference of any slip from that of the minimum; None where it is not
+        known.
     """
 
     power: np.ndarray
@@ -62,13 +67,18 @@ class Ending:
 
     @property
     def central_decades(self) -> float:
-        """Orders of magnitude of the power of contacts that slip, without their lowest and highest twentieth."""
+        """Orders of magnitude of the power of contacts that slip, without the lowest and the highest 5 % of them."""
         low, high = np.quantile(np.log10(self.power[self.slips]), (0.05, 0.95))
         return float(high - low)
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Follow descents of the first sample, and find the minima of some."""
+    """Follow descents of the first sample for 10^4, 10^5 and 10^6 iterations, and find the minima of some samples;
+    return table, figure and values for the claims.
+
+    folder : where finished descents and minima are kept meanwhile. effort : first seed, number of samples, and whether
+        it is the quick form.
+    """
     lengths, budget = (QUICK_ITERATIONS, QUICK_BUDGET) if effort.quick else (ITERATIONS, BUDGET)
     parts = [Part(f"descent-{length}", descended, (effort.seed, length, budget)) for length in lengths]
     seeds = effort.seeds(max(1, int(SHARE_OF_SAMPLES * effort.samples)))
@@ -83,9 +93,15 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(descents: Sequence[Ending], minima: Sequence[Ending]) -> dict[str, Any]:
-    """Return the values that the claims use, by name.
+    """Return the values that the figure and the claims use, by name.
 
-    proven : minima of which every slip is enclosed. The smallest slips of the others may be the method's errors.
+    descents : endings of gradient descents of the first sample, from the shortest to the longest.
+    minima : certified minima; the first one is of the same sample.
+
+    * `descent`, the longest of the descents (None without any), and `minimum`, the minimum of the same sample;
+    * `decade`, the table of :func:`by_decade` for these two;
+    * `paper_iterations`, the length of the paper's descent;
+    * `proven`, those minima in which every slip is enclosed: the smallest slips of others may be errors of the method.
     """
     return {
         "descents": descents, "descent": descents[-1] if descents else None, "minima": minima, "minimum": minima[0],
@@ -95,12 +111,14 @@ def names_of(descents: Sequence[Ending], minima: Sequence[Ending]) -> dict[str, 
 
 
 def scene_of(seed: int) -> Scene:
+    """Return the sample with this seed: 32x32x32 spheres, driven as in the paper."""
     return Scene.random(SHAPE, seed, spin_bottom=SPIN_BOTTOM)
 
 
 def descended(seed: int, iterations: int, seconds: float) -> dict[str, Any]:
-    """Return the end of the paper's method: descent without momentum, from random spins, for so many iterations or
-    so long.
+    """Return the end of the paper's method, gradient descent without momentum from random spins, as plain numbers.
+
+    iterations, seconds : it ends after so many iterations, or after so long.
     """
     rule = StopRule(1e-12, iterations, seconds)
     ended = solved(scene_of(seed), GradientDescent(momentum=False), rule, "random")
@@ -108,7 +126,7 @@ def descended(seed: int, iterations: int, seconds: float) -> dict[str, Any]:
 
 
 def minimum(seed: int) -> dict[str, Any]:
-    """Return the certified minimum, with the states of its contacts."""
+    """Return the certified minimum of the sample with this seed, with the states of its contacts, as plain numbers."""
     solution = solved(scene_of(seed), InteriorPoint(), StopRule(1e-9))
     return _ending(solution, lambda _, state: state == ContactState.SLIPPING, largest_slip_error(solution))
 
@@ -116,7 +134,11 @@ def minimum(seed: int) -> dict[str, Any]:
 def _ending(
     solution: Solution, slips: Callable[[np.ndarray, np.ndarray], np.ndarray], slip_error: float | None
 ) -> dict[str, Any]:
-    """Return an Ending as plain numbers. slips : says of power and state of contacts which of them slip."""
+    """Return the fields of an :class:`Ending` in a form that JSON can store; arrays are packed into texts.
+
+    slips : function that returns the mask (n,) of contacts that slip, from their powers (n,) and states (n,).
+    slip_error : see :class:`Ending`.
+    """
     scene = of_lattice(solution.scene)
     free = ~scene.lattice.between_driven
     power, state = solution.power_per_contact[0, free], solution.state[0, free]
@@ -127,20 +149,20 @@ def _ending(
 
 
 def packed(values: np.ndarray) -> str:
-    """Return numbers as a compressed text: those of 32x32x32 spheres would be too long for a line of a journal as
-    digits.
+    """Return an array as a compressed text. As digits the numbers of 32x32x32 spheres would be too long for a line of
+    a journal.
     """
     return b64encode(zlib.compress(values.tobytes())).decode()
 
 
 def unpacked(text: str, kind: type) -> np.ndarray:
-    """Return the numbers of a text that `packed` has made."""
+    """Return the array from a text that :func:`packed` has made. kind : type of its entries."""
     return np.frombuffer(zlib.decompress(b64decode(text)), kind)
 
 
 def largest_slip_error(solution: Solution) -> float | None:
-    """Return the largest share by which a slip can differ from that of every minimum; None where states are not
-    proven.
+    """Return a proven bound on the relative difference of any slip from the same contact's slip at every minimum; None
+    where not all contact states are proven, or no minimum can be enclosed.
     """
     if not solution.states_proven.all():
         return None
@@ -149,15 +171,18 @@ def largest_slip_error(solution: Solution) -> float | None:
     if contacts is None or (near := nearest_minimum(contacts)) is None:
         return None
     improved, turn = near
-    moved = np.abs(improved.size.value / contacts.size.value - 1)  # by Newton's method, before it was enclosed
+    # Newton's method changed each slip by the share `moved`; the minimum is proven within the share `turn` of there
+    moved = np.abs(improved.size.value / contacts.size.value - 1)
     return float((moved + turn * (1 + moved)).max(initial=0.0))
 
 
 def by_decade(descent: Ending, minimum: Ending) -> Table:
-    """Return the contacts of a descent by the decade of their power, from the lowest to the highest.
+    """Return how the contacts are distributed over the decades of power in a descent: a table with a row for each
+    decade, from the lowest on.
 
-    contacts : with powers in [10^exponent, 10^(exponent + 1)). slipping : those of them that slip at the minimum.
-    at_minimum : contacts that slip with such powers at the minimum.
+    Columns: `exponent`, of the decade [10^exponent, 10^(exponent + 1)) of power over F_n R omega_T; `contacts`, whose
+    power in the descent is in the decade; `slipping`, those of them that slip at the minimum; `at_minimum`, contacts
+    whose power at the minimum is in the decade.
     """
     of_contact, of_minimum = (_exponents(ending.power, ending.slips) for ending in (descent, minimum))
     used = of_contact[descent.slips]
@@ -173,14 +198,19 @@ def by_decade(descent: Ending, minimum: Ending) -> Table:
 
 
 def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """Return the decade of each contact; a number below all others where it does not slip."""
+    """Return (n,) the decade of each contact: floor(log10(power)), or -9999, below all others, where the contact does
+    not slip.
+    """
     return np.floor(np.log10(power, out=np.full(len(power), -9999.0), where=slips)).astype(int)
 
 
 @in_our_style
 def draw_decades(of: Any) -> Figure:
-    """Draw (a) histograms of the minimum and of the descents; (b) the longest descent, and which of its contacts do not
-    slip at the minimum; (c) power by power, of those that slip.
+    """Draw the figure: (a) histograms of the minimum and of all descents; (b) the histogram of the longest descent,
+    divided into contacts that slip at the minimum and others; (c) the power of each slipping contact at the minimum
+    against that in the longest descent.
+
+    of : the values of :func:`names_of` as attributes.
     """
     figure = new_figure(7.1, 2.6)
     panels: Any = figure.subplots(1, 3)

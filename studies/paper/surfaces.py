@@ -3,10 +3,10 @@
 The interface of two rigid domains of spheres is a surface of least weight in random friction. On length scales beyond
 those of the lattice it is rough, W ~ L^zeta, and its weight fluctuates like L^theta, with zeta = 0.41 +- 0.01, theta =
 0.84 +- 0.03 and theta = 2 zeta (Middleton, Phys. Rev. E 52, R3337, 1995); where the friction varies little it stays in
-one lattice plane up to large sizes (Alava and Duxbury, Phys. Rev. B 54, 14990, 1996). The minimum is no cut: its
-spins are vectors and may change little by little. If its slip stays near a surface, its power fluctuates like the
-weight of one and its spin changes within a share L^(zeta - 1) of the layers; if all the bulk slips, each of L^3
-contacts by 1/L, the power fluctuates like L^(1/2), and the spin changes within a constant share of the layers.
+one lattice plane up to large sizes (Alava and Duxbury, Phys. Rev. B 54, 14990, 1996). The minimum is no cut: its spins
+are vectors and may change little by little. If its slip stays near a surface, its power fluctuates like the weight of
+one and its spin changes within a share L^(zeta - 1) of the layers; if all the bulk slips, each of L^3 contacts by 1/L,
+the power fluctuates like L^(1/2), and the spin changes within a constant share of the layers.
 """
 
 from collections.abc import Mapping
@@ -40,17 +40,24 @@ SIZES = {  # by lowest friction and by L of the cuts, samples for each sample of
     0.3: {8: 2.0, 16: 2.0, 32: 1.0},
 }
 QUICK_SIZES = {0.0: {6: 10.0, 8: 10.0, 12: 10.0, 16: 10.0, 24: 5.0}, 0.1: {8: 5.0, 16: 5.0}, 0.3: {8: 5.0, 16: 5.0}}
-SCANS = {"surfaces": 8, "surfaces-large": 8, "surfaces-largest": 8}  # scans of minima: largest side in the quick form
+# scan files with the samples whose minima are found, and the largest side that the quick form takes
+SCANS = {"surfaces": 8, "surfaces-large": 8, "surfaces-largest": 8}
 
 
 def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
-    """Return weights of minimum cuts between the planes of L x L spheres, and the variance of their height within a
-    sample.
+    """Return numbers of minimum cuts between the bottom and top planes of random lattices of L x L spheres a layer:
+    lists with one entry for each sample.
 
-    The lattice is periodic in both sides, and the cut is held: it passes through one contact in the middle. Weights are
-    in units of the largest friction, which is uniform in [lowest, 1]. A free cut would be the lightest of many
-    surfaces, of fewer the rougher they are, which changes the law up to large sizes; a held one pays for each layer by
-    which it leaves its contact in a spike.
+    length : L.
+    lowest : the friction is uniform in [lowest, 1].
+    samples, seed : number of samples, and seed from which all of them are drawn.
+
+    `weight`: of the contacts of the cut, in units of the largest friction. `roughness`: variance of the height of the
+    cut over its L x L columns, in spheres squared.
+
+    The lattice is periodic in both sides, and the cut is held: it passes through one given contact in the middle. A
+    free cut would be the lightest of many surfaces, of fewer the rougher they are, which changes the law up to large
+    sizes; a held one pays for each layer by which it leaves its contact in a spike.
     """
     middle = round(HEIGHT / 2 * length**ROUGHNESS)
     rng = np.random.default_rng([seed, length, round(1000 * lowest)])
@@ -63,11 +70,12 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
-    """Return the minimum of a sample in numbers.
+    """Return the columns of one sample at its minimum: those of :func:`.samples.shared_numbers`, and these.
 
-    power, cut : least power and that of the minimum cut, over F_n R omega_T.
-    layers : number of layers in which the spin changes: 1 / sum of share^2, where each layer has a share in the change
-        of the mean staggered spin.
+    power, cut : least power, and power of the minimum cut, over F_n R omega_T.
+    height : number of layers.
+    layers : effective number of layers over which the spin changes: 1 / sum of share^2, where each layer has a share in
+        the change of the mean staggered spin. It is 1 if all of the change is between two layers.
     """
     scene, cut = of_lattice(structure.scene), structure.interface
     assert cut is not None  # as a lattice has two planes
@@ -81,7 +89,12 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Find surfaces by their size and the lowest friction, and minima by side and height."""
+    """Find cut surfaces for several sizes and lowest frictions, and minima for several sides and heights; return
+    tables, figure and values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
+        quick form.
+    """
     sizes = QUICK_SIZES if effort.quick else SIZES
     wanted = {
         (L, lowest): max(BLOCK, round(part * effort.samples)) for lowest, of in sizes.items() for L, part in of.items()
@@ -108,16 +121,23 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def row_of(point: tuple[int, float], found: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Return a point in numbers: mean and standard deviation of each quantity over the samples."""
+    """Return a row of the table: number of samples, and mean and standard deviation of weight and roughness.
+
+    point : side L and lowest friction.
+    found : `weight` and `roughness` (samples,), as :func:`cuts` returns them.
+    """
     row = {"side": point[0], "lowest_friction": point[1], "samples": len(found["weight"])}
     return row | {f"{how}_{name}": getattr(of, how)() for name, of in found.items() for how in ("mean", "std")}
 
 
 @in_our_style
 def draw_surfaces(of: Any) -> Figure:
-    """Draw, against the side, (a) standard deviation of the weight of cut surfaces, (b) their width by the lowest
-    friction, (c) standard deviations of the least power and of that of the cut, (d) layers in which the spin of minima
-    changes.
+    """Draw the figure, four panels against the side. of : the values that :func:`study` names, as attributes.
+
+    (a) Standard deviation of the weight of cut surfaces.
+    (b) Their width (root of the mean roughness), for each lowest friction.
+    (c) Standard deviations of the least power, and of the power of the minimum cut.
+    (d) Effective number of layers over which the spin of minima changes.
     """
     weight, theta, zeta, flat, cubes, towers = of.weight, of.theta, of.zeta, of.flat, of.cubes, of.towers
     figure = new_figure(7.1, 5.0)

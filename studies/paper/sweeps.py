@@ -1,11 +1,12 @@
 """Shortest paths across grids of faces, many grids at once: sweeps over the columns until no distance falls.
 
-A step leads from a face to one beside it and costs the weight of the contact that it crosses. A column takes shorter
-distances from its neighbour, then its own faces from each other, up and down; columns whose neighbours have not changed
-are skipped. A path that reverses its direction n times takes n sweeps, and a lightest one seldom does: this is some ten
-times as fast as a queue of faces (numerics/planar/paths.py), but in floating point, so without proof.
+A face is a square between four discs; a path over faces crosses the contacts of a cut. A step leads from a face to one
+beside it and costs the weight of the contact that it crosses. A column takes shorter distances from its neighbour, then
+its own faces from each other, up and down; columns whose neighbours have not changed are skipped. A path that reverses
+its direction n times takes n sweeps, and a lightest one seldom does: this is some ten times as fast as a queue of faces
+(numerics/planar/paths.py), but in floating point, so without proof.
 
-Letters: B grids, w columns, h rows.
+Letters: B grids, w columns, h rows of discs.
 """
 
 # mypy: ignore-errors
@@ -21,9 +22,11 @@ TO_THE_RIGHT, TO_THE_LEFT = 1, 2  # bits: the neighbour on that side has not see
 
 
 def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
-    """Return the distances (B, w, h - 1) of faces from the left outside, which is column 0, for B grids.
+    """Return the least weight of a path from the outside on the left, which is column 0, to each face: (B, w, h - 1)
+    for B grids.
 
-    sideways, upward : weights (B, w - 1, h) and (B, w, h - 1), none negative; those of the end rows take no part.
+    sideways, upward : weights of the contacts, (B, w - 1, h) and (B, w, h - 1), none negative; those of the lowest and
+        the highest row of `sideways` take no part, since they join driven discs.
     """
     found = np.full(upward.shape, np.inf)
     found[:, 0] = 0.0
@@ -34,9 +37,11 @@ def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
 
 
 def crossings(sideways: np.ndarray, upward: np.ndarray, column: int) -> np.ndarray:
-    """Return the length (B, h - 1) of the shortest path from outside to outside across each contact of a column.
+    """Return (B, h - 1) the least weight of a path from the outside on the left to that on the right, across each of
+    the upward contacts in one column.
 
-    sideways, upward : see :func:`from_left`. column : between the first and the last.
+    sideways, upward : see :func:`from_left`.
+    column : index of the column, neither the first nor the last.
     """
     left = from_left(sideways, upward)[:, column]
     right = from_left(sideways[:, ::-1], upward[:, ::-1])[:, -1 - column]
@@ -45,9 +50,14 @@ def crossings(sideways: np.ndarray, upward: np.ndarray, column: int) -> np.ndarr
 
 @ti.kernel
 def _sweep(found: WEIGHTS, inner: WEIGHTS, upward: WEIGHTS, unseen: CHANGES):
-    """Sweep over the columns of each grid, rightward and leftward, until no distance falls.
+    """Lower the distances by sweeps over the columns of each grid, rightward and leftward in turn, until none falls
+    any more.
 
-    found : (B, w, h - 1) distances, lowered in place. inner, upward : weights. unseen : (B, w) bits, see TO_THE_RIGHT.
+    found : (B, w, h - 1) distances, changed in place.
+    inner : (B, w - 1, h - 2) weights of the sideways contacts without those of the driven rows.
+    upward : (B, w, h - 1) weights of the upward contacts.
+    unseen : (B, w) bits TO_THE_RIGHT and TO_THE_LEFT: the neighbour on that side has not seen the last change of the
+        column. Changed in place.
     """
     for grid in range(found.shape[0]):
         columns, more = found.shape[1], 1
@@ -69,10 +79,13 @@ def _arrive(
     grid: int, column: int, beside: int, contact: int,
     found: ti.template(), inner: ti.template(), upward: ti.template(), unseen: ti.template(),
 ) -> int:  # fmt: skip
-    """Relax the distances of a column through its neighbour, then up and down the column; 1 if any became shorter.
+    """Lower the distances of a column by paths through its neighbour, then along the column, up and down. Return 1 if
+    any became shorter, else 0.
 
-    beside : number of the neighbour. contact : column of the upward contacts between both. Other arguments as in
-        `_sweep`.
+    grid, column : indices of the column.
+    beside : index of the neighbour.
+    contact : column of the upward contacts between both.
+    found, inner, upward, unseen : as of `_sweep`.
     """
     rows, nearer = found.shape[2], 0
     for row in range(rows):

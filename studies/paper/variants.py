@@ -1,4 +1,4 @@
-"""Other friction, and other imposed bearing states: what of the paper's findings in three dimensions holds for them.
+"""Other friction, and other imposed bearing states: which of the paper's findings in three dimensions hold for them.
 
 In two dimensions the least power is the minimum cut's whatever the distribution of the friction coefficients: `fig1`.
 Equal coefficients, or two values, leave minima that tie; then the slipless network of the state found is one of many,
@@ -33,7 +33,7 @@ Variants = Mapping[str, Mapping[str, Any]]
 """Settings of a run, by the name of the variant."""
 SPREAD = ("uniform:0.1,1", "uniform:0.5,1", "uniform:0.9,1", "lognormal:0.4,1", "power-law:0.001,1,-1")
 """Distributions whose values all differ; the first is the paper's."""
-TIED = ("bimodal:0.1,1,0.5",)
+TIED = ("bimodal:0.1,1,0.5",)  # two values of friction, so that minima tie
 EQUAL = "constant:0.5"
 SHARE_OF_SAMPLES = 0.25
 MOST_SAMPLES = 10  # most samples of each driving
@@ -49,7 +49,7 @@ SAME: Variants = {  # the same problem, rescaled, shifted or mirrored
 }
 AXES = [(1, 0, 0), (4, 1, 0), (2, 1, 0), (10, 9, 0), (1, 2, 0), (1, 4, 0), (0, 1, 0)]
 OTHER = {f"axis ({x}, {y}, {z})": {"direction": (float(x), float(y), float(z))} for x, y, z in AXES}
-ALONG = ("axis (1, 0, 0)", "axis (0, 1, 0)")
+ALONG = ("axis (1, 0, 0)", "axis (0, 1, 0)")  # drivings whose jump lies along a lattice axis
 HEIGHT = "axis (0, 0, 1)"
 RATES = {  # C of the top beside A = (1, 1, 0), for the lattice spacing 1
     f"A = (1, 1, 0), C = {rate:g}": {"top": (1.0, 1.0, 0.0, rate), "bottom": (0.0, 0.0, 0.0, 0.0)}
@@ -59,7 +59,10 @@ DRIVINGS: Variants = {REFERENCE: {}, **SAME, **OTHER, HEIGHT: {"direction": (0.0
 
 
 def distributions(folder: Path, effort: Effort) -> Found:
-    """Find certified samples of each distribution."""
+    """Find certified samples for each distribution of the friction; return table, figure and values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    """
     variants = {name: {"distribution": name} for name in (*SPREAD, *TIED, EQUAL)}
     seeds = effort.seeds(max(1, int(SHARE_OF_SAMPLES * effort.samples)))
     found = samples_of(variants, seeds, spread_numbers, folder / "distributions.jsonl")
@@ -67,7 +70,10 @@ def distributions(folder: Path, effort: Effort) -> Found:
 
 
 def drivings(folder: Path, effort: Effort) -> Found:
-    """Find certified samples under each driving."""
+    """Find certified samples for each driving; return table, figure and values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    """
     seeds = effort.seeds(max(1, min(MOST_SAMPLES, effort.samples // 4)))
     tables = samples_of(DRIVINGS, seeds, driven_numbers, folder / "drivings.jsonl")
     found = beside_reference(tables)
@@ -77,9 +83,11 @@ def drivings(folder: Path, effort: Effort) -> Found:
 def samples_of(
     variants: Variants, seeds: range, numbers: Callable[[Structure], dict[str, Any]], journal: Path
 ) -> dict[str, Table]:
-    """Return numbers of the certified cubes of each variant, of the same seeds, by its name.
+    """Return for each variant a table of its certified cubes, all variants with the same seeds.
 
-    numbers : returns those of one sample. journal : file that keeps finished samples.
+    variants : for each variant the settings in which it differs from the paper's bearing.
+    numbers : function that returns the columns of a row, from the structure of a solved sample.
+    journal : file that keeps finished samples.
     """
     chosen = [RunSettings(shape=(BULK,) * 3, seed=seed, **variant) for variant in variants.values() for seed in seeds]
     found, each = measured(chosen, numbers, journal), len(seeds)
@@ -87,9 +95,9 @@ def samples_of(
 
 
 def spread_numbers(structure: Structure) -> dict[str, Any]:
-    """Return the numbers of one sample.
-
-    decades : of power of the contacts that slip; None where it is not proven which do.
+    """Return the columns of one sample of a distribution: those of :func:`.samples.shared_numbers`, and `decades`, the
+    orders of magnitude from the smallest to the largest power of a slipping contact; None where it is not proven
+    which contacts slip.
     """
     scene = structure.scene
     power = scene.law.power(scene.material, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
@@ -99,11 +107,12 @@ def spread_numbers(structure: Structure) -> dict[str, Any]:
 
 
 def driven_numbers(structure: Structure) -> dict[str, Any]:
-    """Return the numbers of one sample.
+    """Return the columns of one sample under a driving: those of :func:`.samples.shared_numbers`, and these.
 
-    slipless : 1 for each slipless contact. power_over_jump : power over F_n R times the jump across the height (or the
-        jump
-    itself where it has no such part). angle : of the jump, degrees from x.
+    slipless : for each contact 1 if it is slipless, else 0.
+    power_over_jump : power over F_n R times the part of the jump across the height (times the whole jump, where it has
+        no such part).
+    angle : direction of the jump, degrees from x.
     """
     scene = of_lattice(structure.scene)
     jump = np.abs(scene.driving.difference.spin[0])
@@ -116,9 +125,10 @@ def driven_numbers(structure: Structure) -> dict[str, Any]:
 
 
 def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
-    """Return the values that the claims use, by name.
+    """Return the values that the figure and the claims use, by name. found : for each distribution its table.
 
-    judged : samples whose contact states are proven, of the distributions whose values all differ.
+    Among them: `random`, the tables of the distributions in which not all values are equal; `judged`, the samples whose
+    contact states are all proven, of the distributions in which all values differ.
     """
     return {
         "bulk": BULK, "practically": PRACTICALLY_ALL, "paper_name": SPREAD[0],
@@ -129,8 +139,14 @@ def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
 
 
 def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
-    """With, sample by sample, the contacts that are slipless under one of both drivings alone, this and REFERENCE, and
-    the overlap: those slipless under both over those slipless under either."""
+    """Return for each driving its table with two columns that compare its slipless contacts with those of the same
+    sample under the driving REFERENCE.
+
+    tables : for each driving its table; column `slipless` (samples, contacts) is 1 for slipless contacts.
+
+    `changed`: number of contacts that are slipless under one of the two drivings only. `overlap`: number of those
+    slipless under both, over the number of those slipless under either.
+    """
     reference = tables[REFERENCE].slipless.astype(bool)
     found = {}
     for name, table in tables.items():
@@ -141,7 +157,11 @@ def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
 
 
 def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
-    """Return the values that the claims use, by name: drivings that are the same problem, of other axes, of other C."""
+    """Return the values that the figure and the claims use, by name. found : for each driving its table.
+
+    `same`: drivings that pose the same problem as the reference. `other`: other axes of rotation. `rates`: other values
+    of C. `along`: the axes along x and along y together.
+    """
     return {
         "bulk": BULK, "reference": found[REFERENCE], "seeds": found[REFERENCE].seed, "height": found[HEIGHT],
         "same": {name: found[name] for name in SAME}, "other": {name: found[name] for name in OTHER},
@@ -151,7 +171,11 @@ def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
 
 @in_our_style
 def draw_distributions(of: Any) -> Figure:
-    """Draw P_min / P_cut, samples that span, slipless contacts and decades of power, a row a distribution."""
+    """Draw the figure, a row for each distribution: least power over that of the minimum cut, share of samples whose
+    slipless contacts join bottom and top, share of slipless contacts, and decades of power.
+
+    of : the values of :func:`names_of_distributions` as attributes.
+    """
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 4, sharey=True)
     rows = range(len(of.all), 0, -1)
@@ -173,9 +197,12 @@ def draw_distributions(of: Any) -> Figure:
 
 @in_our_style
 def draw_drivings(of: Any) -> Figure:
-    """Draw (a) share of the slipless contacts that two axes have in common, (b) P_min / P_cut; both against the angle.
+    """Draw the figure. Dots are samples, the line is their mean. of : the values of :func:`names_of_drivings` as
+    attributes.
 
-    (c) is that share with and without C, against C. Dots are samples, the line is their mean.
+    (a) Overlap of the slipless contacts with those under the reference, and (b) least power over that of the minimum
+        cut, both against the angle of the jump.
+    (c) Overlap of the slipless contacts with and without C, against C.
     """
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 3)

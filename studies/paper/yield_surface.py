@@ -1,4 +1,5 @@
-"""The yield surface: which torques a frustrated bearing holds, over the directions in which its top can be driven.
+"""The yield surface: which torques a frustrated bearing withstands, over the directions in which its top can be
+driven.
 
 The top rotates in the bearing state a + c (x - x_0) / rho, the bottom rests: a lies in the plane, x_0 is the middle of
 the top and rho the root mean square distance from it, so that |(a, c)| is that of the jump. The least power P(a, c) is
@@ -11,6 +12,8 @@ Driven about x alone, no layer y = const is driven: together these layers carry 
 about y beside a top that rotates about x. So the surface has flat parts there, of the width 2 t, and t < P(y) is how
 much crossed driving weakens. Where top and bottom differ in both components in each layer the torque is unique (see
 analysis/structure), so the surface has no flat part there.
+
+A direction is (a_x, a_y, c). Powers are energy/time at a spin of 1, so torques and powers have the same numbers.
 """
 
 from pathlib import Path
@@ -36,7 +39,7 @@ from .samples import Found, Part, Table, computed, solved
 SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.25, 24: 0.05}  # by side of the cube, share of the effort's samples
 QUICK_SIDES = (4, 6, 8)
 FEWEST = 5  # least samples of a side, so that their spread is known
-BESIDE = 1e-4  # relative rotation about a second direction, so that the torque is at the end of a flat part
+BESIDE = 1e-4  # small rotation about a second axis, by which the torque is at the end of a flat part of the surface
 SLOPES = (0.0, BESIDE, 0.1, 0.25, 0.5, 1.0)
 PLANE = [(1.0, slope, 0.0) for slope in SLOPES] + [(slope, 1.0, 0.0) for slope in reversed(SLOPES[:-1])]
 DILATING = [(1.0, 0.0, c) for c in (BESIDE, 0.5, 1.0)] + [(a, 0.0, 1.0) for a in (0.5, BESIDE, 0.0)]
@@ -46,19 +49,25 @@ SHOWN = 3  # number of sizes whose surface is drawn
 
 
 def offsets(side: int) -> np.ndarray:
-    """Return places (side,) of layers from the middle of the top, over the root mean square distance of its spheres."""
+    """Return (side,) the places of the lines of spheres of the square top plane, from its middle, over the root mean
+    square distance of its spheres from the middle.
+    """
     return (np.arange(side) - (side - 1) / 2) / ((side**2 - 1) / 6) ** 0.5
 
 
 def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> RunSettings:
-    """Return the settings of the sample of this seed, its top driven in the direction (a_x, a_y, c)."""
+    """Return the settings of the cube with this side and seed, the bottom at rest and the top driven in this direction
+    (a_x, a_y, c).
+    """
     a_x, a_y, c = direction
     first, rate = offsets(side)[0] * c, np.diff(offsets(side))[0] * c  # the spacing is 1
     return RunSettings(shape=(side,) * 3, seed=seed, top=(a_x + first, a_y + first, 0.0, rate), bottom=(0.0,) * 4)
 
 
 def held(settings: RunSettings) -> dict[str, Any]:
-    """Return least power and its bound, energy/time, and the torque (T_x, T_y, T_c) of the forces that prove it."""
+    """Return numbers of one sample at its minimum: `power` and its proven `lower_bound`, energy/time, and `torque`,
+    the list (T_x, T_y, T_c) of the torque on the top by the contact forces that prove the bound.
+    """
     scene = build_scene(settings)
     structure = structure_of(solved(scene, InteriorPoint(settle=False), PROVEN_GAP))
     force = staggered_forces(structure.answer.friction, scene.lattice, scene.minimum_spin_axes)[:, 0]
@@ -71,7 +80,12 @@ def held(settings: RunSettings) -> dict[str, Any]:
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Solve samples of all sizes under all directions."""
+    """Find the least power and the torque of samples of several sizes under all directions; return table, figure and
+    values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
+        quick form.
+    """
     shares = {side: share for side, share in SHARES.items() if not effort.quick or side in QUICK_SIDES}
     points = [
         (side, seed)
@@ -90,24 +104,29 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[str, Any]:
-    """Return the values that figure and claims use, by name; those of samples by side.
+    """Return the values that figure and claims use, by name. Those with one number a sample are arrays by side of the
+    cube.
 
-    points : (n, 2) side and seed of the samples. power, torque : (n, directions) and (n, directions, 3).
+    points : (n, 2) side and seed of the samples.
+    power : (n, directions) least power, energy/time.
+    torque : (n, directions, 3) torque (T_x, T_y, T_c) at the minimum.
 
-    above : largest excess of the work of a torque in a direction over the least power there, relative.
-    apart : largest relative difference of P and torque . direction, in the torque's own direction.
-    crossed : share of the yield torque about y that is left beside a top that rotates about x; mean with x and y
-        exchanged.
-    square : P(1, 1) over P(1, 0) + P(0, 1). circle : the same power over the root of the sum of their squares.
-    steps : change of T_x where a little rotation about x is added to c, over P(c).
-    per_area : P over F_n R L^2 |(a, c)|. body : means of P and of torques, over F_n R L^2.
-    fading, squaring : Exponent of 1 - crossed and of 1 - square, A L^(2 value).
-    square_limit, limits_of : Limit of square and of per_area.
+    * `above`: largest relative excess of torque . direction over the least power in that direction, of any torque and
+      direction (0 if all torques are inside);
+    * `apart`: largest relative difference of P and torque . direction, in the torque's own direction;
+    * `crossed`: share of the yield torque about y that is left while the top rotates about x; mean with x and y
+      exchanged;
+    * `square`: P(1, 1) over P(1, 0) + P(0, 1); `circle`: the same power over the root of the sum of their squares;
+    * `steps`: change of T_x if a little rotation about x is added to c, over P(c);
+    * `per_area`: P over F_n R L^2 |(a, c)|; `body`: means of P and of torques, over F_n R L^2;
+    * `fading`, `squaring`: how 1 - crossed and 1 - square change with the side, fitted by A L^(2 value);
+    * `square_limit`, `limits_of`: limits of `square` and of `per_area` for infinite size.
     """
     at, settings = {direction: k for k, direction in enumerate(DIRECTIONS)}, RunSettings()
     unit = settings.normal_force * settings.radius * points[:, 0] ** 2
 
     def of(values: np.ndarray) -> dict[int, np.ndarray]:
+        """Return values (n,) of the samples as arrays by side of the cube."""
         return Table({"side": points[:, 0], "value": values}).by("value")
 
     x, y, both, c = (power[:, at[direction]] for direction in ((1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1)))
@@ -131,17 +150,19 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
             for side in square
             for here in [points[:, 0] == side]
         },
-            }  # fmt: skip
+    }  # fmt: skip
 
 
 @in_our_style
 def draw_yield_surface(named: Any) -> Figure:
-    """Draw (a) the torques (T_x, T_y) and (b) (T_x, T_c) that a mean bearing holds, and (c, d) how they depend on the
-    size.
+    """Draw the figure. named : the values of :func:`names_of` as attributes.
 
-    The set of torques lies between those of its directions (points) and the half-spaces of its powers (thin lines);
-    circle and square are of the largest size. (c) is what crossed driving takes of the yield torque, and by how much
-    the power falls short of the sum about x and about y, against the size; (d) the power an area against 1 / L.
+    (a) The torques (T_x, T_y) and (b) (T_x, T_c) that a mean bearing withstands. Their set lies between the torques of
+        the directions solved (points) and the half-spaces of their powers (thin lines); circle and square have the size
+        of the largest cubes.
+    (c) What crossed driving takes of the yield torque, and by how much the power falls short of the sum of those about
+        x and about y, against the side.
+    (d) The power for an area against 1 / L.
     """
     directions, plane = np.array(DIRECTIONS), len(PLANE)
     figure = new_figure(DOUBLE, 5.2)
@@ -192,6 +213,11 @@ def draw_yield_surface(named: Any) -> Figure:
 
 
 def _closed(panel: Any, points: np.ndarray, *look: Any, **more: Any) -> None:
-    """Draw a curve from one axis to the other and its mirror images in both, as the mean bearing has them."""
+    """Draw a closed curve: a quarter, which leads from one axis to the other, and its mirror images in both axes. A
+    mean bearing has these symmetries.
+
+    points : (n, 2) of the quarter.
+    look, more : further arguments of matplotlib's plot.
+    """
     quarters = [points, points[::-1] * [-1, 1], -points, points[::-1] * [1, -1]]
     panel.plot(*np.concatenate([*quarters, points[:1]]).T, *look, **more)

@@ -1,7 +1,10 @@
 """The axes of stress in one table, and the samples that they start from.
 
 A *row* is a method, law, dimension, device and precision; an *axis* is a parameter that is taken to its extremes; a
-*cell* is one value of an axis on one row.
+*case* is a sample and how it is solved; a *cell* is one value of an axis on one row.
+
+A *change* is a function `change(case, value, row)` that returns the case in which the parameter of an axis has this
+value.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +31,14 @@ ROWS: dict[str, type[MethodOptions]] = {"auto": MethodOptions, **METHODS}
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the report: a method, under a law, in a dimension, on a device, in a precision."""
+    """One row of the report: what solves, and where.
+
+    method : name of the method, or "auto".
+    law : name of the contact law.
+    dimension : 2 or 3.
+    arch : device, such as "cpu" or "cuda".
+    precision : "f64" or "f32".
+    """
 
     method: str
     law: str
@@ -37,6 +47,7 @@ class Row:
     precision: str = "f64"
 
     def __str__(self) -> str:
+        """Return the row in words, as reports name it."""
         device = "" if self.arch == "cpu" else f" {self.arch}"
         return f"{self.method} {self.law} {self.dimension}D{device} {self.precision}"
 
@@ -45,10 +56,14 @@ class Row:
 class Case:
     """A sample and how it is solved.
 
-    options, settings : of the method, and of the solve.
-    unit : its power over that of `scaled`. scaled : the scene before its units were changed; None if they were not.
-    is_layered : its truth is found column by column (see truth.layered).
-    refusal : it must be refused.
+    scene : the sample.
+    options : options of the method, by name.
+    settings : further arguments of :func:`taichi_bearings.solve`.
+    unit : power of the sample over the power of `scaled`, if its units were changed.
+    scaled : the scene before its units were changed; None if they were not.
+    is_layered : True if contacts along the height are alike in each layer, so that its exact minimum is found column by
+        column (:func:`.truth.layered`).
+    refusal : True if the only right answer is an error that refuses the input.
     """
 
     scene: Scene
@@ -61,25 +76,28 @@ class Case:
 
     @property
     def in_plain_units(self) -> Scene:
-        """The scene whose truth, times the unit, is that of this one."""
+        """The scene whose exact minimum, times `unit`, is that of this one."""
         return self.scaled or self.scene
 
 
-def column_of(value: Any) -> str:
+def column_name(value: Any) -> str:
     """Return the text that names a value of an axis in reports."""
     return value if isinstance(value, str) else f"{value:g}"
 
 
-Change = Callable[[Case, Any, Row], Case]  # makes a case from the unchanged one, for a value of an axis
+Change = Callable[[Case, Any, Row], Case]  # returns a case from the unchanged one, for a value of an axis and a row
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One way to strain a solve.
+    """A parameter that is taken to its extremes.
 
-    values : the columns of the report. change : makes a case from the unchanged one.
-    rows : returns True for rows that it concerns.
-    patience : factor of the time limit. Of axes with more than 1 the short sweep takes the first values only.
+    name : by which users choose the axis.
+    title : label of the axis in figures.
+    values : its values, which are the columns of the report.
+    change : function that makes a case from the unchanged one, for a value.
+    rows : function that returns True for rows on which the axis is tried.
+    patience : factor of the time limit. With more than 1, the quick form takes the first values only (see FIRST).
     """
 
     name: str
@@ -93,12 +111,15 @@ class Axis:
     def columns(self) -> list[str]:
         """The values as texts: numbers from the least to the greatest, then words in their own order."""
         numbers = sorted(value for value in self.values if not isinstance(value, str))
-        return list(map(column_of, [*numbers, *(value for value in self.values if isinstance(value, str))]))
+        return list(map(column_name, [*numbers, *(value for value in self.values if isinstance(value, str))]))
 
 
 def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: Any) -> Scene:
-    """Return a scene of the law of a row, all coefficients drawn in the same way. others : further arguments of a
-    Scene.
+    """Return a scene with the law of a row, all of whose coefficients are drawn in the same way.
+
+    shape : of the lattice.
+    draw : function that returns an array of coefficients, from a generator of random numbers and a shape.
+    others : further arguments of a Scene.
     """
     rng = np.random.default_rng([seed, 1])
     others |= {"viscosity": draw} if len(LAWS[row.law].quantities) > 1 else {}
@@ -106,8 +127,10 @@ def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: A
 
 
 def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
-    """Return the sample of a row that no axis has changed, driven about x alone if the method needs that; None if
-    it fails.
+    """Return the case of a row that no axis has changed: a small sample with coefficients uniform in [0.1, 1].
+
+    It is driven about x + y or, if the method refuses that, about x alone; None if the method refuses both. quick :
+    take smaller samples.
     """
     shape = (SMALL_SHAPES if quick else SHAPES)[row.dimension]
     for direction in ((1.0, 1.0, 0.0), (1.0, 0.0, 0.0)):
@@ -118,7 +141,9 @@ def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
 
 
 def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
-    """Return all rows of these methods and laws. A GPU that is software is left out: it is the CPU."""
+    """Return all rows of these methods and laws, on all devices and in all precisions on which they run. A GPU that is
+    emulated by the CPU is left out.
+    """
     found = []
     for arch, precision in product(("cpu", *runtime.GPUS), runtime.PRECISIONS):
         if arch != "cpu" and all(device.is_software for device in runtime.usable(arch, precision)):
@@ -131,22 +156,28 @@ def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
 
 
 def _uniform(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
+    """Return coefficients that are uniform in [0.1, 1]."""
     return rng.uniform(0.1, 1.0, shape)
 
 
 def _log_uniform(rng: np.random.Generator, shape: Sequence[int], value: float) -> np.ndarray:
+    """Return coefficients that are uniform in their logarithm over `value` decades around 1."""
     return 10.0 ** (value * (rng.uniform(0, 1, shape) - 0.5))
 
 
 def _tied(rng: np.random.Generator, shape: Sequence[int], value: str) -> np.ndarray:
+    """Return coefficients with few different values, so that minima tie. value : which ones, in words."""
     values = {"all equal": [1.0], "1 or 2": [1.0, 2.0], "1, 2 or 3": [1.0, 2.0, 3.0], "nearly": [1.0, 1 + 2**-50]}
     return rng.choice(values[value], shape)
 
 
-def _redrawn(draw: Callable[..., np.ndarray]) -> Change:
-    """Return a change that draws other coefficients on the same lattice."""
+def _with_coefficients(draw: Callable[..., np.ndarray]) -> Change:
+    """Return a change that draws other coefficients on the same lattice. draw : function (generator, shape, value)
+    that returns them.
+    """
 
     def change(case: Case, value: Any, row: Row) -> Case:
+        """Return the case with coefficients drawn anew."""
         scene = case.scene
         shape, direction = scene.lattice.shape, scene.direction
         return replace(case, scene=drawn(row, shape, partial(draw, value=value), direction=direction))
@@ -155,7 +186,9 @@ def _redrawn(draw: Callable[..., np.ndarray]) -> Change:
 
 
 def _absent(case: Case, value: str, row: Row) -> Case:
-    """Return the case with some coefficients of exactly zero."""
+    """Return the case in which some contacts are absent: their coefficients are exactly zero. value : which ones, in
+    words.
+    """
     scene, lattice = case.scene, case.scene.lattice
     middle = tuple(n // 2 for n in lattice.shape)
     share = np.random.default_rng(11).uniform(0, 1, len(lattice.axis))
@@ -173,17 +206,24 @@ def _absent(case: Case, value: str, row: Row) -> Case:
 
 
 def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., Case]:
-    """Return a change to units that are larger by a power of two; everything that has a unit changes with them.
+    """Return a function that changes a case to other units; everything that has a unit changes with them.
 
-    force, length, time : the power of the scale that each unit has.
+    force, length, time : exponents. Numbers that stand for a force (a length, a time) are multiplied by the factor of
+        the change, raised to this power.
     """
 
     def change(case: Case, value: float, row: Row, name: str) -> Case:
-        """Return the case with all its units changed, so that the number of this name is multiplied by the value."""
+        """Return the case in other units.
+
+        value : factor of the number `name` of the scene; it is rounded to a power of two, so that no other rounding
+            arises.
+        name : the number that is multiplied by it.
+        """
         two = 2.0 ** round(np.log2(value))
-        flow = two ** (force + time - length)  # of viscosities and dampers
+        flow = two ** (force + time - length)  # factor of viscosities and dampers
         scene, owned = case.scene, options_of(ROWS[row.method])
         changes: dict[str, Any] = {name: getattr(scene, name) * two} if name in Scene.PARAMETERS else {}
+        # coefficients of friction have no unit; those of a viscous law have that of a damper
         friction = two if name == "coefficients" else 1.0
         first = friction if scene.law.holds else flow
         changes["coefficients"] = tuple(values * first for values in scene.coefficients)
@@ -199,42 +239,53 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
 
 
 def _scene(changes: Callable[[Scene, Any], dict[str, Any]]) -> Change:
-    """Return a change of parameters of the scene. changes : finds them from the scene and the value."""
+    """Return a change of parameters of the scene. changes : function that returns the new parameters by name, from the
+    scene and the value.
+    """
     return lambda case, value, row: replace(case, scene=replace(case.scene, **changes(case.scene, value)))
 
 
 def _nearly_equal(_: Scene, value: str) -> dict[str, Any]:
-    """Return a spin of the bottom that is nearly, or quite, that of the top."""
+    """Return a spin of the bottom that is nearly, or exactly, the spin 1 of the top. value : 1 - omega_B / omega_T as
+    a text, "an ulp" for the next double, or "equal".
+    """
     bottom = {"equal": 1.0, "an ulp": np.nextafter(1.0, 0.0)}.get(value) or 1.0 - float(value)
     return {"spin_bottom": float(bottom)}
 
 
 def _common_state(_: Scene, value: float) -> dict[str, Any]:
-    """Return a bearing state added to both planes, and so to all spins.
+    """Return bearing states of top and bottom to both of which a large one, of size `value`, is added; it is then
+    added to all spins at the minimum.
 
-    It is one as from an origin far away along x, and at the second sphere along y, where A cancels C y.
+    The added state is such as has its origin far away along x, and at the second sphere along y, where A cancels C y.
     """
     top, bottom = (1.0, 0.5, 0.0, 0.5), (value, -value, value, value)
     return {"top": tuple(one + other for one, other in zip(top, bottom, strict=True)), "bottom": bottom}
 
 
 def _pivot(_: Scene, value: float) -> dict[str, Any]:
-    """Return a top that rotates about its second sphere along x, but for a small part of what A cancels there."""
+    """Return bearing states in which the top rotates about its second sphere along x, but for a small part `value` of
+    what A cancels there.
+    """
     return {"top": (value - 1.0, 1.0, 0.0, 1.0), "bottom": (0.0,) * 4}
 
 
+# by name, the shapes in 2D and 3D of lattices with periodic sides
 RINGS = {"of 4": ((4, 6), (4, 2, 4)), "of 2": ((2, 6), (2, 2, 4)), "of 2, 9 decades": ((2, 6), (2, 2, 4)),
          "of 2, 18 decades": ((2, 6), (2, 2, 4))}  # fmt: skip
 
 
 def _rings(case: Case, value: str, row: Row) -> Case:
-    """Return the case with all sides closed but the height."""
+    """Return the case on a lattice that is periodic in all directions but the height. value : length of the closed
+    sides and decades of the coefficients, in words (a key of RINGS).
+    """
     decades = {"of 2, 9 decades": 9.0, "of 2, 18 decades": 18.0}.get(value)
     draw = partial(_log_uniform, value=decades) if decades else _uniform
     shape, closed = RINGS[value][row.dimension - 2], ("x", "y")[: row.dimension - 1]
     return replace(case, scene=drawn(row, shape, draw, direction=case.scene.direction, periodic=closed))
 
 
+# by name, the shapes in 2D and 3D
 SIDES = {
     "least": ((2, 3), (2, 2, 3)), "tall": ((2, 64), (2, 2, 64)), "flat": ((256, 3), (16, 16, 3)),
     "1e3": ((32, 32), (10, 10, 10)), "1e4": ((100, 100), (22, 22, 22)), "1e5": ((316, 316), (46, 46, 46)),
@@ -243,9 +294,12 @@ SIDES = {
 
 
 def _sides(case: Case, value: str, row: Row) -> Case:
-    """Return a case of another size: contacts along the height alike in each layer, sideways contacts random."""
+    """Return the case on a lattice of another size, a key of SIDES. Contacts along the height are alike in each layer,
+    sideways contacts are random, so that the exact minimum is known.
+    """
 
     def draw(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
+        """Return uniform coefficients for one axis; along the height those of the first column everywhere."""
         values = _uniform(rng, shape)
         is_upward = shape[:-1] == sides[:-1]
         return np.broadcast_to(values[(0,) * (len(shape) - 1)], shape).copy() if is_upward else values
@@ -256,27 +310,34 @@ def _sides(case: Case, value: str, row: Row) -> Case:
 
 
 def _option(key: str) -> Change:
+    """Return a change that sets an option of the method to the value. key : name of the option."""
     return lambda case, value, row: replace(case, options={key: value})
 
 
-def _owns(*keys: str) -> Callable[[Row], bool]:
+def _has_options(*keys: str) -> Callable[[Row], bool]:
+    """Return a function that says whether the method of a row has all of these options."""
     return lambda row: set(keys) <= options_of(ROWS[row.method]).keys()
 
 
 def _has_spheres(row: Row) -> bool:
+    """Return True for rows in 3D."""
     return row.dimension == 3
 
 
-def _holds(row: Row) -> bool:
+def _has_friction(row: Row) -> bool:
+    """Return True if the law of the row has static friction: a contact can bear a force without slip."""
     return LAWS[row.law].holds
 
 
 def _stable_step(case: Case) -> float:
+    """Return the largest stable time step of Cundall-Strack dynamics with its default options."""
     return stability_bound(case.scene, case.scene.minimum_spin_axes, CundallStrack())
 
 
 def _start(case: Case, value: str, row: Row) -> Case:
-    """Return the case with other spins to start from, in the laboratory frame."""
+    """Return the case with other spins to start from, in the laboratory frame. value : which ones, in words. Spins
+    that are not finite must be refused.
+    """
     scene = case.scene
     shape = scene.lattice.shape if row.dimension == 2 else (*scene.lattice.shape, 3)
     rng = np.random.default_rng(5)
@@ -294,13 +355,13 @@ _FORCE, _LENGTH, _RATE = _in_units(force=1), _in_units(length=1), _in_units(time
 AXES = {
     axis.name: axis
     for axis in (
-        Axis("contrast", "decades of the coefficients", DECADES, _redrawn(_log_uniform)),
+        Axis("contrast", "decades of the coefficients", DECADES, _with_coefficients(_log_uniform)),
         Axis("two-strengths", "decades between two strengths", DECADES,
-             _redrawn(lambda rng, shape, value: 10.0 ** (value * (rng.integers(0, 2, shape) - 0.5)))),
-        Axis("ties", "coefficients", ("all equal", "1 or 2", "1, 2 or 3", "nearly"), _redrawn(_tied)),
+             _with_coefficients(lambda rng, shape, value: 10.0 ** (value * (rng.integers(0, 2, shape) - 0.5)))),
+        Axis("ties", "coefficients", ("all equal", "1 or 2", "1, 2 or 3", "nearly"), _with_coefficients(_tied)),
         Axis("zeros", "contacts absent", ("a tenth", "a third", "a sphere", "a layer", "all"), _absent),
         Axis("friction-scale", "scale of the coefficients", SCALES, partial(_FORCE, name="coefficients")),
-        Axis("force-scale", "scale of F_n", SCALES, partial(_FORCE, name="normal_force"), _holds),
+        Axis("force-scale", "scale of F_n", SCALES, partial(_FORCE, name="normal_force"), _has_friction),
         Axis("radius-scale", "scale of R", SCALES, partial(_LENGTH, name="radius")),
         Axis("spin-scale", "scale of omega_T", SCALES, partial(_RATE, name="spin_top")),
         Axis("viscosity", "scale of the viscosity", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12),
@@ -319,12 +380,12 @@ AXES = {
         Axis("rings", "periodic sides", tuple(RINGS), _rings),
         Axis("sides", "spheres", tuple(SIDES), _sides, patience=5.0),
         Axis("stiffness", "K_t", tuple(10.0**k for k in range(1, 10)), _option("stiffness"),
-             lambda row: _holds(row) and _owns("stiffness")(row)),
+             lambda row: _has_friction(row) and _has_options("stiffness")(row)),
         Axis("damping", "A_t", (0.0, *(10.0**k for k in range(-1, 8))), _option("damping"),
-             lambda row: _holds(row) and _owns("damping")(row)),
+             lambda row: _has_friction(row) and _has_options("damping")(row)),
         Axis("time-step", "time step over the stability bound", (1e-2, 0.5, 0.9, 0.99, 1.0, 1.01, 1.1, 2.0, 10.0, 1e3),
              lambda case, value, row: replace(case, options={"time_step": value * _stable_step(case)}),
-             _owns("time_step")),
+             _has_options("time_step")),
         Axis("start", "spins to start from", ("random", "zero", "minimum-cut", "tiny", "huge", "opposite",
              "not staggered", "NaN", "infinite"), _start),
         Axis("threads", "threads", (1, 2), lambda case, value, row: replace(case, settings={"threads": value}),
@@ -332,7 +393,7 @@ AXES = {
         Axis("drift", "steps of 0.8 of the stability bound", (1e4, 1e6, 1e7),
              lambda case, value, row: replace(
                  case, settings={"duration": 0.8 * value * _stable_step(case), "iterations": 2**40}),
-             _owns("time_step"), 20.0),
+             _has_options("time_step"), 20.0),
     )
 }  # fmt: skip
 """All axes of stress by name, in the order of the report."""
@@ -340,9 +401,14 @@ AXES = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One thing that is tried: a value of an axis on a row. Workers of scans can solve it.
+    """One thing that is tried: a value of an axis on a row. The worker processes of scans can solve it.
 
-    most_seconds : of the solve.
+    axis : name of the axis.
+    value : one of its values.
+    row : the row.
+    seed : seed of the sample.
+    quick : True if the sample is a small one.
+    most_seconds : time limit of the solve.
     """
 
     axis: str
@@ -354,10 +420,12 @@ class Cell:
 
     @property
     def column(self) -> str:
-        return column_of(self.value)
+        """The text that names the value in reports."""
+        return column_name(self.value)
 
     @property
     def key(self) -> str:
+        """The text that names the cell in journals and progress reports."""
         kind = "quick" if self.quick else "full"
         return f"{self.axis} {self.column} {self.row} seed {self.seed} {kind} {self.most_seconds:g} s"
 
@@ -365,22 +433,32 @@ class Cell:
 
     @property
     def settings(self) -> RunSettings:
+        """Settings with device, precision and threads of the cell; the other ones are defaults."""
         threads = self.value if self.axis == "threads" else 1
         return RunSettings(arch=self.row.arch, precision=self.row.precision, threads=threads)
 
     @cached_property
     def case(self) -> Case:
+        """The sample of the cell, and how it is solved."""
         base = unchanged(self.row, self.seed, self.quick)
         assert base is not None
         return AXES[self.axis].change(base, self.value, self.row)
 
 
-QUICK = 25  # the short sweep takes one of so many cells
+QUICK = 25  # the quick form takes one of this many cells, so that it ends after about a minute
 FIRST = {"sides": 3, "drift": 1}  # number of values that it takes of axes that need patience
 
 
 def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, seconds: float) -> list[Cell]:
-    """Return all cells or, with `quick`, some of each row and of each axis. seconds : limit of a usual solve."""
+    """Return a cell for each row and each value of each axis that is tried on it. Rows whose method refuses the
+    unchanged sample are left out.
+
+    axes : names of the axes.
+    seed : of the samples.
+    quick : take smaller samples and the first values alone of axes that need patience, and then only every QUICK-th
+        cell.
+    seconds : time limit of a solve; it is multiplied by the patience of the axis, unless `quick`.
+    """
     found = []
     for row in rows:
         if unchanged(row, seed, quick) is None:
@@ -391,8 +469,8 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
             found += [Cell(axis.name, value, row, seed, quick, limit) for value in values]
 
     def order(cell: Cell) -> tuple[Any, ...]:
-        """Return a key that puts long cells last, and those of one device together, so that few workers have to
-        start.
+        """Return a key for sorting: long cells last, and cells of one device and precision together, so that few
+        workers have to start.
         """
         row = cell.row
         return AXES[cell.axis].patience > 1, row.arch != "cpu", row.arch, row.precision != "f64", cell.axis == "threads"

@@ -1,4 +1,9 @@
-"""One cell of stress: solved in a worker process, and judged by a truth that shares no code with what solved it."""
+"""One cell of stress (a sample, a method and one extreme value): solved in a worker process, and judged by an exact
+minimum that shares no code with what solved it.
+
+A *record* is what a worker returns on a cell, as the journal keeps it; a *row* is a line of the report. The truth of a
+cell is the exact minimum of its sample (:mod:`.truth`).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,8 +34,11 @@ MEMORY_SHARE = 0.7  # most of the free memory that a cell may be expected to nee
 
 
 def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """Solve cells in a worker; a record has the answer, or the sentence that refuses it. Anything else ends the
-    worker.
+    """Solve cells in a worker process, and return a record of each: a dictionary with its key and version, and one of
+
+    * `answer`: what the solve claims (see :func:`_solve`);
+    * `refusal`: the sentence with which the input was refused;
+    * `crash`: any other error, in words.
     """
     records = []
     for cell in cells:
@@ -46,9 +54,13 @@ def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 
 def _solve(cell: Cell) -> dict[str, Any]:
-    """Return what a solve claims, in types that JSON has; energies in energy/time, None where they are not finite.
+    """Return what a solve claims, in types that JSON has.
 
-    state : a digit for each contact; "" where the truth has no states.
+    status, reached, states_proven, seconds : as of a Result.
+    objective, lower_bound : energy/time; None where they are not finite. gap : relative.
+    state : a digit for each contact, its state; "" where the truth of the cell has no states.
+
+    Raises InputError if the cell needs more than MEMORY_SHARE of the free memory.
     """
     case, device, most = cell.case, cell.settings, MEMORY_SHARE * free_bytes()
     if (needed := bytes_of(cell)) > most:
@@ -66,19 +78,29 @@ def _solve(cell: Cell) -> dict[str, Any]:
 
 
 def bytes_of(cell: Cell) -> float:
-    """Return roughly the memory of a solve and of its proof."""
+    """Return roughly the bytes of memory that the solve of a cell and its proof need."""
     lattice = cell.case.scene.lattice
     return 200e6 + cell.case.scene.replicas * ROWS[cell.row.method].bytes(lattice.shape, lattice.periodic)
 
 
 @dataclass
 class Judge:
-    """Compares records of :func:`solve_cells` with truths, each of which is found once."""
+    """Compares what workers have found with the truth of each cell.
+
+    truths : the truths found so far, by what determines the sample, so that each is found once.
+    """
 
     truths: dict[Any, Truth] = field(default_factory=dict)
 
     def row(self, cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a row of the report. Its `reason` says why a cell is wrong, refused or a crash."""
+        """Return the row of the report on a cell.
+
+        record : of the cell, as :func:`solve_cells` returns it.
+
+        `outcome` is one of OUTCOMES; `reason` says why a cell is wrong, refused or a crash; `error` is the relative
+        error of the power; `states_wrong` counts slipless contacts that are said to slip and the other way round,
+        `states_unproven` contacts without a proven state; None where something is not known.
+        """
         unknown = ("error", "gap", "states_wrong", "states_unproven", "states_proven", "objective", "truth")
         row: dict[str, Any] = {
             "key": cell.key, "axis": cell.axis, "value": cell.column, **vars(cell.row), "outcome": "", "status": "none",
@@ -105,7 +127,9 @@ class Judge:
         return row | {"outcome": WRONG if row["reason"] else RIGHT if at_rest else NOT_REACHED}
 
     def _truth(self, cell: Cell) -> Truth:
-        """Return the truth of a cell, in its units; that of an equal scene is taken from memory."""
+        """Return the truth of a cell, in its units; one that was found before, of the same sample perhaps in other
+        units, is used again.
+        """
         scene, unit = cell.case.in_plain_units, Decimal(cell.case.unit)
         arrays = (values.tobytes() for values in (*scene.coefficients, *scene.viscosity))
         key = (scene.law, *arrays, *(getattr(scene, name) for name in scene.PARAMETERS))
@@ -116,9 +140,8 @@ class Judge:
 
 
 def _error(truth: Truth, objective: float | None) -> float | None:
-    """Return (objective - least) / objective, at least 0; None if the objective is no number.
-
-    If the objective is near 0 the divisor is the unit of the truth.
+    """Return the relative error of an objective: its excess over the least value, at least 0, over its size; None
+    without an objective. If it is nearly 0, the divisor is the unit of the truth.
     """
     if objective is None:
         return None
@@ -127,7 +150,14 @@ def _error(truth: Truth, objective: float | None) -> float | None:
 
 
 def _fault(truth: Truth, answer: Mapping[str, Any], row: dict[str, Any]) -> str:
-    """Return what is wrong with an answer that does not say so itself; "" if nothing is."""
+    """Return what is wrong with an answer that does not say so itself, in words; "" if nothing is.
+
+    answer : see :func:`_solve`.
+    row : row of the report with `status`, `error` and `states_wrong`.
+
+    An answer is at fault if a bound is above the least value, its objective is below it, states that are said to be
+    proven are not true, or it claims to have reached the minimum and its error is too large.
+    """
     slack, value, bound, error = Decimal(1 + ROUNDING), answer["objective"], answer["lower_bound"], row["error"]
     if bound is not None and Decimal(bound) > truth.upper * slack:
         return f"the bound {bound!r} is above the least value {float(truth.upper)!r}"

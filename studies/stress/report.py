@@ -1,6 +1,8 @@
-"""Runs all cells of stress and reports them: a journal that loses nothing, CSV, a table, maps, and numbers.
+"""Runs all cells of stress (a method, a sample, one extreme value) and reports them: a journal that loses nothing,
+CSV, a table, maps, and numbers.
 
-A *line* is a finished cell as the report has it. A cell is *red* if its answer is wrong without saying so, or crashed.
+A *line* is a dictionary on a finished cell, as :meth:`.cells.Judge.row` returns it. A cell is *red* if its answer is
+wrong without saying so, or if it crashed.
 """
 
 import json
@@ -34,14 +36,14 @@ JOURNAL = "cells.jsonl"
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 """Errors at a record that another program has written; its cell is solved again."""
 COLOURS = {"right": "#8fce9b", "not reached": "#f3d98a", "refused": "#c9d3e0", "wrong": "#d62728", "crash": "#222222"}
-NOTHING = "#ffffff"
+NOTHING = "#ffffff"  # colour of a cell that was not tried
 
 
 @contextmanager
 def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
-    """Open a sweep in its folder, which is locked meanwhile.
+    """Open the report in a folder, to solve and judge these cells; no other process can write there meanwhile.
 
-    FileError if another process works there, or it holds something else.
+    Raises FileError if another process works there, or the folder holds something else.
     """
     names = {file.name for file in folder.iterdir() if file.name[0] != "."} if folder.is_dir() else set()
     if names and JOURNAL not in names:
@@ -51,12 +53,16 @@ def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
 
 
 class Sweep:
-    """The cells of a folder: those that its journal has from this version, judged again, and others as they are
-    solved.
+    """The cells of a report in a folder. Those that its journal has from this version of the program are judged again,
+    the others are solved.
+
+    lines : the finished cells, by key.
     """
 
     def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
-        """Judge again the cells that the folder's journal has from this version."""
+        """Read the journal of the folder, and judge those of the cells again that it has from this version of the
+        program.
+        """
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
         known = read_journal(folder / JOURNAL)
         asked = [cell for cell in cells if known.get(cell.key, {}).get("version") == VERSION]
@@ -66,12 +72,13 @@ class Sweep:
                 self.lines[cell.key] = self.judge.row(cell, known[cell.key])
 
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
-        """Solve the cells that are missing; False if Ctrl-C ended that early. say : called with a line on each red
-        cell.
+        """Solve the cells that are missing, by worker processes; return False if Ctrl-C ended that early.
+
+        workers : number of processes. say : function that is called with a line of text on each red cell.
         """
 
         def take(outcomes: Sequence[Outcome]) -> None:
-            """Judge finished units and write them down."""
+            """Judge cells that workers have finished, and append them to the journal."""
             for outcome in outcomes:
                 cell = outcome.unit[0]
                 crash = {"key": cell.key, "version": VERSION, "crash": outcome.reason}
@@ -97,7 +104,7 @@ class Sweep:
 
     @property
     def rows(self) -> list[Line]:
-        """The finished cells in the order of the report."""
+        """The finished cells, in the order of the report."""
         order = {name: number for number, name in enumerate(AXES)}
         return sorted(
             (self.lines[key] for key in self.cells if key in self.lines), key=lambda line: order[line["axis"]]
@@ -105,11 +112,11 @@ class Sweep:
 
     @property
     def red(self) -> list[Line]:
-        """Finished cells whose answer is wrong without saying so, and crashes."""
+        """Finished cells whose answer is wrong without saying so, and those that crashed."""
         return [line for line in self.rows if line["outcome"] in (WRONG, CRASH)]
 
     def write(self) -> list[Path]:
-        """Write all files but the journal; returns their paths."""
+        """Write all files but the journal (CSV, summary, maps), and return their paths."""
         rows, paths = self.rows, [self.folder / name for name in ("stress.csv", "summary.json")]
         columns = [name for name in rows[0] if name != "key"] if rows else ["axis"]
         write_csv(paths[0], columns, ([line[name] for name in columns] for line in rows))
@@ -122,7 +129,9 @@ class Sweep:
         return paths
 
     def summary(self) -> dict[str, Any]:
-        """Return numbers of cells by outcome, how answers scale with the units, and the red cells."""
+        """Return the numbers of the report: cells by outcome, how exactly answers scale with the units, and the red
+        cells.
+        """
         rows = self.rows
         counts = Counter(line["outcome"] for line in rows)
         return {
@@ -135,11 +144,12 @@ class Sweep:
 
 
 def _name(line: Line) -> str:
+    """Return in words the method, law, dimension, device and precision of a cell."""
     return str(Row(*(line[key] for key in ("method", "law", "dimension", "arch", "precision"))))
 
 
 def _decades(line: Line) -> str:
-    """Return the relative error of a cell as a power of ten, "exact" below the rounding of doubles, "" without an
+    """Return the relative error of a cell as a power of ten; "exact" below the rounding of doubles, "" without an
     error.
     """
     error = line["error"]
@@ -151,7 +161,10 @@ def _decades(line: Line) -> str:
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:
     """Return how exactly right answers scale with the units, by method and precision.
 
-    returns : cells that scale bit for bit, of how many, and the largest relative deviation.
+    rows : finished cells.
+
+    returns : for each, the number of cells whose power is that of the cell with plain units times the unit, bit for bit
+        (`exact`); of how many (`of`); and the largest relative deviation.
     """
     found: dict[str, list[float]] = {}
     scaled = [line for line in rows if line["axis"].endswith("-scale") and line["outcome"] == RIGHT]
@@ -165,7 +178,7 @@ def scaling(rows: Sequence[Line]) -> dict[str, Any]:
 
 
 def lines_of(summary: Mapping[str, Any]) -> list[str]:
-    """Return the summary in words."""
+    """Return the summary in words, as a list of lines."""
     words = [f"{number} {outcome}" for outcome, number in summary["outcomes"].items()]
     found = [f"{summary['done']} of {summary['cells']} cells: {', '.join(words)}"]
     for method, of in summary["scaling"].items():
@@ -175,10 +188,10 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
 
 @in_our_style
 def draw_outcomes(axis: Axis, lines: Sequence[Line]) -> Figure:
-    """Draw the outcome of each cell of an axis as a colour, with its relative error as a power of ten.
+    """Draw a map of one axis: the outcome of each cell as a colour, with its relative error as a power of ten.
 
-    axis : its values are the columns, in order. lines : finished cells; each method, law, dimension, device and
-        precision among them has a row.
+    axis : its values are the columns, in order.
+    lines : finished cells of the axis; each method, law, dimension, device and precision among them has a row.
     """
     tried, rows = {line["value"] for line in lines}, sorted(dict.fromkeys(map(_name, lines)))
     columns = [name for name in axis.columns if name in tried]

@@ -1,15 +1,18 @@
 """The least power (or potential) of a sample in 140 decimal digits: a truth that shares no code with any solver.
 
-There are two ways to it. :func:`least` follows the central path of a small sample in Python's decimals; the least value
-is enclosed by the cost of its spins from above and the work of its balanced forces from below. :func:`layered` is for
-samples of any size whose contacts along the height are alike in each layer: every column then does the same, no contact
-sideways slips or bears a force, and a column is a chain whose answer is written down.
+There are two ways to it. :func:`least` follows the central path of a small sample (minima of the cost plus a barrier
+that goes to 0) in Python's decimals; the least value is enclosed by the cost of its spins from above and the work of
+its balanced forces from below. :func:`layered` is for samples of any size whose contacts along the height are alike in
+each layer: every column then does the same, no contact sideways slips or bears a force, and a column is a chain whose
+answer is written down.
 
 The path goes to the middle of all minima: a contact slips at some minimum just if its slip has a limit above 0.
 (`tests/stress/minima.py` goes on from there to what all minima have in common.)
 
-All numbers are exactly the doubles that are given. Spins are staggered, relative to the bottom's state, in units of the
-jump, or of 1/time where bearing states are imposed. Letters: E contacts, C spin components.
+All numbers are exactly the doubles that are given. The cost of spins is what the law minimises: power or
+potential, energy/time. Spins are staggered, relative to the bottom's state, in units of the jump, or of 1/time
+where bearing states are imposed; so slips have the same unit, and forces are energy/time. Letters: E contacts, C spin
+components.
 """
 
 from dataclasses import dataclass, replace
@@ -33,11 +36,11 @@ SLIPLESS, SLIPPING, UNCLEAR = range(3)  # states of contacts, the first two as i
 class Truth:
     """An enclosure of the least objective.
 
-    lower, upper : they enclose it, energy/time.
-    unit : what errors are relative to if the least is 0: the cost if all contacts slipped by the jump, or without one
-        by the spin.
-    state : of each contact, one array an axis: SLIPLESS at every minimum, SLIPPING in the middle of the minima, or
-        UNCLEAR; empty where it is not known.
+    lower, upper : its bounds, energy/time.
+    state : for each axis an array with the state of each contact: SLIPLESS at every minimum, SLIPPING in the middle of
+        the minima, or UNCLEAR; empty where states are not known.
+    unit : energy/time, what errors are relative to if the least objective is 0: the cost if all contacts slipped by the
+        jump (by the unit of spins, without a jump).
     """
 
     lower: Decimal
@@ -47,11 +50,14 @@ class Truth:
 
 
 def _decimals(values: np.ndarray) -> np.ndarray:
+    """Return an array of decimals that are exactly these doubles."""
     return np.array([Decimal(float(value)) for value in np.ravel(values)], dtype=object)
 
 
 def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-    """Return (a, c), energy/time: slip d of a contact costs a |d| + c |d|^2 / 2. some : for these contacts alone."""
+    """Return two arrays (E,), a and c, energy/time: a contact with the slip d costs a |d| + c |d|^2 / 2. some : the
+    contacts wanted.
+    """
     speed = Decimal(scene.radius) * unit_of(scene)
     values, *second = (_decimals(of[0, some]) for of in scene.named_coefficients.values())
     if not scene.law.holds:
@@ -60,17 +66,19 @@ def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndar
 
 
 def unit_of(scene: Scene) -> Decimal:
-    """Return the unit of spins, 1/time."""
+    """Return the unit of spins, 1/time: the jump, or 1 where bearing states are imposed."""
     if scene.top is not None:
         return Decimal(1)
     return abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
 
 
 def jump_of(scene: Scene) -> dict[int, np.ndarray]:
-    """Return the components that differ between bottom and top and make contacts along the height slip.
+    """Return the spin components that differ between bottom and top and make contacts along the height slip.
 
-    Each has the values (columns,) at the spheres of the top, in units of spin, or (1,) where all are equal. Other
-    components are constant in each layer at the minimum (docs/equations.md, 3).
+    returns : for each such component the difference at each sphere of the top, (columns,), in units of spin; (1,) where
+        all are equal.
+
+    Other components are constant in each layer at the minimum (docs/equations.md, 3).
     """
     if scene.top is not None and scene.bottom is not None:
         (*high, rise), (*low, fall) = ([Decimal(part) for part in of] for of in (scene.top, scene.bottom))
@@ -94,9 +102,13 @@ def jump_of(scene: Scene) -> dict[int, np.ndarray]:
 class Sample:
     """A small sample: its spins and contacts as arrays of decimals.
 
-    low, up : (E, C) places of the components of both spheres in the spins.
+    spin : (spins,) one after the other: components of the free spheres, a zero for the bottom, those of the top.
+    unknowns : number of components of free spheres, which come first.
+    low, up : (E, C) index into `spin` of each component of the lower and of the upper sphere of a contact.
     felt : (E, C) 1 for components that make the contact slip, else 0.
-    a, c : costs of the contacts. of : their numbers among all contacts.
+    a, c : (E, 1) costs of the contacts, see :func:`_costs`.
+    of : (E,) indices of these contacts among all contacts of the lattice: those without cost are left out.
+    box : (unknowns,) largest value that each free component can have at a minimum.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -128,18 +140,23 @@ class Sample:
         self.box = np.abs(parts)
 
     def slips(self) -> np.ndarray:
-        """Return the slips (E, C) of the contacts."""
+        """Return the slips (E, C) of the contacts, in units of spin."""
         return (self.spin[self.up] - self.spin[self.low]) * self.felt
 
     def torques(self, force: np.ndarray) -> np.ndarray:
-        """Return the sum of forces (E, C) on each free spin."""
+        """Return (unknowns,) the sum of the forces (E, C) on each component of the free spins."""
         total = np.full(len(self.spin), Decimal(0), dtype=object)
         np.add.at(total, self.up, force)
         np.subtract.at(total, self.low, force)
         return total[: self.unknowns]
 
     def forces(self, barrier: Decimal) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return slips, their lengths, friction within its limits, and friction over slip, each (E, C or 1)."""
+        """Return at the present spins the slips (E, C); and, each (E, C) or (E, 1), their lengths, the friction that
+        the barrier gives (always within its limit), and friction over slip.
+
+        barrier : energy/time, the weight of the barrier. Friction is a slip / (width + root) with width = barrier / a
+            and root = sqrt(width^2 + slip^2).
+        """
         slip = self.slips()
         length = np.sqrt((slip * slip).sum(axis=1, keepdims=True))
         width = np.divide(np.full_like(self.a, barrier), self.a, out=np.zeros_like(self.a), where=self.a > 0)
@@ -150,6 +167,7 @@ class Sample:
     def step(self, barrier: Decimal) -> Decimal:
         """Make a damped Newton step for cost + barrier, and return its decrement (Nesterov and Nemirovskii, 1994)."""
         slip, _, friction, stiffness = self.forces(barrier)
+        # second derivatives of a contact: (stiffness + c) 1 - bend slip slip^T, added at its ends with signs
         matrix = np.full((len(self.spin), len(self.spin)), Decimal(0), dtype=object)
         bend = np.divide(stiffness * stiffness, self.a * self.root, out=np.zeros_like(self.a), where=self.a > 0)
         straight = (self.felt * (stiffness + self.c))[:, :, None] * np.eye(slip.shape[1], dtype=int)
@@ -159,6 +177,7 @@ class Sample:
             np.subtract.at(matrix, (here[:, :, None], self.low[:, None]), sign * block)
         gradient = self.torques(friction + self.c * slip)
         change = _solve(matrix[: self.unknowns, : self.unknowns], gradient)
+        # a full step only where Newton's method converges quadratically, else a damped one
         decrement = (max(gradient @ change, Decimal(0)) / barrier).sqrt()
         self.spin[: self.unknowns] -= change / (1 + decrement if decrement > Decimal("0.25") else 1)
         return decrement
@@ -169,8 +188,8 @@ class Sample:
         return (self.a * np.sqrt(square) + self.c * square / 2).sum()
 
     def enclosure(self, barrier: Decimal) -> tuple[Decimal, Decimal]:
-        """Return bounds of the least cost: work of the driven planes less what leftover torques can take, and the
-        cost.
+        """Return bounds of the least cost, energy/time: from below the work of the driven planes, less the most that
+        forces out of balance can take from it; from above the cost of the present spins.
         """
         slip, length, friction, _ = self.forces(barrier)
         force, viscous = friction + self.c * slip, (self.c * length * length).sum() / 2
@@ -181,7 +200,9 @@ class Sample:
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return x with matrix x = right by elimination; directions without stiffness (spheres cut off) stay at 0."""
+    """Return x with matrix x = right, by Gauss elimination of a symmetric matrix. Unknowns without stiffness (of
+    spheres that are cut off) are 0.
+    """
     n, scale = len(right), matrix.diagonal().copy()
     matrix, x = matrix.copy(), right.copy()
     for k in range(n):
@@ -200,15 +221,17 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def least(scene: Scene) -> Truth:
-    """Return the truth of one small sample. Raises ArithmeticError if it is not enclosed to WANTED."""
+    """Return the truth of one small sample. Raises ArithmeticError if the least value cannot be enclosed to the
+    relative width WANTED.
+    """
     with localcontext() as context:
         context.prec = DIGITS
         return followed(scene, Sample(scene))[0] if jump_of(scene) else _nothing(scene)
 
 
 def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
-    """Follow the central path of a sample to its end; returns the truth and the last barrier. The sample is left
-    there.
+    """Follow the central path of a sample to its end, and return the truth and the last barrier. The spins of `sample`
+    are changed: they end there.
     """
     barrier = first = sample.cost() / len(sample.a)
     steps, holds, before = 0, sample.a.any(), sample.spin
@@ -234,14 +257,19 @@ def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
 
 
 def _nothing(scene: Scene) -> Truth:
-    """Return the truth of a scene in which nothing need slip."""
+    """Return the truth of a scene in which no contact need slip: a least objective of 0."""
     moving = scene if scene.top is not None or scene.spin_top != scene.spin_bottom else replace(scene, spin_bottom=0.0)
     a, c = _costs(moving)
     return Truth(Decimal(0), Decimal(0), unit=(a + c / 2).sum())
 
 
 def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
-    """Return the state of each contact, one array an axis; empty for a law without friction."""
+    """Return the state of each contact, an array for each axis; empty for a law without friction. barrier : at which
+    the path has ended.
+
+    A contact slips if its slip is clearly above 0 and its friction is at the limit; it is slipless if its slip is 0 and
+    its friction is clearly below.
+    """
     if not scene.law.holds:
         return ()
     state = np.full(scene.lattice.all_contacts, UNCLEAR, dtype=np.uint8)
@@ -273,7 +301,11 @@ def layered(scene: Scene) -> Truth:
 
 
 def _chain(a: list[Decimal], c: list[Decimal]) -> Decimal:
-    """Return the least sum of a v + c v^2 / 2 for v >= 0 with sum 1: all that slip bear the same force, a + c v."""
+    """Return the least sum of a v + c v^2 / 2 over slips v >= 0 with sum 1, for contacts in a row: those that slip
+    bear the same force, a + c v.
+
+    a, c : lists with one entry for each contact of a column.
+    """
     order = sorted(range(len(a)), key=lambda k: a[k])
     if not c[order[0]]:
         return a[order[0]]

@@ -23,7 +23,7 @@ OVERLAP = 1e-4
 
 
 def main(request: dict[str, Any]) -> None:
-    """Run the scene, and print the answer."""
+    """Run the scene in LAMMPS, and print the answer as JSON. request : see the module docstring."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log"
         code = lammps(cmdargs=["-log", str(log), "-screen", "none"])
@@ -48,12 +48,14 @@ def main(request: dict[str, Any]) -> None:
 
 
 def sites(code: Any) -> np.ndarray:
-    """Return lattice indices of the spheres of this process, (own spheres, 3)."""
+    """Return the lattice indices of the spheres that this process owns, (own spheres, 3). code : the LAMMPS instance."""
     return np.rint(code.numpy.extract_atom("x")[: code.extract_setting("nlocal")]).astype(int)
 
 
 def build(code: Any, request: dict[str, Any]) -> None:
-    """Make the lattice, its contacts and the integration of the spins in LAMMPS."""
+    """Make lattice, contacts and the integration of the spins in LAMMPS. code : the LAMMPS instance. request : see the
+    module docstring.
+    """
     x, y, z = (n - 0.5 for n in request["shape"])
     normal = request["normal_force"] / OVERLAP
     stiffness, damping, friction = request["stiffness"], request["damping"], request["friction"]

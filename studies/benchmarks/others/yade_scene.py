@@ -34,7 +34,7 @@ ANY, DRIVEN = 1, 2  # groups; driven spheres do not touch one another
 
 
 def main(request: dict[str, Any]) -> None:
-    """Run the scene, and print the answer."""
+    """Run the scene in YADE, and print the answer as JSON. request : see lammps_scene.py."""
     shape, spin = request["shape"], np.load(request["spin"])
     material = O.materials.append(
         ViscElMat(
