@@ -280,7 +280,7 @@ class _Sentences(string.Formatter):
         self.phrases, self.named = phrases, named
 
     def fill(self, text: str, **more: Any) -> str:
-        """Return a sentence with all its numbers filled in. more : further values by name, beside those of the claim."""
+        """Return a sentence with all its numbers filled in. more : values by name, beside those of the claim."""
         return self.vformat(text, (), {**self.named, **more})
 
     def format_field(self, value: Any, format_spec: str) -> str:
