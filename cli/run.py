@@ -98,8 +98,7 @@ def command(
         context.exit(130)
     asked = Path(place or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed
     is_there = found.path.resolve() in (asked, asked.parent)
-    reached = found.reached
-    context.exit(0 if reached and is_there and (verdict is None or verdict["verified"]) else 1)
+    context.exit(0 if found.reached and is_there and (verdict is None or verdict["verified"]) else 1)
 
 
 def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], as_json: bool) -> None:

@@ -68,7 +68,7 @@ class Times:
         return {"seconds": self.seconds, **ends, **known, "rounds": len(self.wall)}
 
     def over(self, other: "Times") -> float:
-        """Return how many times as long as the other it takes: the median over the rounds of the ratio of wall times."""
+        """Return how many times as long as the other it takes: median over the rounds of the ratio of wall times."""
         return float(np.median(self.wall / other.wall))
 
 
@@ -283,7 +283,7 @@ COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
 
 
 def _table(rows: Sequence[Row]) -> str:
-    """Return rows as a Markdown table, with all columns of COLUMNS that some of them have; lists in rows are left out."""
+    """Return rows as a Markdown table, with all columns of COLUMNS that some of them have; lists are left out."""
     shown = [
         {key: of for key, of in (row | row.get("seconds_to", {})).items() if not isinstance(of, list)} for row in rows
     ]
