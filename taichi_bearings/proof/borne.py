@@ -87,10 +87,13 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ExactlyRolling:
-    """The contacts X that can roll exactly, and what the other contacts may load on them.
+    """The contacts that can all roll exactly at once (called X), and what the other contacts may load on them.
 
-    friction_bounds : bounds on f = F* - F and on F* for all contacts.
-    pieces_of_q : the loops beside X, with intervals of their friction c.
+    Let f be the change of friction from the one at hand to an optimal one, and c the friction that circulates along
+    loops.
+
+    friction_bounds : bounds on |f| and on optimal friction, for all contacts of the packing.
+    pieces_of_q : loops of contacts that touch other spheres than X does, with an interval for each c.
     """
 
     friction_bounds: FrictionBounds
@@ -98,24 +101,26 @@ class ExactlyRolling:
 
     @cached_property
     def columns(self) -> np.ndarray:
-        """(n,), which of all unknowns belong to spheres of X."""
+        """(n,), which of all unknown spin components belong to spheres of the exactly rolling contacts."""
         return np.flatnonzero(self.friction_bounds.exact.spheres[self.friction_bounds.sphere])
 
     @cached_property
     def contacts(self) -> np.ndarray:
-        """(q,), indices of the contacts of X."""
+        """(q,), indices of the contacts that can roll exactly."""
         return np.flatnonzero(self.friction_bounds.exact.contacts)
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """The matrix K (3 q, n), exact; the three rows of a contact follow each other."""
+        """Exact matrix (3 q, n) of the slips of the q exactly rolling contacts from the n unknown spin components of
+        their spheres; the three rows of a contact follow each other."""
         whole = slip_rows(self.friction_bounds.network, self.friction_bounds.number)
         at = self.contacts[:, None] + np.arange(3) * len(self.friction_bounds.most_change)
         return sparse.csr_array(whole[at.ravel()][:, self.columns])
 
     @cached_property
     def motions(self) -> sparse.csr_array:
-        """The matrix Z (n, z) of all motions of the spheres of X in which no contact of X slips."""
+        """Matrix (n, z) whose columns are all z independent motions of the n unknown spin components in which no
+        exactly rolling contact slips."""
         of = self.friction_bounds.exact.motions
         if of is None:
             return sparse.csr_array((len(self.columns), 0))
@@ -123,7 +128,8 @@ class ExactlyRolling:
 
     @cached_property
     def part(self) -> np.ndarray:
-        """(n,), number of the part of X to which each unknown belongs. Parts share no free sphere."""
+        """(n,), for each unknown the number of its part. The exactly rolling contacts fall into parts that share no
+        free sphere."""
         network = self.friction_bounds.network
         first, second = network.graph.contact[:, self.contacts]
         inner = network.free[first] & network.free[second]
@@ -131,8 +137,8 @@ class ExactlyRolling:
 
     @cached_property
     def others(self) -> np.ndarray:
-        """(k,), indices of the contacts whose f is known by a bound on its size alone: those that can dissipate and
-        belong neither to X nor to a piece of loops."""
+        """(k,), indices of the contacts of whose change of friction only a bound is known: those that can dissipate,
+        except the exactly rolling ones and those in pieces of loops."""
         found = self.friction_bounds.network.counts & ~self.friction_bounds.exact.contacts
         for piece in self.pieces_of_q:
             found[piece.contacts] = False
@@ -140,9 +146,9 @@ class ExactlyRolling:
 
     @cached_property
     def loads(self) -> tuple[sparse.csc_array, sparse.csc_array]:
-        """Loads L on the unknowns of X, as two matrices: (n, 2 k) for the two tangential components of f on each other
-        contact, including the change of friction that f causes in the pieces of loops, and (n, m) for the friction c
-        along all loops."""
+        """Torques on the n unknowns of the exactly rolling contacts, as two matrices: (n, 2 k) by a unit of both
+        tangential components of friction on each of the k other contacts, together with the change of friction that it
+        causes in pieces of loops; and (n, m) by a unit of the friction along each of the m loops."""
         rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.others)
         place = np.full(rows.shape[0], -1)
         place[own] = np.arange(len(own))
@@ -158,14 +164,14 @@ class ExactlyRolling:
 
     @cached_property
     def rounding(self) -> float:
-        """Bound on the rounding error of any sum here over the sum of the sizes of its terms: no sum has more than 2 k
-        + n + 64 terms, and 4 roundings are allowed for each."""
+        """Bound on the rounding error of any sum here, over the sum of the sizes of its terms: no sum has more than 2 k
+        + n + 64 terms, for k other contacts and n unknowns, and 4 roundings are allowed for each."""
         return float(4 * (2 * len(self.others) + len(self.columns) + 64) * EPS)
 
     @cached_property
     def unknown_torques(self) -> np.ndarray:
-        """(n,), bound on torques on X that neither f of the others nor c describes: what F leaves over, and
-        rounding."""
+        """(n,), bound on the torques on each unknown that `loads` do not describe: what the friction at hand leaves
+        over, and rounding."""
         more = self.rounding * self.friction_bounds.most_change
         for piece in self.pieces_of_q:
             more[piece.contacts] += piece.by_rounding + self.rounding * piece.most_off_loops
@@ -175,7 +181,8 @@ class ExactlyRolling:
 
     @cached_property
     def margin(self) -> np.ndarray:
-        """(q,), friction that each contact of X has left, mu F_n - |F|."""
+        """(q,), for each exactly rolling contact the friction that it has left: mu F_n less the size of the friction at
+        hand."""
         holding, force = (
             self.friction_bounds.network.holding.least[self.contacts],
             self.friction_bounds.friction[self.contacts],
@@ -183,20 +190,23 @@ class ExactlyRolling:
         return np.asarray(holding - np.linalg.norm(force, axis=1))
 
     def rests(self) -> np.ndarray:
-        """Return the mask (q,) of the contacts of X that are proven to rest, by steps 2 to 5."""
+        """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum, by steps 2 to
+        5 at the head of the file."""
         margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
         springs, most_change = SpringsOfX.of(self, margin**2), self.friction_bounds.most_change[self.others]
         found = np.zeros(len(margin), dtype=bool)
         if springs is None:
             return found
         by_others, residual = np.zeros(len(margin)), self.unknown_torques.copy()
-        # Sum of |R f| over other contacts: f may have any direction, so the norm of R times the bound on |f|.
+        # Friction that other contacts may demand: theirs may have any direction, so the norm of what a unit demands
+        # times the bound on its size, summed.
         for begin in range(0, len(most_change), FORCES_AT_ONCE):
             own, some = most_change[begin : begin + FORCES_AT_ONCE], slice(2 * begin, 2 * (begin + FORCES_AT_ONCE))
             force, left = springs.forces_for(self.loads[0][:, some].toarray(), np.repeat(own, 2))
             by_others += block_norms(force, 3) @ own
             residual += left
-        # Friction c along loops is known within intervals: their middles shift G, their half lengths add to its size.
+        # Friction along loops is known within intervals: their middles shift the friction, half lengths add to its
+        # size.
         middle, half_length = (
             np.concatenate([np.zeros(0), *of])
             for of in ([p.middle for p in self.pieces_of_q], [p.half_length for p in self.pieces_of_q])
@@ -221,10 +231,11 @@ class ExactlyRolling:
         return found
 
     def _bears(self, largest: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Return the mask (q,) of the contacts whose whole part stays below its friction limits.
+        """Return the mask (q,) of the exactly rolling contacts in parts all of whose contacts stay below their friction
+        limits.
 
-        largest : (q,), bound on |G| at each contact, before G is corrected.
-        residual : (n,), torques that the correction has to take away.
+        largest : (q,), bound on the size of the friction of each contact, before it is corrected for `residual`.
+        residual : (n,), bound on the torques that the correction has to take away.
         """
         network, part = self.friction_bounds.network, self.part
         corrected = np.sqrt(np.bincount(part, residual**2)) / self.friction_bounds.exact.floor * UP
@@ -238,12 +249,12 @@ class ExactlyRolling:
 
 @dataclass(frozen=True)
 class SpringsOfX:
-    """Springs at the contacts of X, by which friction R that bears a load is found.
+    """Springs at the exactly rolling contacts, which find friction there that bears a load, a torque on each unknown.
 
-    loaded : the contacts X.
+    loaded : these contacts and their matrix K of slips, (3 q, n).
     weight : (q,), stiffness of the spring at each contact.
-    scale : (n,), factors that give all columns of the factorised matrix a diagonal of 1.
-    factor : Cholesky factor of the scaled K^T weight K.
+    scale : (n,), factors that give the factorised matrix a diagonal of 1.
+    factor : Cholesky factor of the scaled matrix K^T weight K.
     """
 
     loaded: ExactlyRolling
@@ -253,8 +264,8 @@ class SpringsOfX:
 
     @classmethod
     def of(cls, loaded: ExactlyRolling, weight: np.ndarray) -> SpringsOfX | None:
-        """Make springs with the stiffnesses `weight` (q,) at the contacts of `loaded`; None if the factorisation
-        fails."""
+        """Make springs with the stiffnesses `weight` (q,) at the exactly rolling contacts `loaded`; None if the
+        factorisation fails."""
         rows = sparse.csr_array(sparse.diags_array(np.sqrt(np.repeat(weight, 3))) @ loaded.rows)
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))
@@ -264,20 +275,22 @@ class SpringsOfX:
         return None if factor is None else cls(loaded, weight, scale, factor)
 
     def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return R (3 q, m) that bears the loads (n, m), and a bound (n,) on the torques that it leaves over, except
-        along Z, if each load is multiplied by a number whose size is at most `most` (m,)."""
+        """Return friction (3 q, m) at the q contacts that bears each of m loads (n, m). The second result is a bound
+        (n,) on the torques that are left over if each load is multiplied by a number whose size is at most `most` (m,).
+        Torques along motions without slip are left out, as they are 0 but for rounding."""
         rows, weight, scale = self.loaded.rows, np.repeat(self.weight, 3)[:, None], self.scale[:, None]
         force, (left, amounts) = np.zeros((rows.shape[0], load.shape[1])), self._without_motions(load)
         for _ in range(CARRYING_STEPS):  # each step bears what the one before has left over
             force -= weight * (rows @ (scale * self.factor.solve(scale * left)))
             left, amounts = self._without_motions(load + rows.T @ force)
-        # Rounding: the sizes of all terms of load + K^T R and of its part along Z, times the bound on a sum's error.
+        # Rounding: the sizes of all terms of these sums, times the bound on the relative error of a sum.
         motions = self.loaded.motions
         summed = abs(rows).T @ (np.abs(force) @ most) + np.abs(load) @ most + abs(motions) @ (np.abs(amounts) @ most)
         return force, np.abs(left) @ most + (self.loaded.rounding + 2 * motions.shape[1] * EPS) * summed
 
     def _without_motions(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the loads (n, m) without their part along the motions Z, and the amounts (z, m) of Z in that part."""
+        """Return the loads (n, m) without their part along motions in which no contact slips, and the amounts (z, m) of
+        these z motions in that part."""
         motions = self.loaded.motions
         if not motions.shape[1]:
             return load, np.zeros((0, load.shape[1]))

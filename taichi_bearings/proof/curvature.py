@@ -134,18 +134,20 @@ class Slipping:
 
     @cached_property
     def direction(self) -> tuple[Enclosure, Enclosure]:
-        """Unit vector n(z) along the slip of each curved contact: two components, (m,) each."""
+        """Unit vector along the slip of each of the m contacts that slip in two components: two enclosures (m,)."""
         size = self.size.at(self.curved)
         return self.difference[0].at(self.curved) / size, self.difference[1].at(self.curved) / size
 
     @cached_property
     def stiffness(self) -> Enclosure:
-        """mu F_n / |z| of each curved contact, (m,): by how much friction changes with a slip across z."""
+        """mu F_n / slip speed of each of the m contacts that slip in two components, (m,): by how much friction changes
+        with a slip at right angles to the present one."""
         return self.strength.at(self.curved) / self.size.at(self.curved)
 
     @cached_property
     def pulls(self) -> tuple[Enclosure, Enclosure]:
-        """Force of each contact, mu F_n z / |z| + eta z: two components, (n,) each."""
+        """Force of each contact, friction along the slip plus damping times the slip: two components, enclosures
+        (n,)."""
         found = [self.strength.signed(np.sign(part.high)) for part in self.difference]
         for pull, along in zip(found, self.direction, strict=True):
             pull.put(self.curved, self.strength.at(self.curved) * along)
@@ -154,8 +156,8 @@ class Slipping:
         return found[0], found[1]
 
     def change(self, slot: int) -> sparse.csr_array:
-        """Return the matrix (n, unknowns) with entries 1, -1 and 0 that gives w, the change of the slip, from the
-        unknowns. slot : 0 or 1, for the first or the second component in `felt`."""
+        """Return the matrix (n, unknowns) with entries 1, -1 and 0 that gives one component of the change of each slip
+        from changes of the unknowns. slot : 0 or 1, for the first or the second component in `felt`."""
         ends = np.stack([self.upper[slot], self.lower[slot]], axis=1)
         kept = (ends >= 0) & (ends[:, :1] != ends[:, 1:])  # a contact within one domain has no difference
         begin = np.append(0, np.cumsum(kept[:, 0].astype(np.int8) + kept[:, 1]))
@@ -172,7 +174,7 @@ class Slipping:
         return replace(self, difference=(difference[0], difference[1]))
 
     def slope(self) -> Enclosure:
-        """Return the slope g (unknowns,) of the power: the torque that the slipping contacts exert on each free
+        """Return the slope (unknowns,) of the power: the torque that the slipping contacts exert on each free
         domain."""
         owner, pulls = [], []
         for slot in range(2):
@@ -205,11 +207,11 @@ def _slipping_components(network: JudgedNetwork, some: np.ndarray) -> np.ndarray
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
-    """Prove that one minimum is near, and return the contacts at spins close to it, and for each slip the share (n,) of
-    its size by which it differs at most from the slip at the minimum. None if that is not proven.
+    """Prove that one minimum is near, and return the slipping contacts at spins close to it, and for each slip the
+    share (n,) of its size by which it differs at most from the slip at the minimum. None if that is not proven.
 
-    contacts : slips at the given spins. The returned contacts may have been moved by up to CURVATURE_TRIALS - 1 steps
-        of Newton's method.
+    contacts : the n slipping contacts at the given spins. The returned ones may have been moved by up to
+        CURVATURE_TRIALS - 1 steps of Newton's method.
     """
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.place[0]))
@@ -230,12 +232,12 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
 
 
 def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
-    """Return a bound (n,) on |slip at the minimum - slip| / |slip| for each contact, by steps 2 and 3; None if it is
-    not proven.
+    """Return a bound (n,) on |slip at the minimum - slip| / |slip| for each contact, by steps 2 and 3 at the head of
+    the file; None if it is not proven.
 
-    contacts : slips at the spins that are tried. curvature : H at these spins.
-    last : whether no further trial follows. Else tau, which costs an elimination, is computed only if the bound would
-        be small enough with the usual value of tau.
+    contacts : slips at the spins that are tried. curvature : of the power at these spins.
+    last : whether no further trial follows. Else the floor of the curvature, which costs an elimination, is computed
+        only if the bound would be small enough with the usual floor.
     """
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
@@ -352,7 +354,7 @@ class Form:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """(n,), factors by which the scaled unknowns are multiplied to give the original ones: h^-1/2."""
+        """(n,), factors by which the scaled unknowns are multiplied to give the original ones."""
         return 1 / np.sqrt(self.squares)
 
     def floor(self, sharp: bool = False) -> float | None:
@@ -363,11 +365,12 @@ class Form:
 
 @dataclass(frozen=True)
 class Curvature:
-    """The curvature H of the power in the unknowns v, and a floor H >= tau h.
+    """The curvature H of the power, as a quadratic form of n changes v of free domains, and a floor H >= tau h, with a
+    proven number tau and h the diagonal of H.
 
-    clusters : (unknowns, unknowns), entries 0 and 1, with u = clusters v.
-    form : H in scaled unknowns; its `squares` are h.
-    changes : two matrices (n, unknowns): both components of w, the changes of the slips, from v.
+    clusters : (unknowns, unknowns), entries 0 and 1: the changes of the spins of domains are clusters v.
+    form : H in unknowns scaled to a diagonal of 1; its `squares` are h.
+    changes : two matrices (contacts, unknowns): both components of the changes of slips, from v.
     """
 
     clusters: sparse.csr_array
@@ -386,7 +389,7 @@ class Curvature:
 
     @cached_property
     def tau(self) -> float:
-        """The proven floor tau with H >= tau h; 0 if none is proven."""
+        """The proven floor tau of the curvature in scaled unknowns; 0 if none is proven."""
         return self.form.floor() or 0.0
 
     @cached_property
@@ -395,12 +398,13 @@ class Curvature:
         return [_with_values(change, np.abs(change.data)) for change in self.changes]
 
     def remains(self, contacts: Slipping, turn: np.ndarray) -> bool:
-        """Prove step 3: return True if there is only one minimum where each slip differs from that of `contacts` by no
-        more than the share `turn` (n,) of its size, at most a quarter.
+        """Prove step 3 at the head of the file: return True if there is only one minimum where each slip differs from
+        that of `contacts` by no more than the share `turn` (n,) of its size, at most a quarter.
 
-        A motion w along the slip at such a place has |w . t| <= 2 turn |w|, as unit vectors differ by 2 turn at most.
-        Its curvature is at most the sum of (mu F_n / |z|) (2 turn |w|)^2, computed here as a diagonal form in v. It has
-        to be below half of tau h; below tau h would be enough.
+        Two minima would differ by a motion that changes each slip by some w along its direction. Unit vectors along
+        slips differ by 2 turn at most, so the part of w across the slip of `contacts` is at most 2 turn |w|. The
+        curvature of this motion is at most the sum of (mu F_n / slip) (2 turn |w|)^2, computed here as a diagonal form.
+        It has to be below half of the proven floor; below all of it would be enough.
         """
         # For either component of w, a row of `changes` with entries of sizes e (0 or 1), Cauchy and Schwarz give
         # w^2 <= (sum of e) (sum of e v^2).

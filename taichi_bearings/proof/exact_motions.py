@@ -61,8 +61,9 @@ class ExactMotions:
 
     spheres : (N,) mask of the free spheres that these contacts join.
     contacts : (E,) mask of the contacts: among these spheres, and with driven ones.
-    floor : proven lower bound of the singular values of K that are not 0; infinite without any sphere.
-    motions : how all spins follow from the choices; None without any sphere.
+    floor : proven lower bound of the singular values, other than 0, of the matrix that gives their slips from spins;
+        infinite without any sphere.
+    motions : how all spins follow from a few of them and from imposed spins; None without any sphere.
     """
 
     spheres: np.ndarray
@@ -95,17 +96,18 @@ class ExactMotions:
 
     def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
         """Return spins by component, 3 enclosures (N,), at which all these contacts roll exactly. spin : given spins,
-        sums of two doubles; the values of J and all other spheres keep theirs."""
+        sums of two doubles; the few spins from which the others follow, and those of all other spheres, are kept."""
         return spin if self.motions is None else self.motions.spin(spin)
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """The parts that A contacts make of free spheres with n unknowns; driven spheres join no parts.
+    """A contacts, and the parts into which they join free spheres with n unknown spin components; driven spheres join
+    no parts.
 
-    free : (N, 3) mask of the unknowns.
+    free : (N, 3) mask of the unknowns among the spin components of all N spheres.
     ends : (2, A), indices of the spheres of the contacts. normal : (A, 3), their normals.
-    rows : K, (3 A, n): x components of all slips, then y, then z.
+    rows : (3 A, n), slips from the unknowns: x components of all slips, then y, then z.
     of_unknown, of_contact : (n,) and (A,), the number of the part of each, 0 to count - 1.
     """
 
@@ -132,8 +134,8 @@ class _Parts:
         return cls(network, free, ends, network.graph.normal[contacts], rows, of_unknown, of_contact, len(parts))
 
     def floor_and_motions(self) -> tuple[float, _Motions] | np.ndarray:
-        """Return the floor s and the motions if all contacts can roll exactly; else a mask (N,) of at least one sphere
-        that is to be left out."""
+        """Prove that all contacts can roll exactly, and return the floor of singular values and the motions; else
+        return a mask (N,) of at least one sphere that is to be left out before the next try."""
         everything, place = np.asarray(self.free.any(axis=1)), self.network.graph.place[np.nonzero(self.free)[0]].T
         # Step 1: choose J, unknowns without which no pivot is nearly 0. All others follow.
         follows = ~Elimination.of((self.rows.T @ self.rows).tocsc(), place).dependent(NULL_PIVOT)
@@ -169,14 +171,15 @@ class _Parts:
 
 @dataclass(frozen=True)
 class _Choices:
-    """The q numbers from which all other spins follow: the values of J, then each distinct size of imposed spins in
-    each part.
+    """The q numbers from which all other spins follow: a few chosen unknowns, then each distinct size of imposed spins
+    in each part.
 
-    chosen : indices of the unknowns in J.
+    chosen : indices of the chosen unknowns (called J).
     imposed : the imposed sizes, as enclosures.
     owner : (q,), the part to which each number belongs.
     slot : (q,), its place, from 0, among the numbers of this part.
-    sums : (3 A, q), what a unit of each number contributes to u_i + u_j of the contacts of its part, by component.
+    sums : (3 A, q), what a unit of each number contributes to u_i + u_j, the sum of the spins of both spheres (times
+        radius), for the A contacts, by component.
     """
 
     chosen: np.ndarray
@@ -187,8 +190,8 @@ class _Choices:
 
     @classmethod
     def of(cls, parts: _Parts, chosen: np.ndarray) -> _Choices | None:
-        """List the choices of all parts; None if some imposed spin is too small for exact products. chosen : indices of
-        the unknowns in J."""
+        """List the numbers from which spins follow; None if some imposed spin is too small for exact products. parts :
+        the contacts and unknowns. chosen : indices of the chosen unknowns."""
         network, contacts = parts.network, len(parts.of_contact)
         high, low, error = (
             np.stack(values, axis=1) for values in zip(*(p.parts for p in network.imposed), strict=True)
@@ -218,8 +221,10 @@ class _Choices:
 
 @dataclass(frozen=True)
 class _Motions:
-    """How the unknowns follow from the choices: a unit of choice c moves them by motion[:, c] / unit[c].
+    """How the n unknown spin components follow from q numbers, the chosen ones and the imposed spins: a unit of number
+    c moves them by motion[:, c] / unit[c], and no contact slips.
 
+    parts : contacts and unknowns. choices : the q numbers.
     motion : (n, q), integers as doubles.
     unit : (q,), common denominators, integers as doubles.
     """
@@ -233,10 +238,11 @@ class _Motions:
     def of(
         cls, parts: _Parts, choices: _Choices, follow: np.ndarray, rows: sparse.csr_array, factor: Factor
     ) -> tuple[_Motions, np.ndarray]:
-        """Guess the motions of all choices, and return them with a mask (n,) of unknowns at which some motion is no
-        fraction.
+        """Guess the motions that follow from each of the q numbers, and return them with a mask (n,) of unknowns at
+        which some motion is no fraction.
 
-        follow : indices of the unknowns outside J. rows : their columns of K. factor : Cholesky factor of rows^T rows.
+        follow : indices of the unknowns that are not chosen. rows : their columns of the matrix of slips. factor :
+            Cholesky factor of rows^T rows.
         """
         normal, owner, count = parts.normal.T[..., None], parts.of_unknown[follow], len(choices.slot)
         unit, no_fraction = np.ones(count), np.zeros(len(parts.of_unknown), dtype=bool)
@@ -266,7 +272,7 @@ class _Motions:
         return cls(parts, choices, motion, unit), no_fraction
 
     def slipping_contacts(self) -> np.ndarray:
-        """Return the indices of the contacts that are not proven to roll exactly for every choice (step 2)."""
+        """Return the indices of the contacts that are not proven to roll exactly whatever the q numbers are."""
         count, chosen = len(self.parts.normal), len(self.choices.chosen)
         if not (np.abs(self.motion.data) < LARGEST).all():
             return np.arange(count)
@@ -282,8 +288,8 @@ class _Motions:
         return np.unique(contact[~_rolls(sums, self.parts.normal[contact].T)])
 
     def spin(self, given: list[Enclosure]) -> list[Enclosure]:
-        """Compute the spins of :meth:`ExactMotions.rolling` by component, 3 enclosures (N,). given : spins, of which
-        the values of J and those of other spheres are used."""
+        """Return spins by component, 3 enclosures (N,), that follow from the chosen unknowns and imposed spins. given :
+        spins, of which the chosen ones and those of spheres without unknowns are used."""
         free, choices, motion = self.parts.free, self.choices, sparse.coo_array(self.motion)
         high, low = (np.stack([getattr(part, name) for part in given], axis=1)[free] for name in ("high", "low"))
         value = joined([Enclosure.exact(high[choices.chosen], low[choices.chosen]), choices.imposed])

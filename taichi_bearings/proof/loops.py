@@ -60,14 +60,15 @@ IN_A_LOOP = 1e-7  # force of a contact over that of a loop, above which it belon
 
 @dataclass(frozen=True)
 class FrictionBounds:
-    """Bounds on the friction of each contact at every minimum, before loops are looked at.
+    """Bounds on the friction of each contact of a packing at every minimum, before loops are looked at.
 
-    network : one packing.
-    number : (N, 3), which unknown each component of a spin is, -1 where it is none.
-    exact : the contacts X that can roll exactly, and their motions.
-    given : friction F at hand by component, 3 enclosures (E,).
+    network : the packing, with N spheres and E contacts.
+    number : (N, 3), which unknown each component of a spin is, -1 where it is none (of driven spheres).
+    exact : the contacts that can all roll exactly at once, and their motions.
+    given : friction at hand by component, 3 enclosures (E,).
     known : (E,) mask of the contacts that are known to slip.
-    most_change, most_friction : (E,), bounds on |f| = |F* - F| and on |F*|.
+    most_change : (E,), bound on |optimal friction - friction at hand|.
+    most_friction : (E,), bound on |optimal friction|.
     """
 
     network: JudgedNetwork
@@ -80,7 +81,7 @@ class FrictionBounds:
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """Friction F at hand, (E, 3), rounded to doubles."""
+        """Friction at hand, (E, 3), rounded to doubles."""
         return np.stack([part.value for part in self.given], axis=1)
 
     @cached_property
@@ -94,8 +95,8 @@ class FrictionBounds:
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """Matrix (2 E, n): both tangential components of the slip of each contact, in rows 2 i and 2 i + 1, from the
-        unknowns."""
+        """Matrix (2 E, n): both tangential components of the slip of contact i, in rows 2 i and 2 i + 1, from the n
+        unknown spin components."""
         count = len(self.most_change)
         row = np.repeat(np.arange(2 * count), 3)
         column = (np.arange(3) * count + np.arange(count)[:, None]).repeat(2, axis=0)
@@ -104,24 +105,26 @@ class FrictionBounds:
 
     @cached_property
     def sphere(self) -> np.ndarray:
-        """(n,), the sphere to which each unknown belongs."""
+        """(n,), the sphere to which each unknown spin component belongs."""
         return np.nonzero(self.number >= 0)[0]
 
     @cached_property
     def other_spheres(self) -> np.ndarray:
-        """(N,) mask of the free spheres that X does not join, but that contacts join to driven ones."""
+        """(N,) mask of the free spheres that are connected to driven ones, but not by the contacts that can roll
+        exactly."""
         return np.asarray(self.network.reached & ~self.exact.spheres)
 
     @cached_property
     def in_q(self) -> np.ndarray:
-        """(E,) mask of Q: contacts that can dissipate, touch one of the other spheres, and are not known to slip."""
+        """(E,) mask of the contacts to be looked at (Q): they can dissipate, touch one of `other_spheres`, and are not
+        known to slip."""
         touches = self.other_spheres[self.network.graph.contact].any(axis=0)
         return np.asarray(self.network.counts & ~self.known & touches)
 
     @cached_property
     def left_over(self) -> np.ndarray:
-        """(N,), bound on each component of the torque that F leaves over on a sphere, and on the rounding of `rows`
-        times f: an entry of `rows` has fewer than 64 roundings."""
+        """(N,), bound on each component of the torque that the friction at hand leaves over on a sphere, and on the
+        rounding of `rows` times a change of friction: an entry of `rows` has fewer than 64 roundings."""
         torques = self.network.torques(moments(self.given, self.network.graph.normal))
         return np.asarray(
             (np.max([part.most for part in torques], axis=0) + 64 * EPS * self.sum_at_spheres(self.most_change)) * UP
@@ -133,8 +136,8 @@ class FrictionBounds:
         return np.bincount(ends, np.tile(values[self.network.counts], 2), len(self.network.free))
 
     def split_into_pieces(self) -> list[Piece]:
-        """Return the pieces of Q: contacts are in one piece if spheres outside X join them. Pieces with more than
-        MOST_SPLIT unknowns are left out."""
+        """Return the contacts `in_q` piece by piece: two of them are in one piece if `other_spheres` connect them.
+        Pieces with more than MOST_SPLIT unknowns are left out."""
         first, second = self.network.graph.contact
         joins = self.in_q & self.other_spheres[first] & self.other_spheres[second]
         label = pieces(len(self.other_spheres), first[joins], second[joins])
@@ -149,17 +152,19 @@ class FrictionBounds:
 
 @dataclass(frozen=True)
 class Piece:
-    """Bounds on the friction of the q contacts of a piece of Q at any minimum.
+    """Bounds on the friction of q contacts at any minimum, which their spheres connect.
 
-    contacts : (q,), indices of its contacts.
-    others : (k,), indices of the other contacts of its spheres.
-    loops : N, (2 q, m), columns of friction along its loops.
+    Let f be the change of their friction from the one at hand to an optimal one. It is N c + the rest, with c the
+    friction that circulates along each of m loops.
+
+    contacts : (q,), indices of these contacts.
+    others : (k,), indices of the other contacts of their spheres.
+    loops : N, (2 q, m), friction along each loop, two tangential components for each contact.
     middle, half_length : (m,), of the interval in which each c lies.
-    by_others : (2 q, 2 k), the matrix by which f on the others changes f here.
+    by_others : (2 q, 2 k), the matrix by which a change of friction on the others changes f.
     most_off_loops : (q,), bound on the size of f without N c.
-    by_rounding : (q,), the part of `most_off_loops` that is due to rounding and leftover torques, not to f on the
-        others.
-    largest : (q,), bound on |F*|.
+    by_rounding : (q,), the part of `most_off_loops` that is due to rounding and leftover torques, not to the others.
+    largest : (q,), bound on the size of the optimal friction.
     """
 
     contacts: np.ndarray
@@ -174,8 +179,9 @@ class Piece:
 
     @classmethod
     def of(cls, bounds: FrictionBounds, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
-        """Bound the friction of one piece by the four steps of the proof. contacts : (q,), indices of its contacts.
-        unknowns : (n,), numbers of the unknowns of its spheres."""
+        """Bound the friction of one piece by the four steps at the head of the file. bounds : what is known of friction
+        before. contacts : (q,), indices of its contacts. unknowns : (n,), numbers of the unknown spin components of its
+        spheres."""
         rows, most_change = bounds.rows[tangent_rows(contacts)][:, unknowns].toarray(), bounds.most_change
         touches = np.zeros(len(bounds.network.free), dtype=bool)
         touches[bounds.sphere[unknowns]] = True
@@ -231,16 +237,17 @@ def block_norms(matrix: np.ndarray, numbers: int = 2) -> np.ndarray:
 
 
 def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Return a bound (2 q, 2 q) on the size of each entry of E = I - N N^T - M Y: the value in doubles, and EPS for
-    each term of the sums by which it is formed, and 64 more. rows : M. loops : N. inverse : Y."""
+    """Return a bound (2 q, 2 q) on the size of each entry of I - N N^T - M Y, for rows M (2 q, n) of slips, N = loops
+    (2 q, m) and Y = inverse (n, 2 q): its value in doubles, and EPS for each term of the sums by which it is formed,
+    and 64 more."""
     found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
     of_along = np.abs(loops)
     return found + terms * EPS * (np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse))
 
 
 def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return N and Y for a matrix of rows M (2 q, n). Columns of N span what M^T maps to 0, and each belongs to one
-    loop; Y is the pseudo-inverse of M."""
+    """Return N (2 q, m) and Y (n, 2 q) for a matrix of rows M (2 q, n), the slips of q contacts. Columns of N are
+    friction that exerts no torque, M^T N = 0, each along one loop; Y is the pseudo-inverse of M."""
     u, size, v = np.linalg.svd(rows, full_matrices=True)
     rank = int((size > NEARLY_SINGULAR * size.max(initial=0.0)).sum())
     inverse = (v[:rank].T / size[:rank]) @ u[:, :rank].T
@@ -259,10 +266,10 @@ def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middle and the half length (m,) of an interval that contains each c.
+    """Return the middle and the half length (m,) of an interval that contains the friction c along each of m loops.
 
-    loops : N, (2 q, m).
-    force : (q, 2), friction F along the tangents.
+    loops : N, (2 q, m), two tangential components for each of q contacts, by a unit of each c.
+    force : (q, 2), friction F at hand along the tangents.
     limit : (q,), sizes that F + N c does not exceed at each contact.
     """
     size = np.linalg.norm(loops.reshape(len(force), 2, -1), axis=1)

@@ -77,17 +77,19 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     """Find which contacts slip at the minima, and how far their slips are from the given ones; None if nothing is
     proven.
 
-    bounds : the network of one packing, its friction, and springs that balanced this friction.
+    bounds : the network of one packing with E contacts, its friction, and springs that balanced this friction.
 
-    Returns (S, distance): the mask S (E,), outside of which every contact that can dissipate is proven to rest at every
-    minimum; and for contacts of S a bound (E,) on |slip at any minimum - given slip|, 0 for others. A contact of S thus
-    slips at every minimum if it has friction, or if its given slip is larger than that bound.
+    Returns (slides, distance). slides : (E,) mask; every other contact that can dissipate is proven to rest at every
+    minimum. distance : (E,), for the contacts of the mask a bound on |slip at any minimum - given slip|, 0 for others.
+    A contact of the mask thus slips at every minimum if it has friction, or if its given slip is larger than that
+    bound.
     """
     network, springs = bounds.network, bounds.springs
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
     if springs is None or not longest < UP:
         return None
-    # Step 1: guess S and T, find the exact motions of T, and prove that rows of its other contacts are independent.
+    # Step 1: guess which contacts slip (S) and which rest (T), find the motions in which contacts of T roll exactly,
+    # and prove that the slips of the other contacts of T are independent.
     moves = (network.slip.value > MOVING * network.box.max()) | (network.holding.high == 0)
     slides, number = network.counts & moves, springs.number
     slipping, resting = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
@@ -114,18 +116,19 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
 
 @dataclass(frozen=True)
 class Near:
-    """Spins in V, or close to V, with the friction that T bears at them. Spins and friction are exact sums of two
-    doubles.
+    """Given or improved spins, with the friction that resting contacts bear at them: what the proof starts from.
 
-    Fields (S and T: numbers of contacts that slip and that rest; N spheres, E contacts):
+    All values are exact sums of two doubles. N spheres, E contacts, S of them slipping and T resting; K is the matrix
+    that gives slips from the n unknown components of free spins.
 
-    exact : motions of spheres at which some contacts of T roll exactly.
-    floor_of_other_contacts : proven lower bound of the singular values of K^T for the other contacts of T and the
-        spheres that exact motions leave out; infinite if there is no such contact.
+    exact : motions of spheres in which some resting contacts roll exactly.
+    floor_of_other_contacts : proven lower bound of the singular values of K^T for the other resting contacts and for
+        the spheres that exact motions leave out; infinite if there is no such contact.
     number : (N, 3), which of the n unknowns each component of a spin is, -1 where it is none.
     slipping, resting : (S,) and (T,), indices of the contacts.
     spin : spins times radius by component, 3 enclosures (N,).
-    resting_friction : friction of T by component, 3 enclosures (E,); its entries for S are not used.
+    resting_friction : friction of the resting contacts by component, 3 enclosures (E,); entries of other contacts are
+        not used.
     """
 
     network: JudgedNetwork
@@ -139,35 +142,35 @@ class Near:
 
     @cached_property
     def slips(self) -> list[Enclosure]:
-        """Slips by component, 3 enclosures (E,), after the spins are changed so little that all contacts of T which can
-        roll exactly do so."""
+        """Slips of all E contacts by component, 3 enclosures (E,), after the spins are changed so little that all
+        resting contacts which can roll exactly do so."""
         return self.network.slips(self.exact.rolling(self.spin))
 
     @cached_property
     def size(self) -> Enclosure:
-        """Slip speeds (S,) of the slipping contacts."""
+        """Slip speeds of the S slipping contacts, (S,)."""
         return length([part.at(self.slipping) for part in self.slips])
 
     @cached_property
     def strength(self) -> Enclosure:
-        """Friction limits mu F_n (S,) of the slipping contacts."""
+        """Friction limits mu F_n of the S slipping contacts, (S,)."""
         return self.network.holding.at(self.slipping)
 
     @cached_property
     def damping(self) -> Enclosure:
-        """Damping eta (S,) of the slipping contacts."""
+        """Damping eta of the S slipping contacts, (S,)."""
         return self.network.slope.at(self.slipping)
 
     @cached_property
     def with_friction(self) -> np.ndarray:
-        """Indices (k,), counted from 0 within S, of the slipping contacts with friction. The direction of their force
-        turns with the slip; the others have damping alone."""
+        """Positions (k,), in the list of the S slipping contacts, of those with friction. The direction of their force
+        turns with the slip y; the others have damping alone."""
         return np.flatnonzero(self.strength.high > 0)
 
     @cached_property
     def friction_by_law(self) -> list[Enclosure]:
-        """Friction that the contact law gives for the slips of S, mu F_n y / |y| + eta y: by component, 3 enclosures
-        (S,)."""
+        """Friction that the contact law gives to the S slipping contacts, mu F_n y / |y| + eta y for the slip y: by
+        component, 3 enclosures (S,)."""
         found, some = [], self.with_friction
         for part in self.slips:
             slip = part.at(self.slipping)
@@ -179,8 +182,8 @@ class Near:
 
     @cached_property
     def friction(self) -> list[Enclosure]:
-        """Friction from which everything is proven, by component, 3 exact enclosures (E,): `resting_friction` for T,
-        and for S `friction_by_law` without its error bounds."""
+        """Friction from which everything is proven, for all E contacts by component, 3 exact enclosures (E,):
+        `resting_friction` for resting contacts, `friction_by_law` without its error bounds for slipping ones."""
         found = []
         for part, slipping in zip(self.resting_friction, self.friction_by_law, strict=True):
             found.append(_without_error(part))
@@ -189,34 +192,35 @@ class Near:
 
     @cached_property
     def torques(self) -> list[Enclosure]:
-        """Torques over radius that `friction` leaves over on each sphere: by component, 3 enclosures (N,)."""
+        """Torques over radius that `friction` leaves over on each of the N spheres: by component, 3 enclosures (N,)."""
         return self.network.torques(moments(self.friction, self.network.graph.normal))
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """The matrix K, (3 E, n): rows 0 to E - 1 give the x components of all slips, then y, then z."""
+        """The matrix K, (3 E, n), of the slips of all E contacts from the n unknown spin components: first the x
+        components of all slips, then y, then z."""
         return slip_rows(self.network, self.number)
 
     def rows_of(self, contacts: np.ndarray) -> np.ndarray:
-        """Return the row numbers (3 q,) in K of the contacts with the indices `contacts` (q,), component by
-        component."""
+        """Return which rows (3 q,) of the matrix of slips belong to the contacts with the indices `contacts` (q,): x
+        components first, then y, then z."""
         return np.concatenate([k * len(self.network.graph.normal) + contacts for k in range(3)])
 
     @property
     def place(self) -> np.ndarray:
-        """Positions (3, n) of the spheres of the unknowns."""
+        """Positions (3, n) of the spheres to which the n unknown spin components belong."""
         return np.asarray(self.network.graph.place[np.nonzero(self.number >= 0)[0]].T)
 
     def curvature(self, firmness: float = 1.0) -> Form | None:
-        """Return the curvature |B x|^2 in the n unknowns, with springs at T added; None if some unknown changes no
-        slip.
+        """Return the curvature of the potential at these spins, as a quadratic form |B x|^2 of the changes x of the n
+        unknowns, with springs at resting contacts; None if some unknown changes no slip.
 
-        The rows of B are
-        * for each contact of S with friction one: the change of the slip across the slip, times (mu F_n / |y|)^1/2,
-        * for each contact of S with damping three: the components of the change of the slip, times eta^1/2,
-        * for each contact of T three: the components of its slip, times `firmness` (mu F_n / median |y| of S)^1/2.
-          These are 0 for all motions in V, so they do not change the curvature there, and they let an elimination work
-          in all unknowns.
+        The rows of B are, for a contact with slip y,
+        * if it slips and has friction, one: the change of the slip across y, times (mu F_n / |y|)^1/2,
+        * if it slips and has damping, three: the components of the change of the slip, times eta^1/2,
+        * if it rests, three: the components of its slip, times `firmness` (mu F_n / median |y|)^1/2. These are 0 for
+          motions in which it rests, so they do not change the curvature there, and let an elimination work in all
+          unknowns.
         """
         slipping, some, resting, strength = self.slipping, self.with_friction, self.resting, self.network.holding.value
         turning, flowing = slipping[some], slipping[self.damping.high > 0]
@@ -241,36 +245,38 @@ class Near:
         return Form.of(rows, sparse.csr_array(doubt), self.place)
 
     def improved(self) -> Near:
-        """Return spins closer to the minimum in V, by Newton's method; its steps go on while each of them more than
-        halves the norm of the leftover torques. Nothing about the result is proven."""
+        """Return spins closer to the minimum among spins at which the resting contacts rest, by Newton's method. Its
+        steps go on while each of them more than halves the norm of the leftover torques. Nothing about the result is
+        proven."""
         curvature, there = self.curvature(FIRM), self.number >= 0
-        # A motion is split into one that lets T rest and another one, by the factorised matrix fixed^T fixed.
+        # The slips of resting contacts are fixed @ spins. A motion is split into one in which these are 0 and another
+        # one, by the factorised matrix fixed^T fixed.
         fixed = sparse.csr_array(self.rows[self.rows_of(self.resting)])
         factor = Elimination.of((fixed.T @ fixed).tocsc(), self.place).factorised(SOFT)
         soft = None if curvature is None else curvature.elimination.factorised()
         if curvature is None or factor is None or soft is None:
             return self
-        moving = curvature.rows[: curvature.rows.shape[0] - 3 * len(self.resting)]  # rows of B for S alone
+        moving = curvature.rows[: curvature.rows.shape[0] - 3 * len(self.resting)]  # those of slipping contacts
 
         def borne(torque: np.ndarray) -> np.ndarray:
-            """Return spins (n,) whose slips at T, taken as friction of T, exert the torque (n,), or as much of it as T
-            can exert. The residual is solved for once more, against rounding."""
+            """Return spins (n,) whose slips at resting contacts, taken as friction there, exert the torque (n,), or as
+            much of it as resting contacts can exert. The residual is solved for once more, against rounding."""
             found = factor.solve(torque)
             return found + factor.solve(torque - fixed.T @ (fixed @ found))
 
         def allowed(spins: np.ndarray) -> np.ndarray:
-            """Return the part of a vector (n,) of spins, or of torques, that lies in V: spins that leave T at rest."""
+            """Return the part of a vector (n,) of spins, or of torques, that leaves all resting contacts without
+            slip."""
             return spins - borne(fixed.T @ (fixed @ spins))
 
         def bends(spins: np.ndarray) -> np.ndarray:
-            """Return the change (n,) of the torques of S when spins change by `spins` (n,): the curvature of step 2
-            times these."""
+            """Return the change (n,) of the torques of slipping contacts when spins change by `spins` (n,)."""
             return (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
 
         best, least, found = self, np.inf, self
         while True:
-            # One step: first take away slips of T, then solve for the motion in V that removes the torques of S, and
-            # let T bear what is left.
+            # One step: first take away slips of resting contacts. Then solve for the motion that leaves them at rest
+            # and removes the torques of slipping contacts, and let resting contacts bear what is left.
             torque = np.stack([part.value for part in found.torques], axis=1)[there]
             if not (left := float(np.linalg.norm(curvature.scale * torque))) < least / 2:
                 return best
@@ -283,7 +289,7 @@ class Near:
 
     def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Near:
         """Return these spins and this friction after one step. step : (n,), added to the unknowns. less_friction : (3,
-        T), subtracted from the friction of T."""
+        T), subtracted from the friction of the T resting contacts."""
         moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
         moved[self.number >= 0], less[:, self.resting] = step, -less_friction
         spin, resting = (
@@ -293,41 +299,43 @@ class Near:
         return replace(self, spin=spin, resting_friction=resting)
 
     def proven_distance(self) -> np.ndarray | None:
-        """Return a bound (S,) on |slip at the only minimum - slip at these spins| for each contact of S; None if step 2
-        or step 3 of the proof fails."""
+        """Return for each of the S slipping contacts a bound (S,) on |slip at the only minimum - slip at these spins|;
+        None if step 2 or step 3 of the proof (head of the file) fails."""
         distance = self._distance_of_minimum() if (self.size.least[self.with_friction] > 0).all() else None
         return distance if distance is not None and self._resting_contacts_can_bear(distance) else None
 
     @property
     def _other_spheres(self) -> np.ndarray:
-        """(N,) mask of the free spheres that exact motions leave out."""
+        """(N,) mask of the free spheres that are not in `exact`."""
         return np.asarray(self.network.free & ~self.exact.spheres)
 
     @cached_property
     def _distance_from_law(self) -> np.ndarray:
-        """(S,), bound on the size of the difference between the friction in use and the one that the law gives at these
-        slips: rounding to sums of two doubles."""
+        """(S,), for each slipping contact a bound on |friction in use - friction that the law gives at its slip|: the
+        rounding to sums of two doubles."""
         return length(
             [f.at(self.slipping) - slipping for f, slipping in zip(self.friction, self.friction_by_law, strict=True)]
         ).most
 
     def _relative_to_slip(self, change: np.ndarray) -> np.ndarray:
-        """Return `change` (S,) divided by the slip speeds, rounded up, (S,); 0 for contacts without friction."""
+        """Return `change` (S,) divided by the slip speeds of the slipping contacts, rounded up, (S,); 0 for contacts
+        without friction."""
         found = np.zeros(len(self.slipping))
         found[self.with_friction] = (change / self.size.least)[self.with_friction] * UP
         return found
 
     def _largest_torques(self, unsure: np.ndarray) -> np.ndarray:
-        """Return bounds (N, 3) on the size of each component of the leftover torques, 0 for components that are no
-        unknowns. unsure : (S,), how far the friction of each contact of S may be from the one in use."""
+        """Return bounds (N, 3) on the size of each component of the leftover torques; 0 for components that are no
+        unknowns. unsure : (S,), how far the friction of each slipping contact may be from the one in use."""
         found = np.stack([part.most for part in self.torques], axis=1)
         for end in self.network.graph.contact[:, self.slipping]:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
 
     def _distance_of_minimum(self) -> np.ndarray | None:
-        """Prove step 2: return a bound (S,) on |slip at the minimum in V - slip at these spins|; None if there is
-        none."""
+        """Prove step 2 (head of the file): among spins at which resting contacts do not slip there is one minimum.
+        Return for each of the S slipping contacts a bound (S,) on |slip there - slip at these spins|; None if it is not
+        proven."""
         size, damping, curvature = self.size.most, self.damping.most, self.curvature()
         if curvature is None or (tau := curvature.floor(sharp=True)) is None:
             return None
@@ -335,8 +343,8 @@ class Near:
             np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts)),
             self.network.graph.contact[:, self.slipping],
         )
-        # Distance to V. By step 1 spins that differ by no more than (norm of the slips of T) / (singular value) take
-        # these slips away; the slip of a contact of two such spheres changes by up to twice that.
+        # Distance to V, the spins at which resting contacts do not slip: by step 1 a change of spins by no more than
+        # (norm of these slips) / (singular value) takes them away. The slip of a contact changes by up to twice that.
         missed = float(np.sqrt(sum((part.most[others] ** 2).sum() for part in self.slips)))
         off = missed / self.floor_of_other_contacts * UP if missed else 0.0
         far = np.where(self._other_spheres[ends].any(axis=0), 2 * off * UP, 0.0)
@@ -364,8 +372,8 @@ class Near:
         return distance if known else None
 
     def _distance_from_slip_direction(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three arrays (S,) that compare the friction in use, F, with the friction by the law at slips that may
-        be up to `far` (S,) from these:
+        """Return three arrays (S,) that compare the friction F in use at the S slipping contacts with that by the law,
+        at slips that may be up to `far` (S,) from these:
 
         1. the size of the difference between the unit vectors along F and along the slip; 0 for contacts without
            friction,
@@ -380,8 +388,9 @@ class Near:
         return angle, size_error, size_by_law.most
 
     def _resting_contacts_can_bear(self, distance: np.ndarray) -> bool:
-        """Prove step 3: return True if T can bear, below all its friction limits, what S leaves to it at the minimum in
-        V. distance : (S,), bound on how far the slips of S there are from these."""
+        """Prove step 3 (head of the file): return True if resting contacts can bear, below all their friction limits,
+        what slipping contacts leave to them at the minimum. distance : (S,), bound on how far the slips there are from
+        these."""
         network, exact = self.network, self.exact
         torque = self._largest_torques(
             self._distance_from_law

@@ -109,11 +109,11 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 
 def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Return a bound (E,) on the change of the force of each contact of X along component k, by step 2; infinite in
-    parts that cannot rest (condition a).
+    """Return a bound (E,) on the change of the force of each contact that is tried as resting, along component k, by
+    step 2 at the head of the file; infinite in parts that cannot rest (condition a).
 
-    rests : (E,) mask of X.
-    torque : (N,), the bound r.
+    rests : (E,) mask of the contacts that are tried.
+    torque : (N,), bound on the torque on each sphere that they have to take up.
     """
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
     ends, imposed = network.graph.contact[:, own], network.imposed[k]

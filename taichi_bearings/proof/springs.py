@@ -59,11 +59,12 @@ def natural(network: JudgedNetwork) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Springs:
-    """Springs at the contacts of a packing whose normals have any direction.
+    """Springs at the E contacts of a packing whose normals have any direction.
 
+    network : the packing with N spheres.
     weight : (E,), stiffnesses q.
     number : (N, 3), which unknown each component of a spin is, -1 where it is none.
-    form : the quadratic form K^T q K, scaled by D.
+    form : the quadratic form K^T q K, with K the matrix of slips, in unknowns scaled to a diagonal of 1.
     """
 
     network: JudgedNetwork
@@ -74,7 +75,7 @@ class Springs:
     @classmethod
     def of(cls, network: JudgedNetwork, potential: float) -> Springs | None:
         """Make springs for minima whose potential is at most `potential` (in units of the network); None if some
-        unknown changes no slip."""
+        unknown spin component changes no slip."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
         least = holding[holding > 0].min(initial=np.inf)
         with np.errstate(all="ignore"):
@@ -158,8 +159,9 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> bool:
 def floor_of_slips(
     network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False
 ) -> float | None:
-    """Return a proven floor of the eigenvalues of K K^T for the contacts in the mask `contacts` (E,): the slips of
-    these contacts are independent if there is one. Infinite without any contact; None if no floor is found.
+    """Return a proven floor of the eigenvalues of K K^T, with K the matrix of slips, for the contacts in the mask
+    `contacts` (E,). If there is one, the slips of these contacts are independent. Infinite without any contact; None if
+    no floor is found.
 
     Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
     out.
@@ -189,9 +191,9 @@ def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
 
 
 def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
-    """Return the matrix K (3 E, n) of slips (u_i + u_j) x n, exactly: rows 0 to E - 1 for the x components of all
-    contacts, then y, then z. Rows of contacts that cannot dissipate are 0. number : (N, 3), column of each component of
-    u, -1 for what is no unknown."""
+    """Return the matrix (3 E, n) that gives the slips (u_i + u_j) x n of E contacts from n unknown spins, exactly:
+    first the x components of all contacts, then y, then z. Here u is spin times radius, n the normal. Rows of contacts
+    that cannot dissipate are 0. number : (N, 3), column of each component of u, -1 for what is no unknown."""
     count, turned = len(network.graph.normal), [(1, 2), (2, 0), (0, 1)]
     rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for end in network.graph.contact:

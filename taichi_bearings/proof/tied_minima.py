@@ -77,10 +77,11 @@ PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of sums along a pat
 
 @dataclass(frozen=True)
 class Pulls:
-    """The contacts of S, then those of C, of one sample (n in all), and what they pull.
+    """The n contacts of one sample that bear all their friction, and what they pull: first those that slip (S), then
+    those that do not slip (C). T are the resting contacts with friction left.
 
-    The two components that matter are numbered 0 and 1 here, in argument `slot` and in the first axis of arrays (2,
-    ...).
+    A pull is a force along one component. The two components that matter are numbered 0 and 1, in arguments `slot` and
+    in the first axis of arrays (2, ...).
 
     own : (n,), indices of the contacts among all of the network.
     lower, upper : (n,), indices of their two spheres.
@@ -89,8 +90,9 @@ class Pulls:
         the sign of the slip that would go with its friction, 0 along the other component.
     coefficient : (n,), friction limits, in exact proportions.
     in_s : (n,) mask of the contacts of S.
-    domain_tc, domain_t, domain_tc0 : (2, spheres), by component the label of the domain of each sphere, by the sets of
-        contacts that the head of this file lists; 0 and 1 for what moves with the bottom and with the top.
+    domain_tc, domain_t, domain_tc0 : (2, spheres), labels of domains, by component. A domain are spheres that contacts
+        join: those of T and C; of T; or of T and those of C that bear nothing along the component. 0 and 1 stand for
+        what moves with the bottom and with the top.
     """
 
     own: np.ndarray
@@ -110,22 +112,22 @@ class Pulls:
         return label[slot, self.lower] != label[slot, self.upper]
 
     def touches(self, label: np.ndarray, value: int, slot: int) -> np.ndarray:
-        """Return a mask (n,): contacts of C with an end in the domain `value`, and contacts of S with exactly one end
-        in it. label : (spheres,), labels of domains. slot : not used."""
+        """Return a mask (n,): slipping contacts with exactly one end in the domain `value`, and other contacts with any
+        end in it. label : (spheres,), labels of domains. slot : not used."""
         ends = label[self.lower] == value, label[self.upper] == value
         return np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
 
     @cached_property
     def turned_by(self) -> np.ndarray:
-        """(2, n) masks: a motion of one end in this component turns the slip of the contact, since it slips in the
-        other component, too."""
+        """(2, n) masks: if one end of the contact moves in this component, its slip changes its direction, since it
+        slips in the other component, too."""
         both = self.felt.all(axis=0)
         return np.array([both & self.apart(self.domain_tc, 1), both & self.apart(self.domain_tc, 0)])
 
     def wide_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
-        """Return the number (spheres,) of the wide domain of each sphere in component `slot`; 0 for those that hold a
-        plane, then 1, 2, ... label : (2, spheres), the domains (`domain_tc` or `domain_tc0`) that turning contacts
-        join."""
+        """Return the number (spheres,) of the wide domain of each sphere in component `slot`: 0 for those that contain
+        a driven plane, then 1, 2, ... A wide domain are domains that are joined by contacts whose slip changes its
+        direction if one end moves alone. label : (2, spheres), the domains, `domain_tc` or `domain_tc0`."""
         domain = label[slot]
         joins = self.turned_by[slot] & self.apart(label, slot)
         first, second = domain[self.lower[joins]], domain[self.upper[joins]]
@@ -230,11 +232,11 @@ def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, s
 @dataclass(frozen=True)
 class BetweenTwo:
     """The m domains that lie between two others: only these two pull them, in opposite directions, each by a set of
-    contacts with the same friction in all.
+    contacts with the same friction in all. Such a domain can move along the line between both at no cost.
 
-    labels : (2, m), their labels in `domain_tc`, for both components.
-    slot : (m,), the component (0 or 1) in which each is held.
-    sets : for each, the indices of the contacts of both sets together.
+    labels : (2, m), their labels in `Pulls.domain_tc`, for both components.
+    slot : (m,), the component (0 or 1) in which each is held where it is.
+    sets : for each, the indices of the contacts of both sets together, within :class:`Pulls`.
     undecided : (n,) mask of all these contacts, and of those that slip along one component only if such a domain moves.
     """
 
@@ -245,7 +247,8 @@ class BetweenTwo:
 
     @classmethod
     def of(cls, pulls: Pulls, contacts: Slipping) -> BetweenTwo:
-        """Find these domains. pulls : the contacts of S and C. contacts : the slips of S."""
+        """Find these domains. pulls : the n contacts that bear all their friction. contacts : slips of those that
+        slip."""
         pair, known = (
             pulls.same_in_both,
             [pulls.known_pulls_cancel_at(pulls.domain_tc[slot], slot) for slot in range(2)],
@@ -293,8 +296,8 @@ class BetweenTwo:
 
     def lie_between(self, contacts: Slipping, turn: np.ndarray) -> bool:
         """Return True if the domains surely lie between their two neighbours at the minimum, too: no slip changes its
-        sign along the component in which they are held. contacts : slips of S near the minimum. turn : (n,), share of
-        its size by which each slip differs there at most."""
+        sign along the component in which they are held. contacts : slips of the slipping contacts near the minimum.
+        turn : share of its size by which each slip differs there at most, an entry for each."""
         for own, slot in zip(self.sets, self.slot, strict=True):
             if not (contacts.difference[slot].at(own).least > turn[own] * contacts.size.at(own).most * UP).all():
                 return False
@@ -313,10 +316,10 @@ def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> di
 
 
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
-    """Prove the states (E,) of all contacts of one sample, and whether there is only one minimum (True, False, or None
-    if that is not known); None if nothing is proven.
+    """Prove the states (E,) of all E contacts of one sample (SLIPLESS, SLIPPING, TIED or UNDECIDED), and whether there
+    is only one minimum (True, False, or None if that is not known); None if nothing is proven.
 
-    motion : the stored spins of the sample and which contacts rest; two components matter. contacts : those of S.
+    motion : the stored spins of the sample and which contacts rest; two components matter. contacts : those that slip.
     """
     saturated = Saturated.of(motion)
     if saturated is None or motion.torn.any() or not (contacts.size.least > 0).all():
@@ -341,8 +344,9 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
 
 @dataclass(frozen=True)
 class Saturated:
-    """The contacts of C: those that do not slip, yet bear all their friction, along one component.
+    """The contacts that do not slip, yet bear all their friction, along one component (called C).
 
+    network : one sample with E contacts.
     mask : (E,), which contacts these are.
     along : (E,), the component (0 or 1) along which each bears it.
     """
@@ -353,7 +357,7 @@ class Saturated:
 
     @classmethod
     def of(cls, motion: Motion) -> Saturated | None:
-        """Find the contacts of C; None if some contact bears its whole friction with a part along both components."""
+        """Find these contacts; None if some contact bears its whole friction with a part along both components."""
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
@@ -362,20 +366,20 @@ class Saturated:
         return cls(network, mask, np.argmax(parts, axis=0))
 
     def friction(self, slot: int) -> Enclosure:
-        """Return the friction that each contact of C has to bear along component `slot`, plus or minus mu F_n with the
-        sign of its stored moment; 0 for contacts that bear it along the other component."""
+        """Return for each saturated contact the friction that it has to bear along component `slot`, plus or minus mu
+        F_n with the sign of its stored moment; 0 for contacts that bear it along the other component."""
         own = np.flatnonzero(self.mask)
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
         return self.network.holding.at(own).signed(sign * (self.along[own] == slot))
 
     def motion_of(self, motion: Motion, slot: int | None) -> Motion:
-        """Return the motion in which only T rests; if `slot` is given, also those contacts of C that bear nothing along
-        this component: its domains are domain_t and domain_tc0."""
+        """Return the motion in which no saturated contact rests, but all others that rest in `motion`; if `slot` is
+        given, saturated contacts that bear nothing along this component rest as well."""
         return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
 
     def missing_friction(self) -> dict[int, np.ndarray]:
-        """By component, (spheres,), bound on the difference between the stored friction of C and its friction at the
-        limit, added up at each sphere."""
+        """By component, (spheres,): bound on the difference between the stored friction of saturated contacts and their
+        friction limit, added up at each sphere."""
         own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
@@ -387,7 +391,8 @@ class Saturated:
 
 
 def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
-    """Collect what the contacts of S (`contacts`) and of C (`saturated`) pull in a motion."""
+    """Collect the contacts of a motion that bear all their friction, and what they pull. contacts : those that slip.
+    saturated : those that do not."""
     network, in_c = motion.network, np.flatnonzero(saturated.mask)
     own = np.append(contacts.own, in_c)
     lower, upper = network.graph.contact[:, own]
@@ -419,9 +424,9 @@ def _numbered(motion: Motion, k: int) -> np.ndarray:
 
 
 def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | None:
-    """Return the mask (2, spheres) of spheres whose domain is held, by component: one domain of each wide domain
-    without a plane, and those between two others. None if all members of a wide domain lie between others. label : (2,
-    spheres), the domains that are to be held."""
+    """Return the mask (2, spheres) of spheres whose domain is held where it is, by component: one domain of each wide
+    domain without a plane, and those between two others. None if all members of a wide domain lie between others. label
+    : (2, spheres), labels of the domains that are to be held."""
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
         wide, inner = pulls.wide_domains(label, slot), np.isin(pulls.domain_tc[slot], between.labels[slot])
@@ -449,8 +454,12 @@ def _minimum_with_held(
     held: np.ndarray,
     saturated: Saturated,
 ) -> tuple[Slipping, np.ndarray] | None:
-    """Prove steps 2 and 3: return the slips of S near the minimum u*, and the share (n,) of its size by which each slip
-    differs there at most; None if u* is not proven to be a minimum of the whole power."""
+    """Prove steps 2 and 3 at the head of the file: return the slipping contacts near a minimum, and the share of its
+    size by which each slip differs there at most; None if it is not proven to be a minimum of the whole power.
+
+    pulls, between, saturated : the contacts that bear all their friction, domains between two others, contacts at their
+        limit without slip. held : (2, spheres) mask of the spheres whose domain is held where it is.
+    """
     rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()
     near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.domain_tc, held)))
     if near is None:
@@ -466,7 +475,7 @@ def _minimum_with_held(
 
 def _known_pulls_cancel(pulls: Pulls) -> bool:
     """Return True if the pulls that are known exactly cancel on each wide domain, and on each domain_t, except on one
-    of each free domain_tc at most, on which turning contacts act."""
+    of each free domain_tc at most, which contacts pull whose slip may change its direction."""
     for slot in range(2):
         cancels_at = pulls.known_pulls_cancel_at(pulls.wide_domains(pulls.domain_tc, slot), slot)
         if not all(cancels for number, cancels in cancels_at.items() if number > 0):
@@ -488,10 +497,12 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
 def _states_along_lines(
     pulls: Pulls, between: BetweenTwo, contacts: Slipping, turn: np.ndarray, moves: bool, count: int
 ) -> tuple[np.ndarray, bool | None]:
-    """Prove step 5: return the states (E,) of all contacts, and whether there is only one minimum (None if not known).
+    """Prove step 5 at the head of the file: return the states (E,) of all contacts, and whether there is only one
+    minimum (None if not known).
 
-    contacts, turn : slips of S near u*, and the share (n,) of its size by which each differs there at most.
-    moves : whether some domain_tc0 is held, so that minima may differ. count : E.
+    contacts, turn : slipping contacts near a minimum, and the share of its size by which each slip differs there at
+        most.
+    moves : whether some domain_tc0 is held, so that minima may differ. count : E, number of contacts.
     """
     rest = len(pulls.in_s) - len(turn)
     # Bounds of t: the slips of S with what they may differ at u*, 0 for C.
@@ -512,8 +523,8 @@ def _states_along_lines(
 
 
 def _lines(pulls: Pulls) -> list[Line]:
-    """Return for either component the contacts whose slips change where minima differ: they lie along it alone and join
-    two different wide domains of domain_tc0."""
+    """Return for either component the contacts whose slips change where minima differ: they slip along it alone, or
+    could, and join two different wide domains of `domain_tc0`."""
     found, size = [], pulls.domain_tc.shape[1] + 2
     for slot in range(2):
         wide = pulls.wide_domains(pulls.domain_tc0, slot)
