@@ -64,7 +64,7 @@ def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: t
 
 @ti.func
 def dot(a: ti.template(), b: ti.template()):
-    """Return the scalar product of vectors of one or two components."""
+    """Return the scalar product of two lists of one or two numbers."""
     result = a[0] * b[0]
     if ti.static(len(a) == 2):
         result = result + a[1] * b[1]
@@ -73,7 +73,7 @@ def dot(a: ti.template(), b: ti.template()):
 
 @ti.func
 def size(a: ti.template()):
-    """Return the Euclidean length of a vector of one or two components."""
+    """Return the Euclidean length of a list of one or two numbers."""
     result = ti.abs(a[0])
     if ti.static(len(a) == 2):
         result = ti.sqrt(dot(a, a))
@@ -82,7 +82,9 @@ def size(a: ti.template()):
 
 @ti.func
 def determinant(head, tail: ti.template()):
-    """Return head^2 - |tail|^2 without cancellation beyond that of head - |tail|."""
+    """Return head^2 - |tail|^2 of a point (head, tail), as a product, so that rounding takes no more than from head -
+    |tail|.
+    """
     length = size(tail)
     return (head - length) * (head + length)
 

@@ -30,7 +30,7 @@ def smaller(a, b):
 
 @ti.func
 def clamp(value, low, high):
-    """Return the value, or the end of the interval [low, high] that is next to it."""
+    """Return the value if it lies within [low, high], else the nearer end."""
     inside = ti.select(value < low, low, value)
     return ti.select(inside > high, high, inside)
 

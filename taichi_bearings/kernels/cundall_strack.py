@@ -156,7 +156,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         self.moved = tuple(slot[name] for name in moved if name in slot)
         # for each component the two axes whose contacts it makes slip, with the rows of the forces that so pull on it
         pulling = [
-            [(a, self.force[a][kept.index(c)]) for a, kept in enumerate(stencil.kept) if c in kept]
+            [(a, self.force[a][kept.index(c)]) for a, kept in enumerate(stencil.slip_components) if c in kept]
             for c in range(stencil.components)
         ]
         self.pulling = tuple(zip(*pulling, strict=True))

@@ -66,7 +66,7 @@ class DescentSweeps(Sweeps):
 
         # sweeps of even parity go from `point` to `point_next`, which begins `apart` rows further, the others back
         self.point, self.apart = of_sites("point"), slot["point_next"] - slot["point"]
-        self.kept = stencil.spin_rows(slot["point"])
+        self.point_rows = stencil.spin_rows(slot["point"])
         self.weight, self.spin = of_sites("inverse_weight"), of_sites("spin") if self.momentum else ()
         if self.averages:
             self.spin_sum = of_sites("spin_sum")
@@ -88,8 +88,8 @@ class DescentSweeps(Sweeps):
         height = ti.static(self.stencil.height)
         row, first = size[0], in_range(size[1] + low * self.block)
         source = first + (sweep & 1) * self.apart * row
-        lower = load_each(values, places(self.kept[height], row, source - 1), 1)
-        upper = load_each(values, places(self.kept[height], row, source), 1)
+        lower = load_each(values, places(self.point_rows[height], row, source - 1), 1)
+        upper = load_each(values, places(self.point_rows[height], row, source), 1)
         own = load_each(values, places(self.coefficients[height], row, first - 1), 1)
         return self.force_law(minus(upper, lower), own, numbers[1])
 
@@ -102,8 +102,8 @@ class DescentSweeps(Sweeps):
         above, below : force of the contact with the upper neighbour, which pulls the sphere up, and with the lower one;
             lists with an entry for each component that makes these contacts slip.
         """
-        for t in ti.static(range(len(self.stencil.kept[axis]))):
-            total[self.stencil.kept[axis][t]] += above[t] - below[t]
+        for t in ti.static(range(len(self.stencil.slip_components[axis]))):
+            total[self.stencil.slip_components[axis][t]] += above[t] - below[t]
 
     @ti.func
     def add_along_the_height(self, total: ti.template(), above: ti.template(), carried: ti.template()):
@@ -145,8 +145,8 @@ class DescentSweeps(Sweeps):
         # the force on each sphere: that of its upper contact less that of its lower one, along each axis
         pulled = [zero(self.block) for _ in self.components]
         for axis in ti.static(self.stencil.slipping_axes):
-            here, side = [point[c] for c in ti.static(self.stencil.kept[axis])], strides[axis::3]
-            up = load_neighbours(values, self.kept[axis], row, source, side, 1, self.block)
+            here, side = [point[c] for c in ti.static(self.stencil.slip_components[axis])], strides[axis::3]
+            up = load_neighbours(values, self.point_rows[axis], row, source, side, 1, self.block)
             own = load_each(values, places(self.coefficients[axis], row, first), self.block)
             above = self.force_law(minus(up, here), own, sharpness)
             if ti.static(self.averages):  # noqa: SIM102
@@ -155,7 +155,7 @@ class DescentSweeps(Sweeps):
             if ti.static(axis == self.stencil.height):
                 self.add_along_the_height(pulled, above, carried)
             else:
-                down = load_neighbours(values, self.kept[axis], row, source, side, -1, self.block)
+                down = load_neighbours(values, self.point_rows[axis], row, source, side, -1, self.block)
                 lower = load_neighbours(values, self.coefficients[axis], row, first, side, -1, self.block)
                 self.add(pulled, axis, above, self.force_law(minus(here, down), lower, sharpness))
         # the step down the gradient, within the box, and on by the momentum

@@ -93,7 +93,7 @@ def gather(
     alone: ti.template(), unit: ti.template(), tables: ti.template(), at, first, end, entries: ti.template(),
     numbers: ti.template(),
 ):  # fmt: skip
-    """Fill some columns of a front with the entries of the matrix, and add the updates of its children.
+    """Fill some columns of a front with the entries of the matrix, and add the updates that its children leave.
 
     alone : True for one matrix, False for LANES of them.
     unit : rows that make a vector; columns are cleared from a multiple of it on.
@@ -143,8 +143,10 @@ def corner(numbers: ti.template(), shape: ti.template(), j, wide: ti.template())
     then holds the inverse pivots, which the substitutions need.
 
     numbers : entries of all fronts.
-    shape : where the columns stand, see :func:`panel`.
-    j : the first of the columns.
+    shape : six numbers: index where the own columns before these begin, where they end, and the distance between them;
+        index where row 0 of these columns would stand, and the distance between them; True if they are own columns.
+    j : number of the first of the columns.
+    wide : how many they are.
     """
     source, end, height, start, pitch, own = shape
     found = [numbers[start + c * pitch + j + r] for r in ti.static(range(wide)) for c in ti.static(range(r + 1))]
@@ -179,9 +181,9 @@ def block(
     What the columns before contribute is subtracted; own columns are also divided by their triangle.
 
     numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
-    shape : where the columns stand, see :func:`panel`.
-    j : the first of the columns.
-    i : the first vector of rows.
+    shape : six numbers that say where the columns stand, as for :func:`corner`.
+    j : number of the first of the columns.
+    i : number of the first vector of rows.
     first : triangle of these columns at the diagonal, from :func:`corner`.
     """
     source, end, height, start, pitch, own = shape
@@ -213,14 +215,11 @@ def panel(
     wide: ti.template(),
 ):  # fmt: skip
     """Eliminate `wide` columns of a front from j on if they are own columns, or subtract from them what the own columns
-    contribute if they belong to the update. Either all are own, or none.
+    contribute if they belong to the update (what is left for the border). Either all are own, or none.
 
     tables, at : integers of the layout, and where the row of the front begins among them.
     numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
-
-    `shape` holds, for the functions called here: index where the own columns before these begin, where they end, and
-    the distance between them; index where row 0 of these columns would stand, and the distance between them; True if
-    they are own.
+    j : number of the first of the columns.
     """
     own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + OWN_COLUMNS]
     pitch = height if j < own else tables[at + UPDATE_HEIGHT] - sheets_before(tables, at, j)
@@ -242,7 +241,8 @@ def panel(
 
 @ti.func
 def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
-    """Eliminate the own unknowns of a front, PANEL columns at a time, and compute its update.
+    """Eliminate the own unknowns of a front, PANEL columns at a time, and compute its update, which is left for the
+    border.
 
     tables, at : integers of the layout, and where the row of the front begins among them.
     numbers, vectors : entries of all fronts, one by one, and as vectors: the same array if each is a vector of LANES
@@ -264,7 +264,7 @@ def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
 
     A pivot that is not positive leaves an inverse that is not finite, in its matrix alone.
 
-    tables : integers of the layout.
+    tables : integers that say where all entries stand (numerics/cholesky/layout.py).
     entries : entries of the matrices, in the order of the layout.
     numbers : entries of all fronts, the result.
     """
@@ -279,7 +279,7 @@ def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
 def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS):
     """Factorise one matrix.
 
-    tables : integers of the layout.
+    tables : integers that say where all entries stand (numerics/cholesky/layout.py).
     entries : entries of the matrix, in the order of the layout.
     numbers, vectors : entries of all fronts, the result, one by one and as vectors of LANES rows in the same memory.
     """

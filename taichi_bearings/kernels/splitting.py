@@ -116,7 +116,7 @@ class ContactStep(Sweeps):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
             below = load_neighbours(values, self.spring[axis], row, first, strides[axis::3], -1, self.block)
             for t in ti.static(range(len(above))):
-                pulls[self.stencil.kept[axis][t]] += above[t] - below[t]
+                pulls[self.stencil.slip_components[axis][t]] += above[t] - below[t]
         store_each(values, blocks, places(self.pull, row, first), self.block, pulls)
 
     @ti.func

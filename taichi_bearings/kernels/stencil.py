@@ -40,7 +40,7 @@ class Stencil:
         return self.dimension - 1
 
     @property
-    def kept(self) -> tuple[tuple[int, ...], ...]:
+    def slip_components(self) -> tuple[tuple[int, ...], ...]:
         """For each axis, the positions in `spin_axes` of the components that make its contacts slip.
 
         A spin about the axis of a contact does not slide it, so that for each axis those about the other axes are left.
@@ -50,7 +50,7 @@ class Stencil:
     @property
     def slipping_axes(self) -> tuple[int, ...]:
         """Axes whose contacts can slip at all: with one spin component, all axes but the one it turns about."""
-        return tuple(axis for axis in range(self.dimension) if self.kept[axis])
+        return tuple(axis for axis in range(self.dimension) if self.slip_components[axis])
 
     @property
     def coupled_sides(self) -> tuple[int, ...]:
@@ -66,21 +66,21 @@ class Stencil:
         """V, how many numbers the forces of all contacts above a site have: for each axis, one for each component that
         makes its contacts slip.
         """
-        return sum(map(len, self.kept))
+        return sum(map(len, self.slip_components))
 
     def spin_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
         """Return for each axis the rows of the spin components that make its contacts slip.
 
         first : row of the first spin component.
         """
-        return tuple(tuple(first + slot for slot in slots) for slots in self.kept)
+        return tuple(tuple(first + slot for slot in slots) for slots in self.slip_components)
 
     def force_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
         """Return for each axis the rows of the components of its contact forces.
 
         first : row of the first component of the first axis; those of the other axes follow.
         """
-        ends = list(accumulate(map(len, self.kept), initial=first))
+        ends = list(accumulate(map(len, self.slip_components), initial=first))
         return tuple(tuple(range(begin, end)) for begin, end in pairwise(ends))
 
     def forces_of_contacts(self, stored: np.ndarray, layout: Layout) -> np.ndarray:
@@ -94,7 +94,7 @@ class Stencil:
         """
         force = np.zeros((self.components, stored.shape[1], layout.lattice.all_contacts))
         for axis, (values, rows) in enumerate(zip(layout.lattice.by_axis(force), self.force_rows(0), strict=True)):
-            values[list(self.kept[axis])] = layout.from_lower_sphere(stored[list(rows)], axis)
+            values[list(self.slip_components[axis])] = layout.from_lower_sphere(stored[list(rows)], axis)
         return force
 
     def forces_at_lower_sphere(self, force: np.ndarray, layout: Layout) -> np.ndarray:
@@ -107,6 +107,6 @@ class Stencil:
         """
         stored = np.zeros((self.force_components, force.shape[1], *layout.shape))
         for axis, (values, rows) in enumerate(zip(layout.lattice.by_axis(force), self.force_rows(0), strict=True)):
-            for slot, row in zip(self.kept[axis], rows, strict=True):
+            for slot, row in zip(self.slip_components[axis], rows, strict=True):
                 layout.from_lower_sphere(stored[row], axis)[...] = values[slot]
         return stored

@@ -33,11 +33,15 @@ MISSING_SLIP = 1e2  # a contact that misses its friction limit by a share x is t
 def answered(
     scene: Scene, method: Method, final: Progress, forces: Forces, bound: np.ndarray, threshold: float | None
 ) -> tuple[Solution, Judgement | None]:
-    """Return the answer, with no contact state proven yet, and the judgement of its spins and forces.
+    """Return the answer to a lattice, with no contact state proven yet, and what is proven of its spins and forces.
 
-    final : the best state that the method has reached. forces : (C, R, E), from which the lower bound `bound`, (R,),
-    follows. threshold : slip speed up to which a contact counts as slipless, length/time; None for the smallest slip
-    that the method can resolve. The judgement is None where no arithmetic can judge the numbers.
+    The second is None where no arithmetic can judge the numbers.
+
+    final : the best state that the method has reached.
+    forces : (C, R, E), contact forces from which the lower bound follows.
+    bound : (R,), that lower bound.
+    threshold : slip speed up to which a contact counts as slipless, length/time; None for the smallest slip that the
+        method can resolve.
     """
     # a sample whose least power is 0 gets the state without slip, whatever the method came to
     if not method.options.is_dynamics:
@@ -117,14 +121,18 @@ def _states_and_thresholds(
     known: np.ndarray | None,
     proof: Forces,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return contact states (R, E), and the slip speeds up to which contacts count as slipless: (R,), and one for all.
-
-    slip : (R, E), length/time. threshold : the slip speed that the user asked for, or None for what can be resolved.
-    known : states (R, E) that are proven contact by contact, or None. proof : forces (C, R, E) that prove the bound.
+    """Return contact states (R, E), and the slip speeds up to which contacts count as slipless: (R,), and one for all
+    samples.
 
     Without a threshold, a contact that seems to slip while its friction in `proof` is below its limit is undecided,
     unless `known` has its state. If some slipping contact is slower than what the slip alone resolves, the friction has
     told it apart; the speed that is returned then is the largest slip of a slipless contact.
+
+    slip : (R, E), slip speeds, length/time.
+    final : the best state that the method has reached.
+    threshold : the slip speed that the user asked for, or None for what can be resolved.
+    known : (R, E), states that are proven contact by contact, or None.
+    proof : (C, R, E), forces that prove the lower bound.
     """
     if threshold is not None:
         state = _states(scene, slip, final, threshold, asked=True)
@@ -144,10 +152,13 @@ def _states_and_thresholds(
 
 
 def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
-    """Return the states (R, E) that are proven of every minimum where a proof looks at each contact alone, else None.
+    """Return the states (R, E) that are proven of every minimum where a proof looks at each contact alone; else None.
 
-    That is so where the force grows with the slip, and for minima with one spin component. For a dynamics
-    (is_dynamics) without viscosity None is returned, as its states are those of its motion, not of the minima.
+    That is so where the force grows with the slip, and for minima with one spin component. A dynamics without viscosity
+    gets None, as its states are those of its motion, not of the minima.
+
+    judgement : what is proven of the answer, or None.
+    is_dynamics : True if the method is a dynamics.
     """
     if judgement is None or not (judgement.law.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
         return None
@@ -157,8 +168,11 @@ def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndar
 def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
     """Return contact states (R, E): those that the method has established, or else those that slip and friction give.
 
-    threshold : slip speed up to which a contact counts as slipless, length/time. asked : the user gave it. Then a
-    slipping contact that is slower becomes slipless, and a slipless one that is faster becomes undecided.
+    slip : (R, E), slip speeds, length/time.
+    final : the best state that the method has reached.
+    threshold : slip speed up to which a contact counts as slipless, length/time.
+    asked : True if the user gave it. Then a slipping contact that is slower becomes slipless, and a slipless one that
+        is faster becomes undecided.
     """
     if final.state is None:
         return classify(scene, slip, final.force, threshold)
@@ -173,8 +187,12 @@ def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, a
 def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> np.ndarray:
     """Return the sizes (R, E) of the contact forces of a dynamics at its last moment.
 
-    Where contacts can hold a force, the dynamics knows it; else the law gives it from `slip`, (R, E). Without viscosity
-    a force is cut off at the friction limit, beyond which only the rounding of far stronger contacts can lift it.
+    Where contacts can hold a force without slip, the dynamics knows it; else the law gives it from the slip. Without
+    viscosity a force is cut off at the friction limit, beyond which only the rounding of far stronger contacts can lift
+    it.
+
+    final : the last state.
+    slip : (R, E), slip speeds, length/time.
     """
     if not scene.law.holds:
         return scene.law.force(scene.material, slip)
@@ -186,10 +204,11 @@ def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> 
 
 
 def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
-    """Return what spins and friction prove by themselves, whatever the method believes.
+    """Return what spins and friction prove by themselves, whatever the method believes; None for numbers that no
+    arithmetic can judge.
 
-    spin, spin_rounding : laboratory spins, and what rounding leaves out of them. friction : force on each contact. The
-    result is None for numbers that no arithmetic can judge.
+    spin, spin_rounding : laboratory spins, and what rounding leaves out of them; (R, *N, 3), of discs (R, *N), 1/time.
+    friction : force on each contact, in the laboratory.
     """
     judgement = Judgement(scene, spin, spin_rounding, friction)
     return judgement if judgement.can_be_judged else None
@@ -200,9 +219,11 @@ def named(
 ) -> Solution:
     """Return the answer with the final states of its contacts, and which of them are proven.
 
+    final : the best state that the method has reached.
     known : (R, E), the states that are proven of all minima, UNDECIDED where nothing is; None if no proof was tried.
-    has_ended : a motion is proven to have come to a minimum. is_present : the states are those of the motion now, or
-    follow from a threshold of slip, not those of the minima (:func:`taichi_bearings.proof.contact_state.decided`).
+    has_ended : True if a motion is proven to have come to a minimum.
+    is_present : True if the states are those of the motion now, or follow from a threshold of slip; False if they are
+        those of the minima.
     """
     undecided = np.full(answer.state.shape, ContactState.UNDECIDED)
     known = undecided if known is None else known
@@ -215,7 +236,9 @@ def named(
 def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
     """Return the states (R, E) of an answer with UNDECIDED where slip and friction are too small to tell them.
 
-    known : (R, E), the states that are proven; a contact that has one keeps its state. Another one becomes undecided
+    known : (R, E), the states that are proven; a contact that has one keeps its state.
+
+    Another contact becomes undecided
 
     * if it seems to slip, but the gap between power and lower bound could explain its slip, or its friction is off the
       limit by more than its slip allows (MISSING_SLIP);
@@ -238,7 +261,11 @@ def known_states(scene: Scene, final: Progress, judgement: Judgement | None, has
     """Return the states (R, E) that are proven of all minima, UNDECIDED where nothing is; None if no proof is tried.
 
     A proof is tried in samples where the method believes to have found these states, and in all samples where the proof
-    is cheap (one spin component, or viscosity) or where has_ended: a motion is proven to have come to a minimum.
+    is cheap (one spin component, or viscosity) or where a motion has come to a minimum.
+
+    final : the best state that the method has reached.
+    judgement : what is proven of its spins and forces, or None.
+    has_ended : True if a motion is proven to have come to a minimum.
     """
     one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
     together = one_component or scene.law.flows or has_ended

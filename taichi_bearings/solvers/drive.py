@@ -35,10 +35,12 @@ from taichi_bearings.stages import stage
 
 @dataclass(frozen=True)
 class Report:
-    """What a monitor is told at each look.
+    """What a monitor (a function that is called while a method runs) gets each time that the progress is read.
 
-    progress : the state now. objective, gap : (R,), of the best state so far. seconds : wall time since the start,
-    that before a checkpoint included. stop : the rule that will end the run.
+    progress : the state now.
+    objective, gap : (R,), of the best state so far: what is minimised, and its relative distance from the lower bound.
+    seconds : wall time since the start, that before a checkpoint included.
+    stop : the rule that will end the run.
     """
 
     progress: Progress
@@ -57,7 +59,8 @@ STALL_PATIENCE = 20_000  # iterations before a minimisation can count as stalled
 class Checkpoints:
     """Where and how often a run is saved so that a later call can continue it; for methods that can resume.
 
-    every : seconds of wall time between two checkpoints. write : is called with the arrays of a checkpoint by name.
+    every : seconds of wall time between two checkpoints.
+    write : function that is called with the arrays of a checkpoint by name.
     resume : the arrays that an earlier call has written and from which to continue; None for a new run.
     """
 
@@ -76,6 +79,7 @@ class Checkpoints:
             """Return the checkpoints of the sample whose arrays have names that begin with `begin`."""
 
             def write(state: Mapping[str, np.ndarray]) -> None:
+                """Write the arrays of all samples, after those of this sample have been replaced by `state`."""
                 arrays.update({begin + name: values for name, values in state.items()})
                 self.write(arrays)
 
@@ -99,9 +103,9 @@ def solve(
 
     scene : a lattice, or a packing, which takes no slip threshold.
     method : built from a row of the table of methods.
-    spin : laboratory spins to start from, 1/time.
+    spin : (R, *N, 3), of discs (R, *N), laboratory spins to start from, 1/time.
     stop : when to end; default `StopRule()`.
-    monitors : functions that are called at each look.
+    monitors : functions that are called with a `Report` each time that the progress is read.
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless. Default: the smallest slip that
         the method can resolve.
     recording : simulated times at which a dynamics is recorded.
@@ -123,7 +127,7 @@ def solve(
 
 @dataclass(frozen=True)
 class _Asked:
-    """The arguments of :func:`solve` that are the same for all samples."""
+    """The arguments of :func:`solve` that are the same for all samples; each is explained there."""
 
     stop: StopRule
     monitors: Sequence[Monitor]
@@ -133,9 +137,12 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Sample:
-    """What one course solves: a lattice with all its samples, or one sample of a packing.
+    """What is solved at a time: a lattice with all its samples, or one sample of a packing.
 
-    method : of this course alone. spin : laboratory spins to start from. checkpoints : where the course is saved.
+    scene : the lattice or the sample.
+    method : a method of its own.
+    spin : (R, *N, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+    checkpoints : where its state is saved, or None.
     """
 
     scene: Bearing
@@ -151,6 +158,8 @@ def _apart(
 
     As many samples as pays are stepped side by side. After Ctrl-C the answer holds only the samples that were begun;
     with checkpoints, from which the others can be continued, KeyboardInterrupt is raised instead if some are missing.
+
+    asked : the arguments of :func:`solve` that all samples share; the others are as of :func:`solve`.
     """
     from taichi_bearings.solvers.together import samples_at_once  # and with it the lists of packings
 
@@ -176,7 +185,10 @@ def _apart(
 
 
 def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
-    """Return the answers to some samples that are stepped side by side. asked : the arguments that all share."""
+    """Return the answers to some samples that are stepped side by side, each with an equal share of the seconds.
+
+    asked : the arguments of :func:`solve` that they share.
+    """
     began, threshold = time.perf_counter(), asked.slip_threshold
     options = samples[0].method.options
     with Interrupt() as interrupt:
@@ -203,7 +215,10 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
 
 
 def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
-    """Follow all courses to their ends, side by side. monitors : are called at each look of each course."""
+    """Run the loops of some samples to their ends, side by side: all make the same number of steps at a time.
+
+    monitors : functions that are called with a `Report` each time that the progress of a sample is read.
+    """
     advance, drop = courses[0].method.advance, None
     if len(courses) > 1:
         from taichi_bearings.solvers.together import Together
@@ -244,8 +259,8 @@ def uninterrupted(solution: Solution) -> Solution:
 def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndarray]) -> None:
     """Raise ValueError where arrays of a checkpoint cannot be the state of a method.
 
-    stored : the arrays of the checkpoint. fresh : the state of the method at the start, whose types and shapes they
-    must have.
+    stored : the arrays of the checkpoint, by name.
+    fresh : the state of the method at the start, whose types and shapes they must have.
     """
     for name, own in fresh.items():
         found, like = stored[name], np.asarray(own)
@@ -254,11 +269,17 @@ def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndar
 
 
 class Course:
-    """The loop of :func:`solve` from the start, or from a checkpoint, to the end.
+    """The loop of :func:`solve` from the start, or from a checkpoint, to the end, for what is solved at a time.
 
-    status, last, seconds : how it ended, the state then, and the wall time it took, that before a checkpoint included.
+    It makes steps, and from time to time reads the progress of the method, records and judges it.
+
+    status : how it ended.
+    last : the progress at the end.
+    seconds : wall time that it took, that before a checkpoint included.
     findings : further results of the method at the end, by name, (R,) each.
-    target : iteration of the next look. launch : iterations that are made at a time, adapted to half a second.
+    target : iteration at which the progress is read next.
+    launch : iterations that are made at a time, adapted to half a second.
+    best, recorder : the best state so far, and the history.
     """
 
     status: Status
@@ -276,7 +297,9 @@ class Course:
     ) -> None:
         """Begin at the start, or where a checkpoint leaves off; raise FileError if that does not fit the method.
 
-        method : one that has begun. stop, recording, checkpoints : as of :func:`solve`. interrupt : hears Ctrl-C.
+        method : one whose `begin` was called.
+        stop, recording, checkpoints : as of :func:`solve`.
+        interrupt : tells whether Ctrl-C was pressed.
         """
         self.scene, self.method, self.stop, self.recording = method.scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
@@ -315,8 +338,10 @@ class Course:
     def steps(self, monitors: Sequence[Monitor]) -> Iterator[int]:
         """Yield how many steps the method has to make next, until it is done.
 
-        The caller makes these steps before it asks again. In between, where a look is due, the progress is recorded,
+        The caller makes these steps before it asks again. In between the progress is read where that is due, recorded,
         reported to the monitors and judged; at the end `status`, `last`, `seconds` and `findings` are set.
+
+        monitors : functions that are called with a `Report`; the run ends if one returns True.
         """
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
         iteration = method.iteration if method.resumes else 0
@@ -348,7 +373,7 @@ class Course:
             self._aim(iteration)
 
     def _launches(self, steps: int) -> Iterator[int]:
-        """Yield `steps` iterations in launches of about half a second; stop early where the time is over."""
+        """Yield `steps` iterations in parts that take about half a second; stop early where the time is over."""
         runtime.refuse_changed()  # a monitor may have done so
         while steps > 0 and not self.is_ended():
             now = min(self.launch, steps)
@@ -364,9 +389,12 @@ class Course:
                 self._write_if_due()
 
     def _aim(self, iteration: int) -> None:
-        """Choose the iteration of the next look, after one at `iteration`.
+        """Choose the iteration at which the progress is read next.
 
-        For a dynamics it depends on the state only, not on earlier looks, so that a resumed run has the same bits.
+        For a dynamics it depends on the state only, not on when it was read before, so that a resumed run has the same
+        bits.
+
+        iteration : the one at which it was read now.
         """
         if isinstance(self.method, Dynamics):
             if self.method.time >= self.stop.duration:
@@ -376,16 +404,22 @@ class Course:
         self.target = min(self.method.next_check(iteration), self.stop.iterations)
 
     def is_ended(self) -> bool:
-        """Whether Ctrl-C was heard, or the time is over."""
+        """Return True if Ctrl-C was pressed, or the time is over."""
         return self.interrupt.heard or self._seconds_of_this_call >= self.stop.seconds
 
     def _write_if_due(self, looked: bool = False) -> None:
-        """Write a checkpoint if the last one is old enough. looked : this state has been recorded and judged."""
+        """Write a checkpoint if the last one is old enough.
+
+        looked : True if this state has been recorded and judged.
+        """
         if self.checkpoints is not None and time.perf_counter() - self.written_at >= self.checkpoints.every:
             self._write(looked)
 
     def _write(self, looked: bool) -> None:
-        """Write a checkpoint. looked : this state has been recorded and judged."""
+        """Write a checkpoint, if the method can resume and checkpoints are wanted.
+
+        looked : True if this state has been recorded and judged.
+        """
         if self.checkpoints is None or not self.method.resumes:
             return
         own = {"elapsed": np.array(self.elapsed), "looked": np.array(looked), "target": np.array(self.target)}
@@ -393,7 +427,7 @@ class Course:
         self.written_at = time.perf_counter()
 
     def answer(self, threshold: float | None) -> Solution:
-        """Return the answer from the best state and the best forces, judged, with history, snapshots and status.
+        """Return the answer from the best spins and the best forces, with its proof, history, snapshots and status.
 
         threshold : slip speed up to which a contact counts as slipless, length/time; None for what can be resolved.
         """
@@ -427,12 +461,14 @@ OF_BEST = (
 class _Best:
     """The best state so far, sample by sample, and the best lower bound so far.
 
-    progress : of a minimisation the states of least objective; of a dynamics the state now. bound : (R,), the best
-    lower bound. proof : forces (C, R, E) from which that bound follows.
+    progress : of a minimisation the states of least objective; of a dynamics the state now.
+    bound : (R,), the best lower bound on the objective.
+    proof : (C, R, E), contact forces from which that bound follows.
+    keeps_best : True for a minimisation.
     """
 
     def __init__(self, method: Method) -> None:
-        """Begin without any state. method : whose states will be compared."""
+        """Begin without any state. method : the one whose states will be compared."""
         self.scene, self.method, self.keeps_best = method.scene, method, not isinstance(method, Dynamics)
         self.progress: Progress
         self.proof: Forces = np.zeros(0)  # none yet
@@ -445,10 +481,13 @@ class _Best:
         return self.progress.objective
 
     def has_stalled(self, iteration: int, gap: float) -> bool:
-        """Return whether a minimisation has not reduced its gap by 1 % in the last four fifths of its iterations.
+        """Return True if a minimisation has not reduced its gap by 1 % in the last four fifths of its iterations.
 
-        gap : the largest of all samples now. The precision of the fields then allows no more. A dynamics never counts
-        as stalled, as it may take long to load its springs.
+        The precision of the fields then allows no more. A dynamics never counts as stalled, as it may take long to load
+        its springs.
+
+        iteration : number of the iteration now.
+        gap : the largest relative gap of all samples now.
         """
         if gap < 0.99 * self._gap:
             self._gap, self._improved_at = gap, iteration
@@ -487,7 +526,11 @@ class _Best:
         return found
 
     def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
-        """Take the best forces and the best state from a checkpoint; raise ValueError if they do not fit the scene."""
+        """Take the best forces and the best state from a checkpoint; raise ValueError if they do not fit the scene.
+
+        state : arrays by name, as from `state`.
+        spin_axes : numbers of the axes of the spin components that are computed.
+        """
         self.proof = np.array(state["proof"], dtype=float)
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.network.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():

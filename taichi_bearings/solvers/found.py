@@ -10,16 +10,21 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Found:
-    """Spins and forces that a method has found, not yet judged.
+    """Spins and forces that a method has found for a packing, not yet judged.
 
-    spins : (unknowns,), length/time. force : (d, A), force. method : its name. steps : factorisations that it made.
-    rest : (unknowns,), the second double of each spin, where a method computes sums of two.
-    slips : mask (A,) of slipping contacts, if the method has settled the contact states, else None.
-    open : mask (A,) of contacts that could not be settled: they slip by more than rounding, but bear less than the
-    friction limit.
-    ties : mask (A,) of contacts whose slip is not the same at all minima, or that bear all their friction without slip;
-    None if that is not known.
-    everywhere : u (N, C) of all spheres, from methods that step all of them.
+    The contacts are the A that take part; the unknowns are the components of u = radius * spin of free spheres.
+
+    spins : (unknowns,), u, length/time.
+    force : (d, A), components of each contact force along its d tangents.
+    method : name of the method.
+    slips : (A,), mask of slipping contacts, if the method has settled the contact states; else None.
+    ties : (A,), mask of contacts whose slip is not the same at all minima, or that bear all their friction without
+        slip; None if that is not known.
+    steps : factorisations that the method made.
+    everywhere : (N, C), u of all spheres, from methods that step all of them; else None.
+    open : (A,), mask of contacts that could not be settled: they slip by more than rounding, but bear less than the
+        friction limit; None if there is no such mask.
+    rest : (unknowns,), second double of each u, where a method computes sums of two; else None.
     """
 
     spins: np.ndarray

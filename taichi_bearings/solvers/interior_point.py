@@ -51,10 +51,11 @@ KEPT_SITES = 10_000  # spheres up to which the parts that all samples of a latti
 
 
 def _states(sample: Sample) -> np.ndarray:
-    """Return the contact states (n,) of a sample.
+    """Return the contact states (n,) of a sample; n contacts have a free sphere.
 
-    If they are settled, these are the settled ones. Else a contact slips if its slip is above DECIDED_RATIO times its
-    friction margin, is slipless if the margin is as much greater than the slip, and is undecided otherwise.
+    If the method has settled them, these are returned. Else a contact slips if its slip is above DECIDED_RATIO times
+    its friction margin (friction limit minus force), is slipless if the margin is as much greater than the slip, and is
+    undecided otherwise; both are in the units of the path, in which they are about 1.
     """
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     if (of := sample.resolved) is not None:
@@ -71,8 +72,10 @@ _Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where no
 def _skeleton(*alike: Any) -> _Skeleton:
     """Return what all samples of a lattice have in common: contact system, order of elimination and Newton matrix.
 
-    alike : the arguments of `_made` after the first. For small lattices, of which many are solved, it is kept for the
-    next call. Each thread has its own, as the matrix holds the numbers of its factorisation.
+    For small lattices, of which many are solved, it is kept for the next call. Each thread has its own, as the matrix
+    holds the numbers of its factorisation.
+
+    alike : the arguments of `_made` after the first.
     """
     if alike[0].sites < KEPT_SITES:
         return _made(threading.get_ident(), *alike)
@@ -82,10 +85,12 @@ def _skeleton(*alike: Any) -> _Skeleton:
 
 @lru_cache(maxsize=1)
 def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
-    """Build the contact system, the order of elimination and the Newton matrix of a lattice.
+    """Return the contact system, the order of elimination and the Newton matrix of a lattice; None for the matrix if
+    nothing has to be solved.
 
-    thread : that uses them, as a key of the cache. spin_axes : the carried spin components. jump : imposed spins of the
-    top plane over those of the bottom, in units, as the bytes of an array.
+    thread : number of the thread that uses them, as a key of the cache.
+    spin_axes : numbers of the axes of the spin components that are computed.
+    jump : imposed spins of the top plane less those of the bottom, (C, *plane), in units, as the bytes of an array.
     """
     top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
     system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
@@ -95,22 +100,27 @@ def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes
 
 
 class InteriorPointMethod(Descent, Method):
-    """The interior-point method (see the module docstring).
+    """The interior-point method: Newton steps along the central path. An iteration is one step of every sample not yet
+    done.
 
-    An iteration is one Newton step of every sample that is not yet done. unit : of spins, 1/time. frustrated : the
-    driven planes have different spins, so that something has to be solved.
+    unit : unit of spins on the path, 1/time.
+    frustrated : True if the driven planes have different spins, so that something has to be solved.
+    system : the contacts with a free sphere, as the path sees them.
+    samples : the state of each sample on its path.
     """
 
     scene: Scene
     resumes = True
 
     def __init__(self, options: InteriorPoint) -> None:
+        """Take the options of the method."""
         self.options = options
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare the path: build the contact system and its matrix, and put all samples at their starts.
 
-        spin : laboratory spins to start from, 1/time; they are clipped to the interval between the driven spins.
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to the interval
+            between the driven spins.
         """
         Method.begin(self, scene, spin)
         scene = self.scene
@@ -133,11 +143,14 @@ class InteriorPointMethod(Descent, Method):
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
 
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
-        """Return the start of the central path of sample `replica`. spins : free spins (unknowns,) in units of `unit`.
+        """Return the start of the central path of a sample.
 
         Forces are measured in a unit near the mean coefficient. Without viscosity, contacts that are so strong that
         they are slipless at every minimum get less friction, as wide contrasts cost precision; with it, the path starts
         at the spins that balance the viscous forces.
+
+        replica : number of the sample.
+        spins : (unknowns,), free spins in units of `unit`.
         """
         scene = self.scene
         friction, viscosity = scene.positive_coefficient[replica, self.system.contact], None
@@ -160,6 +173,7 @@ class InteriorPointMethod(Descent, Method):
 
     @property
     def iteration(self) -> int:  # type: ignore[override]
+        """Number of Newton steps of the sample that has made the most."""
         return max(sample.steps for sample in self.samples)
 
     def state(self) -> dict[str, np.ndarray]:
@@ -191,10 +205,13 @@ class InteriorPointMethod(Descent, Method):
             sample.done, sample.at_end = bool(done), bool(at_end)
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration of the next look, which does not depend on the other samples that are solved at a time.
+        """Return the iteration at which to read the progress next, which does not depend on the other samples solved at
+        a time.
 
-        Small samples are looked at once, when they mostly have ended. Others are looked at every second step far from
-        the end, as a look costs half a step at 10^3 spheres, and every step near it.
+        The progress of small samples is read once, when they mostly have ended. That of others is read every second
+        step far from the end, as reading costs half a step at 10^3 spheres, and every step near it.
+
+        iteration : the one at which it is read now.
         """
         if self.small and self.options.settle:
             return iteration + MOST_NEWTON_STEPS  # mostly all they need
@@ -202,7 +219,8 @@ class InteriorPointMethod(Descent, Method):
         return iteration + (2 if far else 1)
 
     def progress(self) -> Progress:
-        """Return the state of all samples: the settled one where there is one, else the point on the path.
+        """Return the progress of all samples: with the settled contact states where they are, else the point on the
+        path.
 
         Slips and states come from the path itself, as they are more precise than those of the rounded spins.
         """
@@ -248,7 +266,9 @@ class InteriorPointMethod(Descent, Method):
         )
 
     def _spins(self) -> Pair:
-        """Return staggered spins (C, R, *N) as pairs of doubles, 1/time; zero in the driven planes."""
+        """Return the spins, with alternating signs as methods carry them, as sums of two doubles: a pair of arrays (C,
+        R, *N), 1/time; 0 in the driven planes.
+        """
         high, low = np.zeros((2, len(self.samples), self.system.unknowns))
         for number, sample in enumerate(self.samples):
             high[number] = sample.iterate.spins if sample.resolved is None else sample.resolved.spins
@@ -264,10 +284,13 @@ class InteriorPointMethod(Descent, Method):
         return found[0], found[1]
 
     def _lower_bound(self, force: np.ndarray, objective: np.ndarray) -> np.ndarray:
-        """Return lower bounds (R,) from forces (C, R, E). objective : (R,), at the spins of now.
+        """Return lower bounds (R,) on the objective.
 
         A sample has the quick bound until it has ended, and also then if the gap to that is small enough. Otherwise the
         slower bound of the certificate is computed.
+
+        force : (C, R, E), contact forces.
+        objective : (R,), at the spins of now.
         """
         ended = np.array([sample.done or not self.frustrated for sample in self.samples])
         if not self.scene.law.is_rate_independent:

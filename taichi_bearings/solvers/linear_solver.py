@@ -33,9 +33,12 @@ Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a b
 
 
 class LinearSolverMethod(Method):
-    """The linear solver (see the module docstring). An iteration is one bundle of planes, solved to round-off.
+    """The linear solver: viscous contacts, by factorisations. An iteration solves one bundle of planes, to round-off.
 
-    spin, rest : (C, R, *N), staggered spins as sums of two doubles. bundles : place of the spin component, and planes.
+    A plane is the two-dimensional grid of one layer and sample; a bundle has so many planes that memory suffices.
+
+    spin, rest : (C, R, *N), spins with alternating signs as methods carry them, as sums of two doubles.
+    bundles : for each bundle the place of its spin component among those computed, and its planes.
     """
 
     scene: Scene
@@ -43,7 +46,7 @@ class LinearSolverMethod(Method):
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare to solve: split the planes of each spin component into bundles.
 
-        spin : laboratory spins, 1/time, which give those of the driven planes.
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins, 1/time, which give those of the driven planes.
         """
         super().begin(scene, spin)
         scene = self.scene
@@ -53,14 +56,21 @@ class LinearSolverMethod(Method):
         self.iteration = 0
 
     def _planes(self, slot: int) -> list[Planes]:
-        """Return the planes of a spin component in bundles. slot : place of it among the carried components."""
+        """Return the planes of a spin component in bundles: for each, the numbers of the samples and of the layers.
+
+        slot : place of the spin component among those that are computed.
+        """
         replicas, layers, *sides = self.by_plane(self.spin[slot], self.spin_axes[slot]).shape
         replica, layer = (index.ravel() for index in np.indices((replicas, layers)))
         step = max(1, BUNDLE_SITES // int(np.prod(sides)))
         return [(replica[i : i + step], layer[i : i + step]) for i in range(0, replicas * layers, step)]
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration of the next look, so that there are at most MOST_CHECKS in a run."""
+        """Return the iteration at which to read the progress next, so that it is read at most MOST_CHECKS times in a
+        run.
+
+        iteration : the one at which it is read now.
+        """
         return iteration + -(-len(self.bundles) // MOST_CHECKS)
 
     def advance(self, steps: int) -> None:
@@ -73,7 +83,8 @@ class LinearSolverMethod(Method):
     def _solve(self, slot: int, planes: Planes) -> None:
         """Solve for the free spins of a bundle, then refine them as long as the leftover torques fall.
 
-        slot : place of the spin component among those carried. planes : samples and layers of the planes.
+        slot : place of the spin component among those that are computed.
+        planes : numbers of the samples and of the layers of the planes.
         """
         scene, component = self.scene, self.spin_axes[slot]
         plane = scene.lattice.across(component)
@@ -107,7 +118,7 @@ class LinearSolverMethod(Method):
         spins[planes], rests[planes] = spin, rest
 
     def progress(self) -> Progress:
-        """Return spins, forces and bounds now; the method is exhausted when all bundles are solved."""
+        """Return spins, forces and bounds now; no further step helps when all bundles are solved."""
         scene = self.scene
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
         difference = self.differences(self.spin) + self.differences(self.rest)
@@ -123,9 +134,10 @@ class LinearSolverMethod(Method):
 
 
 def _laplacian(plane: Lattice, first: np.ndarray, second: np.ndarray) -> csc_array:
-    """Return the weighted Laplacian of the free nodes of B planes.
+    """Return the weighted Laplacian of the free nodes of B planes, one block for each.
 
-    plane : grid of m x n nodes. first, second : weights of its contacts along either axis, one row a plane.
+    plane : grid of m x n nodes; the first and last of each row along the height are held.
+    first, second : (B, ...), weights of its contacts along either axis.
     """
     shape = (len(first), *plane.shape)
     node, held = np.arange(np.prod(shape)).reshape(shape), np.ones(shape, dtype=bool)
@@ -138,9 +150,11 @@ def _laplacian(plane: Lattice, first: np.ndarray, second: np.ndarray) -> csc_arr
 def _free_torques(
     plane: Lattice, first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """Return the torque on each free node (B, m, n - 2) of B planes, for spheres of radius 1.
+    """Return the torque on each free node of B planes, (B, m, n - 2), for spheres of radius 1.
 
-    plane, first, second : as of `_laplacian`. spin, rest : (B, m, n), spins as sums of two doubles.
+    plane : grid of m x n nodes.
+    first, second : (B, ...), viscosities of its contacts along either axis.
+    spin, rest : (B, m, n), spins as sums of two doubles.
     """
     pull = np.zeros_like(spin)
     for axis, coefficient in enumerate((first, second)):
@@ -149,5 +163,8 @@ def _free_torques(
 
 
 def _total(load: np.ndarray) -> np.ndarray:
-    """Return the sum (B,) of the absolute torques in each plane, by which the lower bound is reduced."""
+    """Return the sum (B,) of the absolute torques in each of B planes, by which the lower bound is reduced.
+
+    load : (B, m, n), torques.
+    """
     return np.abs(load).sum(axis=(1, 2))

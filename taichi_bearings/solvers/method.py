@@ -25,9 +25,13 @@ if TYPE_CHECKING:
 class Method:
     """One way to reach the state of least dissipation: its steps and what they mean, nothing else.
 
-    A method never prints, times, opens a file or decides when to stop. options : the row of the table of methods that
-    it was built from. scene : what it solves. contacts : the fields and kernels of the contacts of this scene.
-    iteration : how many iterations were made. spin_axes : the spin components that are carried.
+    A method never prints, times, opens a file or decides when to stop.
+
+    options : the row of the table of methods that it was built from.
+    scene : what it solves.
+    contacts : the fields and kernels of the contacts of this scene.
+    iteration : how many iterations were made.
+    spin_axes : numbers of the axes of the C spin components that are computed.
     """
 
     resumes: ClassVar[bool] = False
@@ -38,12 +42,13 @@ class Method:
     spin_axes: tuple[int, ...]
 
     def __init__(self, options: "MethodOptions") -> None:
+        """Take the options of the method, a row of the table of methods."""
         self.options: Any = options
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare to solve a scene: load the fields, if any, and compile the kernels.
 
-        spin : laboratory spins to start from, 1/time.
+        spin : (R, *N, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         """
         self.contacts = contacts_of(scene, spin, self.options.is_dynamics)
         self.scene, self.spin_axes = self.contacts.scene, self.contacts.spin_axes
@@ -57,7 +62,7 @@ class Method:
         raise NotImplementedError
 
     def progress(self) -> Progress:
-        """Return the state of the method with its bounds; the only call that reads from the device."""
+        """Return the state now with its bounds; the only call that reads from the device."""
         raise NotImplementedError
 
     def state(self) -> dict[str, np.ndarray]:
@@ -69,21 +74,29 @@ class Method:
         raise NotImplementedError
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the slips (C, R, E) of the contacts over the radius (`Bearing.slip_radius`), from spins (C, R, *N)."""
+        """Return the slips of the contacts divided by the radius (`Bearing.slip_radius`), (C, R, E), 1/time.
+
+        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        """
         return self.scene.differences(staggered, self.spin_axes)
 
     def pulls(self, force: np.ndarray) -> np.ndarray:
-        """Return the sum (C, R, *N) of the contact forces (C, R, E) on each sphere."""
+        """Return the sum (C, R, *N) of the contact forces on each sphere. force : (C, R, E), contact forces."""
         return self.scene.pulls(force, self.spin_axes)
 
     def absolute(self, staggered: np.ndarray) -> np.ndarray:
-        """Return staggered spins (C, R, *N) that are not measured from the bottom, as energies need them."""
+        """Return spins as methods carry them, but measured from zero, not from the bottom: (C, R, *N), as energies need
+        them.
+
+        staggered : (C, R, *N), spins with alternating signs, measured from the bottom, 1/time.
+        """
         return self.scene.absolute(staggered, self.spin_axes)
 
     def with_viscosity(self, force: np.ndarray, difference: np.ndarray) -> np.ndarray:
         """Return forces (C, R, E) plus what the contacts resist by viscosity, or by a law that a user has defined.
 
-        force : (C, R, E), friction alone. difference : (C, R, E), spin differences of the contacts, 1/time.
+        force : (C, R, E), friction alone.
+        difference : (C, R, E), spin differences of the contacts, 1/time.
         """
         law, radius = self.scene.law, self.scene.slip_radius
         slip = difference if law.is_sum else radius * vector_length(difference)
@@ -91,9 +104,11 @@ class Method:
         return force if resistance is None else force + radius * resistance * difference
 
     def forces_at(self, staggered: np.ndarray, width: float) -> np.ndarray:
-        """Return the contact forces (C, R, E) of the law at some spins, with regularised friction.
+        """Return the contact forces (C, R, E) of the law at some spins, with friction that grows from 0 over a small
+        slip.
 
-        staggered : spins (C, R, *N). width : spin difference, 1/time, up to which friction grows in proportion to it.
+        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        width : spin difference, 1/time, up to which friction grows in proportion to it.
         """
         difference = self.differences(staggered)
         held = self.scene.law.holding_force(self.scene.material)
@@ -101,28 +116,33 @@ class Method:
         return self.with_viscosity(force, difference)
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R,) that follows from the forces (C, R, E) of a checkpoint."""
+        """Return the lower bound (R,) on the objective that contact forces (C, R, E), of a checkpoint, prove."""
         return self.contacts.proven_by(force)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: Any) -> Progress:
-        """Return the progress of some spins and forces: with objective, its lower bound, and the largest torque left.
+        """Return the progress for given spins and forces: with objective, its lower bound, and the largest torque left.
 
-        staggered : (C, R, *N). force : contact forces (C, R, E). proof : forces from which the lower bound follows, or
-        None for `force`. more : further entries of the `Progress`.
+        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        force : (C, R, E), contact forces.
+        proof : (C, R, E), forces from which the lower bound follows; None for `force`.
+        more : further entries of the `Progress`, by name.
         """
         return self.contacts.judged(staggered, force, proof, **more)
 
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
-        """Return a view (R, planes, m, n) of values (R, ...) of spheres or contacts on a lattice.
+        """Return values of spheres or contacts on a lattice by plane, as a view (R, planes, m, n); the height is the
+        last axis.
 
-        component : number of the spin component; the planes are the layers across its axis. The height is the last
-        axis. A square lattice is one plane.
+        The planes are the layers across the axis of a spin component; a square lattice is one plane.
+
+        values : (R, ...), one for each sphere, or for each contact along one axis.
+        component : number of the axis of the spin component.
         """
         return values[:, None] if self.scene.network.dimension == 2 else np.moveaxis(values, 1 + component, 1)
 
 
 class Swept(Method):
-    """A method whose steps are repeated calls of one kernel that sweeps over all spheres and contacts.
+    """A method whose steps are repeated calls of one kernel that works on all spheres and contacts.
 
     team, sweeps : the threads and the kernel, which `begin` makes.
     """
@@ -136,7 +156,9 @@ class Swept(Method):
         return self.contacts.fields
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """Yield the launches of the kernel, one after the other, that make `steps` steps."""
+        """Yield the launches (calls of the kernel with the same constants), one after the other, that make `steps`
+        steps.
+        """
         raise NotImplementedError
 
     def advance(self, steps: int) -> None:
@@ -146,10 +168,10 @@ class Swept(Method):
 
 
 def contacts_of(scene: Bearing, spin: np.ndarray, moves: bool) -> Contacts:
-    """Return the contacts of a scene: on strides for a lattice, in lists for a packing.
+    """Return the contacts of a scene: with neighbours a stride apart for a lattice, in lists for a packing.
 
-    spin : laboratory spins to start from. moves : a dynamics is solved, which may begin with spin components that no
-    minimum needs.
+    spin : (R, *N, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+    moves : True for a dynamics, which may begin with spin components that no minimum needs.
     """
     if scene.network.lattice is not None:
         from taichi_bearings.solvers.on_strides import OnStrides

@@ -36,14 +36,19 @@ MANTISSA_BITS = 53
 class _Cover:
     """The graph whose nested minimum cuts give the spins; a double cover in parts with odd loops.
 
-    free : number of nodes that are to be found; further nodes stand for the driven values.
-    low, high : (edges,), the two nodes of each edge. weight : (edges,), friction limits as whole numbers of `unit`,
-    force.
+    A node is a free spin u times a sign by which neighbours differ, called U; in parts with odd loops, which have no
+    such signs, each spin has two nodes that are each other's twins: U = u and U = -u. Further nodes stand for the
+    driven values.
+
+    free : number of nodes that are to be found.
+    low, high : (edges,), the two nodes of each edge.
+    weight : (edges,), friction limits as whole numbers of `unit`.
     contact, sign : (edges,), the contact of each edge; its force is the sum of sign * flow from low to high.
-    values : the sorted driven values of U, as sums of two doubles, because R omega is no double in general.
-    opposite : number of the value that is the negative of each value, 0 if there is none.
-    mirror : (free,), the twin of each node, -1 if it has none. rest : the highest level of parts with twins whose value
-    is not positive.
+    values : the sorted driven values of U, as sums of two doubles, because radius * spin is no double in general.
+    opposite : for each value the number of the value that is its negative, 0 if there is none.
+    unit : unit of the weights, force.
+    mirror : (free,), the twin of each node, -1 if it has none.
+    rest : the highest number of a value, in parts with twins, that is not positive; 0 if there is none.
     """
 
     free: int
@@ -63,6 +68,9 @@ def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarr
     """Return spins of least power (unknowns,), as sums of two doubles, and forces (d, A) balanced to one rounding.
 
     The law has friction alone, and each contact couples one spin component.
+
+    system : the A contacts that take part; d tangents each.
+    packing : one sample.
     """
     component = system.feels.argmax(axis=1)  # (A,), the coupled component; any one where none is
     cover, sign = _covered(system, packing, component)
@@ -74,7 +82,11 @@ def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarr
 
 
 def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
-    """Return the spins (unknowns,) of `least_power` without the forces, rounded to doubles, in about half the time."""
+    """Return the spins (unknowns,) of least power without the forces, rounded to doubles, in about half the time.
+
+    system : the contacts that take part.
+    packing : one sample.
+    """
     cover, sign = _covered(system, packing, system.feels.argmax(axis=1))
     return _spins(cover, _nested(cover), sign)[0]
 
@@ -82,7 +94,11 @@ def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
 def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
     """Return the spins u (unknowns,) from the levels of all nodes, as sums of two doubles.
 
-    place : (nodes,), levels. sign : (unknowns,), s. A spin with a twin is half the difference of the two copies.
+    A spin with a twin is half the difference of the two copies.
+
+    cover : the graph.
+    place : (nodes,), the number of the value of each node (its level).
+    sign : (unknowns,), sign of each unknown, by which neighbours differ.
     """
     own, twin = np.arange(len(sign)), cover.mirror[: len(sign)]
     high, low = (part[place] if len(part) else np.zeros(len(place)) for part in cover.values)
@@ -93,8 +109,10 @@ def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
 
 
 def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> tuple[_Cover, np.ndarray]:
-    """Return the graph of a packing, and the sign s of each unknown (unknowns,).
+    """Return the graph of a packing, and the sign of each unknown (unknowns,), by which neighbours differ.
 
+    system : the A contacts that take part.
+    packing : one sample.
     component : (A,), the spin component that each contact couples.
     """
     # signs by which neighbours differ, or a second copy of the unknowns in odd parts
@@ -132,9 +150,12 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
 
 
 def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, component: np.ndarray) -> Pair:
-    """Return the imposed u = R omega of spheres (n,) in some components (n,), as sums of two doubles.
+    """Return the imposed u = radius * spin of n spheres, (n,), as sums of two doubles.
 
     It is exact for driven spheres. A free sphere whose spin was fixed, as nothing determines it, has a chosen double.
+
+    spheres : (n,), numbers of the spheres.
+    component : (n,), number of the spin component of each.
     """
     spin = packing.spin.reshape(system.known.shape)[spheres, component]
     high, low = two_product(np.asarray(packing.radius)[spheres], spin)
@@ -145,8 +166,8 @@ def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, compo
 def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarray]:
     """Sort numbers (n,) that are sums of two doubles, high + low.
 
-    Returns the different values in order; for each of the n the number of its value; for each value the number of its
-    negative, 0 if there is none.
+    Returns the different values in order, as two arrays; for each of the n the number of its value; for each value the
+    number of its negative, 0 if there is none.
     """
     keys, number = np.unique(np.stack([high, low], axis=1), axis=0, return_inverse=True)
     place = {tuple(key): k for k, key in enumerate(keys.tolist())}
@@ -157,8 +178,9 @@ def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.nd
 def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the friction limits of contacts (A,) exactly, as whole numbers of Python, and their unit of force.
 
-    contact : (A,), numbers of the contacts. A limit is friction coefficient times normal force; a normal force that all
-    contacts have is part of the unit.
+    A limit is friction coefficient times normal force; a normal force that all contacts have is part of the unit.
+
+    contact : (A,), numbers of the contacts.
     """
     normal = np.broadcast_to(packing.normal_force, packing.contacts)[contact]
     same = bool((normal == normal[:1]).all())
@@ -176,7 +198,7 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _nested(cover: _Cover) -> np.ndarray:
-    """Return the level (nodes,) of each node at a minimum.
+    """Return the level of each node at a minimum, (nodes,): the number of its value among the sorted driven values.
 
     Without twins this is the minimum with the lowest levels. A node with a twin has its lowest level if that is above
     `cover.rest`. Otherwise, if the highest level of its twin is, it has the opposite of that, so that the two copies
@@ -197,13 +219,14 @@ _Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]  # what _h
 
 
 def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndarray:
-    """Return the level (nodes,) of each node by bisection; one maximum flow halves the ranges of all nodes at once.
+    """Return the level of each node, (nodes,), by bisection; one maximum flow halves the ranges of all nodes at once.
 
-    The range of a node with a twin begins at `cover.rest`. Where several cuts are lightest, the one with the smallest
-    side of high levels is taken, but for the nodes in the mask `largest`, (free,), the one with the largest such side.
+    The level is the number of the node's value among the sorted driven values. The range of a node with a twin begins
+    at `cover.rest`. Where several cuts are lightest, the one with the smallest side of high levels is taken.
 
+    largest : (free,), mask of nodes for which it is the one with the largest such side.
     rounds : the bisections of an earlier search, whose flows are used again as long as the ranges are the same; it is
-    replaced by those of this search.
+        replaced by those of this search.
     """
     levels, count = np.arange(len(cover.opposite)), 0
     least = np.concatenate([np.where(cover.mirror >= 0, cover.rest, 0), levels])
@@ -224,10 +247,11 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
 def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
     """Halve the ranges of levels of all nodes by one maximum flow.
 
-    least, most : (nodes,), lowest and highest level that each node may have. Returned are these two, the middle level
-    at which the upper half of each range begins, and the mask (nodes,) of the nodes in the upper half, for the smallest
-    upper side. The last entry is the residual graph with reversed arcs and the nodes whose sink is not saturated: what
-    is reached from them is the smallest lower side.
+    Returned are the ranges, the level at which the upper half of each begins, the mask (nodes,) of the nodes in the
+    upper half, for the smallest upper side, and a graph for the smallest lower side: the residual graph with reversed
+    arcs, and the nodes whose sink is not saturated; what is reached from them is that side.
+
+    least, most : (nodes,), lowest and highest level that each node may have.
     """
     middle, (low, high), open_ = (least + most + 1) // 2, (cover.low, cover.high), least < most
     together = (least[low] == least[high]) & (most[low] == most[high]) & open_[low]
@@ -248,7 +272,9 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
 def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
     """Return the flow (edges,) from low to high that saturates the nested cuts and is balanced at all free nodes.
 
-    place : (nodes,), levels. It is a whole number of `cover.unit` for each edge.
+    It is a whole number of `cover.unit` for each edge.
+
+    place : (nodes,), level of each node.
     """
     # edges between different levels are saturated; a maximum flow within each level balances what they bring
     fall = np.sign(place[cover.low] - place[cover.high])

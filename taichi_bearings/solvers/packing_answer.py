@@ -43,15 +43,18 @@ MOVED = 1e-7  # relative slip above which a motion moves a contact
 def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
     """Return the state of least dissipation of every sample of a packing.
 
-    packing : a `taichi_bearings.Packing`. tolerance : proven relative gap at which the answer counts as certified.
+    Motions that make no contact slip are left at rest where nothing drives them. Small samples are solved side by side;
+    the bits of each do not depend on the others.
+
+    packing : a `taichi_bearings.Packing`.
+    tolerance : proven relative gap at which the answer counts as certified.
     method : "auto", or the name of a method that solves this packing:
 
     * planar-cut, exact minimum cuts: friction of discs, and of spheres where each contact couples one spin component;
     * linear-solver, one linear system: viscous contacts alone;
     * interior-point, the central path: all laws with friction.
 
-    Motions that make no contact slip are left at rest where nothing drives them. Small samples are solved side by side;
-    the bits of each do not depend on the others. Raises InputError for a wrong argument.
+    Raises InputError for a wrong argument.
     """
     if not isinstance(packing, Packing):
         raise InputError(f"the packing is a {type(packing).__name__}; it must be a taichi_bearings.Packing")
@@ -76,7 +79,8 @@ def _alike_samples(samples: Sequence[Packing]) -> list[list[int]]:
 def _solved(samples: Sequence[Packing], tolerance: float, method: str) -> list[Solution]:
     """Return the answers to samples in which the same contacts take part; each is given an equal share of the seconds.
 
-    tolerance, method : as of `solve_packing`.
+    tolerance : relative gap at which an answer counts as certified.
+    method : name of a method, or "auto".
     """
     begun = perf_counter()
     runtime.current()
@@ -101,6 +105,10 @@ def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, 
     off there, which makes the problem better conditioned; a lower bound for less friction is one for the whole. The
     spins of that solution are then corrected so that these contacts roll, to the rounding of sums of two doubles, and
     judged with the whole friction. This is repeated with the new power while it pays.
+
+    system : the contacts that take part.
+    packing : one sample.
+    tolerance : relative gap at which an answer counts as certified.
     """
     from taichi_bearings.conic.rolling import rolled  # and with it Taichi's kernels
 
@@ -137,7 +145,7 @@ def _system_of(packing: Packing) -> ContactSystem:
 
 
 def _alike(one: Packing, other: Packing) -> bool:
-    """Return whether two packings have the same network, and the same contacts of it take part."""
+    """Return True if two packings have the same network, and the same contacts of it take part."""
     same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
     return same and np.array_equal(one.acting, other.acting)
 
@@ -150,8 +158,9 @@ def _found(
 ) -> list[Found]:
     """Return the spins and forces that a method finds for each sample.
 
-    system : the contacts that all samples share. method : as of `solve_packing`. resisting : for each sample the
-    coefficients of the law, (A,) arrays, if these are not those of the samples.
+    system : the contacts that all samples share, A of them.
+    method : name of a method, or "auto".
+    resisting : for each sample the coefficients of the law, (A,) arrays, if these are not those of the samples.
     """
     law = samples[0].law
     exact = law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
@@ -188,8 +197,12 @@ def _found(
 def judged(system: ContactSystem, packing: Packing, found: Found, tolerance: float, moves: bool = False) -> Solution:
     """Return what was found as an answer, with all that is proven of it.
 
-    found : spins and forces. tolerance : gap at which the answer is certified. moves : the spins are those of a motion
-    and are kept. Otherwise they are replaced by the slipless state if one is proven to exist.
+    system : the contacts that take part.
+    packing : one sample.
+    found : spins and forces.
+    tolerance : relative gap at which the answer is certified.
+    moves : True if the spins are those of a motion and are kept. Otherwise they are replaced by the slipless state if
+        one is proven to exist.
     """
     law, judgement = packing.law, judgement_of(system, packing, found)
     if judgement.can_be_judged and judgement.slipless[0] and not moves and (judgement.network.slip.most > 0).any():
@@ -230,7 +243,11 @@ def judged(system: ContactSystem, packing: Packing, found: Found, tolerance: flo
 
 
 def judgement_of(system: ContactSystem, packing: Packing, found: Found) -> Judgement:
-    """Return the judgement of the spins and the forces that were found; numbers that are not finite count as 0."""
+    """Return what the spins and the forces that were found prove; numbers that are not finite count as 0.
+
+    system : the contacts that take part.
+    packing : one sample.
+    """
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
     rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
     spin, rounding = packing.spins_of((np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
@@ -248,10 +265,12 @@ def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Foun
 
 
 def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sizes (E,) of contact forces, and the friction on the second sphere of each contact.
+    """Return the sizes (E,) of contact forces, and the friction on the second sphere of each contact of a packing.
 
-    force : (d, A), components along the tangents. The friction is a vector, (E, 3), or for discs its component along
-    z x n, (E,), with the normal n.
+    The friction is a vector, (E, 3), or for discs its component along z x n, (E,), with the normal n.
+
+    system : the A contacts that take part; others have no force.
+    force : (d, A), components along the d tangents of each.
     """
     network = system.network
     size, vectors = np.zeros(network.contacts), system.on_contacts(force)
@@ -263,8 +282,13 @@ def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Ju
     """Return the contact states (E,) that slips and friction margins show, for contacts without a proven state.
 
     A contact slips if it is fast and its friction is at the limit, is slipless if neither, and is undecided otherwise.
-    Where the method has settled the states these are taken instead, if slip or margin is clear (SURE_SLIP,
-    SURE_MARGIN). Slips that are not the same at all minima leave a contact undecided.
+    Where the method has settled the states these are taken instead, if slip or margin (1 - force over friction limit)
+    is clear (SURE_SLIP, SURE_MARGIN). Slips that are not the same at all minima leave a contact undecided.
+
+    system : the contacts that take part.
+    packing : one sample.
+    found : spins and forces of the method.
+    judgement : what these prove.
     """
     law = packing.law
     fastest = float(np.abs(packing.driven_speed).max(initial=0.0))
@@ -291,12 +315,14 @@ def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Ju
 def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndarray:
     """Return True (A,) for slipping contacts whose slip is not the same at all minima.
 
-    force : (d, A), forces at a minimum. state : (A,), states of the contacts.
-
     The force of a slipping contact is the same at all minima, so that the slips of two minima differ along it alone. So
     the changes of spins between minima lie in a kernel: they make no slip across the force of a slipping contact, and
     none at all of a slipless contact. If only the slipless motions of the whole network are in that kernel, all minima
     have the same slips.
+
+    system : the A contacts that take part.
+    force : (d, A), forces at a minimum, along d tangents.
+    state : (A,), states of the contacts.
     """
     d, count = force.shape
     # rows of the operator whose kernel has the changes of spins between minima
@@ -328,8 +354,12 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
 def _is_only_one(system: ContactSystem, along: np.ndarray, state: np.ndarray) -> bool:
     """Return True if one factorisation proves that all minima have the same slips; for oblique normals.
 
-    along : (2, A), directions of the forces. state : (A,). The matrix counts slips of slipless contacts, and slips of
-    slipping contacts across their force. If it is regular, no change of the spins avoids both.
+    The matrix counts slips of slipless contacts, and slips of slipping contacts across their force. If it is regular,
+    no change of the spins avoids both.
+
+    system : the A contacts that take part.
+    along : (2, A), directions of the forces.
+    state : (A,), states of the contacts.
     """
     from taichi_bearings.conic.shared import surroundings_of  # and with it Taichi's kernels
 

@@ -20,12 +20,16 @@ from taichi_bearings.solvers.packing_answer import forces_of, judgement_of
 
 
 class PackingBounds:
-    """The best lower bound of a packing so far, and what proves it.
+    """The best lower bound on the objective of a packing so far, and what proves it.
 
-    packing : with all contacts. acting : (E,), numbers of those that take part, for which forces are given. system : of
-    the A contacts. of_system : (A,), their places among the E.
-    proven : the best bound, energy/time. witness : u (C, 1, N), the spins with which it was proven. looked : iteration
-    at which a bound was last computed by a factorisation.
+    packing : the packing with all contacts.
+    acting : (E,), numbers of the contacts that take part, for which forces are given.
+    system : the A contacts among them that lie in parts of the packing which touch a driven sphere.
+    of_system : (A,), their places among the E.
+    matrix : Newton matrix of the system, for forces that are to be balanced.
+    proven : the best bound, energy/time.
+    witness : (C, 1, N), u = radius * spin with which it was proven.
+    looked : iteration at which a bound was last computed by a factorisation.
     """
 
     def __init__(self, packing: Packing) -> None:
@@ -47,8 +51,11 @@ class PackingBounds:
     def of(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
         """Return a proven lower bound on the objective, 0 if none follows, and the forces (d, 1, E) that prove it.
 
-        force : contact forces (d, 1, E). spins : u (C, 1, N). whole : also try these forces with their leftover torques
-        balanced, which costs a factorisation. Where normals are oblique only balanced forces prove a bound.
+        Where normals are oblique only balanced forces prove a bound.
+
+        force : (d, 1, E), contact forces along d tangents.
+        spins : (C, 1, N), u = radius * spin.
+        whole : True to try these forces with their leftover torques balanced too, which costs a factorisation.
         """
         system = self.system
         if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
@@ -65,25 +72,36 @@ class PackingBounds:
         return best, proving
 
     def again(self, force: np.ndarray) -> float:
-        """Return the bound that the forces (d, 1, E) of the best bound prove, computed anew after a checkpoint."""
+        """Return the lower bound that the forces (d, 1, E) of the best bound prove, computed anew after a
+        checkpoint.
+        """
         if not self.proven > 0:
             return 0.0
         return min(self.proven, self._proven_by(force[:, 0, self.of_system], self.witness))
 
     def take(self, bound: float, spins: np.ndarray) -> None:
-        """Keep a bound if it is the best one, with the spins u (C, 1, N) with which it was proven."""
+        """Keep a bound if it is the best one.
+
+        spins : (C, 1, N), u = radius * spin with which it was proven.
+        """
         if bound >= self.proven:
             self.proven, self.witness = bound, spins
 
     def _proven_by(self, force: np.ndarray, spins: np.ndarray) -> float:
-        """Return the lower bound, energy/time, that forces (d, A) and spins u (C, 1, N) prove; 0 if none follows."""
+        """Return the lower bound, energy/time, that forces and spins prove; 0 if none follows.
+
+        force : (d, A), contact forces of the system along d tangents.
+        spins : (C, 1, N), u = radius * spin.
+        """
         packing, friction = self.packing, forces_of(self.system, force)[1]
         spin = packing.spins_of(exactly(spins[:, 0].T))
         judgement = Judgement(packing, *spin, friction)
         return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
 
     def _balanced(self, force: np.ndarray) -> np.ndarray:
-        """Return forces (d, A) with their leftover torques balanced, or as they are if the matrix is singular."""
+        """Return contact forces (d, A) with their leftover torques balanced, or as they are if the matrix is
+        singular.
+        """
         try:
             return self.matrix.balanced(force, isotropic(force, self.system.of_contacts(self.packing)[0]))
         except NotPositiveDefinite:

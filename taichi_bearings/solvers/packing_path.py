@@ -45,9 +45,12 @@ MOST_STEPS, SLACK = 80, 0.3  # steps of the path; slack of the bounds over the s
 
 
 def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
-    """Return the spins (unknowns,) at which viscous forces are in balance. viscosity : (A,), of the contacts.
+    """Return the spins (unknowns,) at which viscous forces are in balance.
 
     Each tangent of a contact is treated as a contact of its own, as viscosity does not couple them.
+
+    system : the A contacts that take part.
+    viscosity : (A,), of these contacts.
     """
     offset = system.offset.reshape(1, -1)
     rows = ContactSystem(system.unknowns, offset, np.ones(offset.shape, dtype=bool), None, system.operator)
@@ -57,10 +60,12 @@ def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Strengths:
-    """Friction and viscosity of the contacts of one sample, in units in which the largest of both is about 1.
+    """Friction and viscosity of the A contacts of one sample, in units in which the largest of both is about 1.
 
-    friction, viscosity : (A,). The unit of spins is such that the fastest imposed one is about 1. power_unit,
-    force_unit : the units, energy/time and force.
+    The unit of spins is such that the fastest imposed one is about 1.
+
+    friction, viscosity : (A,), in units of force, and of force over spin.
+    power_unit, force_unit : the units, energy/time and force.
     """
 
     friction: np.ndarray
@@ -72,8 +77,11 @@ class Strengths:
 def followed(system: ContactSystem, fastest: float, samples: Sequence[Strengths]) -> list[Found]:
     """Return what the central path, and the settling of contact states at its end, find for each sample.
 
-    system : the contacts. fastest : unit of the spins, near the fastest imposed one. samples : friction and viscosity
-    of each. Small samples are followed side by side; the bits of each do not depend on the others.
+    Small samples are followed side by side; the bits of each do not depend on the others.
+
+    system : the contacts that take part.
+    fastest : unit of the spins, near the fastest imposed one, length/time.
+    samples : friction and viscosity of each.
     """
     shared = surroundings_of(system)
     contacts = shared.system.in_units(fastest)
@@ -83,7 +91,11 @@ def followed(system: ContactSystem, fastest: float, samples: Sequence[Strengths]
     with stage("following the central path") as under_way:
 
         def tell(of: Sample, cost: float) -> None:
-            """Report the progress of one sample. cost : its power, in units of the path."""
+            """Report the progress of one sample to the user.
+
+            of : the sample.
+            cost : its power, in units of the path.
+            """
             aim = descent.settles_at if settles else LEAST_GAP
             power = cost * of.unit * of_way[id(of)].power_unit
             under_way.tell(Step(of.steps, power, of.gap, aim))
@@ -102,7 +114,9 @@ def followed(system: ContactSystem, fastest: float, samples: Sequence[Strengths]
 def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix: NewtonMatrix) -> Sample:
     """Return the start of the path of one sample: the spins that would balance if friction were viscous.
 
-    system, contacts : of the packing, and of the path. of : friction and viscosity. matrix : Newton matrix of the path.
+    system, contacts : the contacts of the packing, and those of the path.
+    of : friction and viscosity.
+    matrix : Newton matrix of the path.
     """
     own = np.searchsorted(system.numbers, contacts.numbers)
     unit = float(np.exp2(np.round(np.log2((of.friction + of.viscosity).mean()))))  # dividing by it rounds nothing
@@ -118,7 +132,11 @@ def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix
 def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
     """Return what a path has found: with the contact states that it has settled, or else settled by multipliers.
 
-    way : the end of the path. Other arguments as of `_begun`. fastest : unit of the spins.
+    system : the contacts of the packing.
+    way : the sample at the end of the path.
+    of : friction and viscosity.
+    matrix : Newton matrix of the path.
+    fastest : unit of the spins, length/time.
     """
     contacts, settled, ties, open_ = way.iterate.system, way.resolved, None, None
     if settled is None:
@@ -144,10 +162,14 @@ def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatr
 def _settled(
     point: Iterate, matrix: NewtonMatrix
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Settle the contact states at the end of a path by the method of multipliers.
+    """Settle the contact states at the end of a path by the method of multipliers (see the module).
 
-    Returns spins (unknowns,), dual (d, n), and masks (n,) of the slipping and of the open contacts, as of `Found`. The
-    masks are None, and the spins those of the path, where nothing is settled.
+    Returns spins (unknowns,), minus the contact forces (d, n), and masks (n,) of the slipping contacts and of the open
+    ones: those that slip by more than rounding, but bear less than the friction limit. The masks are None, and the
+    spins those of the path, where nothing is settled.
+
+    point : the end of the path, with n contacts of d tangents.
+    matrix : Newton matrix of the path.
     """
     contacts, spins, held, whole = point.system, point.spins, -point.dual, point.whole_dual
     slipping: Any = None
@@ -180,16 +202,21 @@ def _settled(
 
 
 def _power(point: Iterate, spins: np.ndarray) -> float:
-    """Return the power of spins (unknowns,), or with viscosity the potential, from slips in twice the precision."""
+    """Return the power of spins, or with viscosity the potential, from slips in twice the precision.
+
+    point : a point of the path, with friction and viscosity of its contacts.
+    spins : (unknowns,).
+    """
     slip = length(point.system.to_all_digits(spins))
     damped = 0.0 if point.viscosity is None else float((point.viscosity * slip**2).sum()) / 2
     return float((point.friction * slip).sum()) + damped
 
 
 def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:
-    """Return forces (d, A) along the tangents of a system.
+    """Return contact forces along the tangents of the packing, (d, A), from those of the path.
 
-    contacts : the system of the path. forces : in the rows of that.
+    system, contacts : the contacts of the packing, and those of the path.
+    forces : forces in the rows of the path.
     """
     if contacts is system or contacts.sign is None:
         return forces
@@ -197,9 +224,11 @@ def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.nd
 
 
 def _everywhere(own: np.ndarray, of: np.ndarray, count: int) -> np.ndarray:
-    """Return values (A,) of all contacts from those of n contacts; False for contacts that couple no unknown.
+    """Return values (A,) of all contacts from those of some; False or 0 for contacts that couple no unknown.
 
-    own : (n,), their numbers among the A. of : (n,), their values. count : A.
+    own : (n,), numbers of the n contacts among the A.
+    of : (n,), their values.
+    count : A.
     """
     whole = np.zeros(count, dtype=of.dtype)
     whole[own] = of

@@ -22,19 +22,23 @@ from taichi_bearings.solvers.method import Method
 
 
 class PlanarCutMethod(Method):
-    """The planar cut (see the module docstring). The only iteration cuts all grids.
+    """The planar cut: the only iteration finds the minimum cut of each plane, a grid of contacts that couple one spin
+    component.
 
-    component : the spin component k. top : (planes,), jump of the imposed spins in each plane, 1/time. tied : (R,
-    planes), number of contacts that are in some but not in all minimum cuts. next_over_minimum : (R, planes), weight of
-    the lightest other cut over that of the minimum cut.
+    component : number of the axis of that spin component; the planes are the layers across it.
+    top : (planes,), imposed spin of the top less that of the bottom in each plane, 1/time.
+    staggered, force, states : (1, R, *N) spins as methods carry them, (1, R, E) contact forces and (R, E) contact
+        states.
+    tied : (R, planes), number of contacts that are in some but not in all minimum cuts.
+    next_over_minimum : (R, planes), weight of the lightest other cut over that of the minimum cut.
     """
 
     scene: Scene
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare to cut: find the imposed jump of each plane.
+        """Prepare to cut: find the imposed spin difference of each plane.
 
-        spin : laboratory spins, 1/time, which stay until the cut is made.
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins, 1/time, which stay until the cut is made.
         """
         super().begin(scene, spin)
         scene = self.scene
@@ -48,7 +52,7 @@ class PlanarCutMethod(Method):
         self.iteration = 0
 
     def advance(self, steps: int) -> None:
-        """Cut every grid, or let all its spheres rotate alike where top and bottom have the same spin."""
+        """Cut every plane, or let all its spheres rotate alike where top and bottom have the same spin."""
         self.iteration += 1
         spins = self.by_plane(self.staggered[0], self.component)
         spins[:, self.top == 0] = 0.0  # no jump: all rotate with the bottom
@@ -79,9 +83,11 @@ class PlanarCutMethod(Method):
     ) -> None:
         """Store friction and states of the contacts along a lattice axis in some planes.
 
-        axis : of the lattice. where : samples and numbers of the planes. cut, tied : masks of the contacts that are in
-        the cut that was found, and of those that are in some minimum cuts only. flow : maximum flow in the contacts, in
-        units of the normal force.
+        axis : number of the lattice axis.
+        where : numbers of the samples and of the planes, a pair of arrays (planes,).
+        cut, tied : (planes, ...), masks of the contacts that are in the cut that was found, and of those that are in
+            some minimum cuts only.
+        flow : (planes, ...), maximum flow in the contacts, in units of the normal force.
         """
         friction = flow * (np.sign(self.top[where[1], None, None]) * self.scene.normal_force)
         self.by_plane(self.scene.lattice.by_axis(self.force[0])[axis], self.component)[where] = friction
@@ -89,7 +95,7 @@ class PlanarCutMethod(Method):
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
 
     def progress(self) -> Progress:
-        """Return spins, friction and states, which are the minimum once the grids are cut."""
+        """Return spins, friction and states, which are the minimum once the planes are cut."""
         scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
         unique = self.tied.sum(axis=1) == 0
         findings = {

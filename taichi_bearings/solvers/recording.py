@@ -52,7 +52,8 @@ def parse_times(text: str) -> np.ndarray:
     Raises ValueError for anything else, negative times, and more than a million of them; KeyError for another word
     before the colon.
 
-    >>> parse_times("linear:0,1,3") array([0. , 0.5, 1. ])
+    >>> parse_times("linear:0,1,3")
+    array([0. , 0.5, 1. ])
     """
     kind, colon, rest = text.partition(":")
     numbers = [float(word) for word in (rest if colon else text).split(",")]
