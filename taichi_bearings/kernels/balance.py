@@ -145,7 +145,7 @@ class BalanceKernels:
         """Make the whole solve on a GPU: sines, chains and inverse sines, each in one parallel loop.
 
         values : all fields, flat; `pull` is read and `potential` changed.
-        modes : (C, R, *N) scratch for the amplitudes of the sines, flat.
+        modes : (C components, R samples, *N spheres) scratch for the amplitudes of the sines, flat.
         sines, chains : matrix of the sines, and factors of the chains, see the class.
         row, margin : length of a row of the fields, and numbers of a row before the first sphere.
         count, sites : spheres of all replicas, and of one.
@@ -224,7 +224,7 @@ class BalanceKernels:
         factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`. For rings the pull across the ends
         is summed up on the way (`ring_closures` there), and its share is taken from each sphere on the way back.
 
-        modes : (C, R, *N) pulls, flat, replaced by the solutions.
+        modes : (C components, R samples, *N spheres) pulls, flat, replaced by the solutions.
         chains : factors, see the class.
         slot : number of the spin component.
         group : number of the block of chains.
@@ -285,7 +285,7 @@ class BalanceKernels:
         """Solve all chains on a CPU, in place; each worker takes an equal share of the blocks of chains.
 
         workers : number of threads.
-        modes : (C, R, *N) pulls in each mode, flat, replaced by the solutions.
+        modes : (C components, R samples, *N spheres) pulls in each mode, flat, replaced by the solutions.
         chains : factors of the chains, see the class.
         count, sites : spheres of all replicas, and of one.
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.

@@ -120,14 +120,14 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
 
 
 @ti.func
-def jordan(a, b: ti.template(), c, d: ti.template()):
-    """Return the Jordan product (a, b) o (c, d) = (a c + b.d, a d + c b) of two points: a list that begins with the
+def jordan(a, b: ti.template(), c, e: ti.template()):
+    """Return the Jordan product of two points, (a, b) o (c, e) = (a c + b.e, a e + c b): a list that begins with the
     head.
 
     a, c : heads.
-    b, d : tails, lists of one or two numbers.
+    b, e : tails, lists of one or two numbers.
     """
-    return [a * c + dot(b, d)] + [a * d[k] + c * b[k] for k in ti.static(range(len(b)))]
+    return [a * c + dot(b, e)] + [a * e[k] + c * b[k] for k in ti.static(range(len(b)))]
 
 
 @ti.func

@@ -84,10 +84,10 @@ class Stencil:
         return tuple(tuple(range(begin, end)) for begin, end in pairwise(ends))
 
     def forces_of_contacts(self, stored: np.ndarray, layout: Layout) -> np.ndarray:
-        """Return forces by contact, (C, R, E), from forces by site.
+        """Return forces by contact, (C components, R samples, E contacts), from forces by site.
 
-        stored : (V, R, *N), at each site the forces of the contacts to its upper neighbours, one entry for each axis
-            and component that makes its contacts slip.
+        stored : (V force components, R, *N spheres), at each site the forces of the contacts to its upper neighbours,
+            one entry for each axis and component that makes its contacts slip.
         layout : the order of the sites in memory.
 
         Components that do not make a contact slip are 0.
@@ -98,10 +98,10 @@ class Stencil:
         return force
 
     def forces_at_lower_sphere(self, force: np.ndarray, layout: Layout) -> np.ndarray:
-        """Return forces by site, (V, R, *N): those of each contact at its lower sphere, 0 where there is no upper
-        neighbour.
+        """Return forces by site, (V, R samples, *N spheres): those of each contact at its lower sphere, 0 where there
+        is no upper neighbour.
 
-        force : (C, R, E), forces by contact.
+        force : (C components, R, E contacts), forces by contact.
         layout : the order of the sites in memory. V has an entry for each axis and component that makes its contacts
             slip.
         """

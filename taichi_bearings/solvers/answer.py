@@ -38,7 +38,7 @@ def answered(
     The second is None where no arithmetic can judge the numbers.
 
     final : the best state that the method has reached.
-    forces : (C, R, E), contact forces from which the lower bound follows.
+    forces : (C components, R samples, E contacts), contact forces from which the lower bound follows.
     bound : (R,), that lower bound.
     threshold : slip speed up to which a contact counts as slipless, length/time; None for the smallest slip that the
         method can resolve.
@@ -121,8 +121,8 @@ def _states_and_thresholds(
     known: np.ndarray | None,
     proof: Forces,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return contact states (R, E), and the slip speeds up to which contacts count as slipless: (R,), and one for all
-    samples.
+    """Return contact states (R samples, E contacts), and the slip speeds up to which contacts count as slipless: (R,),
+    and one for all samples.
 
     Without a threshold, a contact that seems to slip while its friction in `proof` is below its limit is undecided,
     unless `known` has its state. If some slipping contact is slower than what the slip alone resolves, the friction has
@@ -132,7 +132,7 @@ def _states_and_thresholds(
     final : the best state that the method has reached.
     threshold : the slip speed that the user asked for, or None for what can be resolved.
     known : (R, E), states that are proven contact by contact, or None.
-    proof : (C, R, E), forces that prove the lower bound.
+    proof : (C components, R, E), forces that prove the lower bound.
     """
     if threshold is not None:
         state = _states(scene, slip, final, threshold, asked=True)
@@ -152,7 +152,8 @@ def _states_and_thresholds(
 
 
 def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
-    """Return the states (R, E) that are proven of every minimum where a proof looks at each contact alone; else None.
+    """Return the states (R samples, E contacts) that are proven of every minimum where a proof looks at each contact
+    alone; else None.
 
     That is so where the force grows with the slip, and for minima with one spin component. A dynamics without viscosity
     gets None, as its states are those of its motion, not of the minima.
@@ -166,7 +167,8 @@ def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndar
 
 
 def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
-    """Return contact states (R, E): those that the method has established, or else those that slip and friction give.
+    """Return contact states (R samples, E contacts): those that the method has established, or else those that slip and
+    friction give.
 
     slip : (R, E), slip speeds, length/time.
     final : the best state that the method has reached.
@@ -185,7 +187,7 @@ def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, a
 
 
 def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> np.ndarray:
-    """Return the sizes (R, E) of the contact forces of a dynamics at its last moment.
+    """Return the sizes (R samples, E contacts) of the contact forces of a dynamics at its last moment.
 
     Where contacts can hold a force without slip, the dynamics knows it; else the law gives it from the slip. Without
     viscosity a force is cut off at the friction limit, beyond which only the rounding of far stronger contacts can lift
@@ -207,7 +209,8 @@ def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: 
     """Return what spins and friction prove by themselves, whatever the method believes; None for numbers that no
     arithmetic can judge.
 
-    spin, spin_rounding : laboratory spins, and what rounding leaves out of them; (R, *N, 3), of discs (R, *N), 1/time.
+    spin, spin_rounding : laboratory spins, and what rounding leaves out of them; (R samples, *N spheres, 3), of discs
+        (R, *N), 1/time.
     friction : force on each contact, in the laboratory.
     """
     judgement = Judgement(scene, spin, spin_rounding, friction)
@@ -220,7 +223,8 @@ def named(
     """Return the answer with the final states of its contacts, and which of them are proven.
 
     final : the best state that the method has reached.
-    known : (R, E), the states that are proven of all minima, UNDECIDED where nothing is; None if no proof was tried.
+    known : (R samples, E contacts), the states that are proven of all minima, UNDECIDED where nothing is; None if no
+        proof was tried.
     has_ended : True if a motion is proven to have come to a minimum.
     is_present : True if the states are those of the motion now, or follow from a threshold of slip; False if they are
         those of the minima.
@@ -234,7 +238,8 @@ def named(
 
 
 def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
-    """Return the states (R, E) of an answer with UNDECIDED where slip and friction are too small to tell them.
+    """Return the states (R samples, E contacts) of an answer with UNDECIDED where slip and friction are too small to
+    tell them.
 
     known : (R, E), the states that are proven; a contact that has one keeps its state.
 
@@ -258,7 +263,8 @@ def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
 
 
 def known_states(scene: Scene, final: Progress, judgement: Judgement | None, has_ended: bool) -> np.ndarray | None:
-    """Return the states (R, E) that are proven of all minima, UNDECIDED where nothing is; None if no proof is tried.
+    """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is; None if no
+    proof is tried.
 
     A proof is tried in samples where the method believes to have found these states, and in all samples where the proof
     is cheap (one spin component, or viscosity) or where a motion has come to a minimum.

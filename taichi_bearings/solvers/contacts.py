@@ -38,8 +38,8 @@ class Ended:
 
     status : why the run ended.
     best : the best state that was reached.
-    bound : (R,), the best proven lower bound on the objective of each sample.
-    proof : (C, R, E), contact forces from which that bound follows.
+    bound : (R samples,), the best proven lower bound on the objective of each sample.
+    proof : (C components, R, E contacts), contact forces from which that bound follows.
     iterations : how many iterations were made.
     stop : the limits and the tolerance that the run was given.
     options : the method and its options.
@@ -106,20 +106,23 @@ class Contacts(ABC):
         """Allocate the fields, and load the coefficients of the law into them.
 
         spec : names and sizes of the fields, as from `field_spec`.
-        viscosity : (R, E), viscosity of each contact of a law with friction and viscosity, in the unit of the kernels;
-            None for other laws.
+        viscosity : (R samples, E contacts), viscosity of each contact of a law with friction and viscosity, in the unit
+            of the kernels; None for other laws.
         """
 
     @abstractmethod
     def read_forces(self, name: str) -> np.ndarray:
-        """Return the forces, or elongations of springs, that a field holds: (C, R, E) by component of the contact.
+        """Return the forces, or elongations of springs, that a field holds: (C components, R samples, E contacts) by
+        component of the contact.
 
         name : of the field.
         """
 
     @abstractmethod
     def load_force(self, force: np.ndarray) -> None:
-        """Write contact forces, (C, R, E) by component of the contact, into the field `force`."""
+        """Write contact forces, (C components, R samples, E contacts) by component of the contact, into the field
+        `force`.
+        """
 
     @abstractmethod
     def spring_kernel(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
@@ -141,14 +144,15 @@ class Contacts(ABC):
 
     @abstractmethod
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Return upper bounds (C, R, *N) on the curvature of the objective along each spin component of each sphere.
+        """Return upper bounds (C components, R samples, *N spheres) on the curvature of the objective along each spin
+        component of each sphere.
 
-        bounds : (R, E), upper bounds on the curvature of what each contact adds.
+        bounds : (R, E contacts), upper bounds on the curvature of what each contact adds.
         """
 
     @abstractmethod
     def inertias(self, options: Any, density: Any) -> Any:
-        """Return the moments of inertia of the free spheres: one number, or (N,).
+        """Return the moments of inertia of the free spheres: one number, or (N spheres,).
 
         On a lattice they are mass * length^2. The unknowns of a packing are u = radius * spin, so that its moments are
         divided by the square of the radius.
@@ -184,8 +188,8 @@ class Contacts(ABC):
         """
 
     def stopped_spins(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """Return what the spins of a component are once friction has stopped it, (R, *N); None if it does not stop, or
-        if that is not known.
+        """Return what the spins of a component are once friction has stopped it, (R samples, *N spheres); None if it
+        does not stop, or if that is not known.
 
         component : number of the axis of the spin component.
         spins : (R, *N), its spins now.
@@ -198,21 +202,25 @@ class Contacts(ABC):
         return False
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
-        """Return the best lower bound (R,) so far, given the one of this moment; on a lattice that is this one."""
+        """Return the best lower bound (R samples,) so far, given the one of this moment; on a lattice that is
+        this one.
+        """
         return bound
 
     @abstractmethod
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R,) on the objective that contact forces (C, R, E), of a checkpoint, prove."""
+        """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
+        checkpoint, prove.
+        """
 
     @abstractmethod
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
         """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
         left.
 
-        staggered : (C, R, *N), spins as methods carry them (on lattices with alternating signs), 1/time; in a packing
-            radius * spin.
-        force : (C, R, E), contact forces at these spins.
+        staggered : (C components, R samples, *N spheres), spins as methods carry them (on lattices with alternating
+            signs), 1/time; in a packing radius * spin.
+        force : (C, R, E contacts), contact forces at these spins.
         proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
         more : further fields of :class:`Progress`, by name.
         """

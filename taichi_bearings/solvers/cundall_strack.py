@@ -47,8 +47,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
     start_spin : largest spin at the start, 1/time.
     team, sweeps : threads and kernel.
     before_last : the state, by name, before a shorter last step; None if none was made.
-    balance_before : (R,) work of the contacts, (R,) energy injected, (R,) power and (C, R, *N) forces on spheres before
-        such a step; None without.
+    balance_before : (R samples,) work of the contacts, (R,) energy injected, (R,) power and (C components, R, *N
+        spheres) forces on spheres before such a step; None without.
     """
 
     state_names = WATCH_NAMES
@@ -61,7 +61,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         """Prepare the dynamics: choose the time step, and load spins, derivatives and inertias.
 
         scene : what to solve.
-        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
 
         Raises InputError for an option `time_step` that is not stable.
         """
@@ -98,7 +98,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         of the spring forces of sticking contacts; without them the error of the first step would lower the order of the
         whole run.
 
-        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
         """
         scene, options = self.scene, self.options
         derivatives, forces = [staggered], list[np.ndarray]()
@@ -119,14 +119,14 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.pull_at_start = self.pulls(forces[0])
 
     def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
-        """Return a scaled derivative (C, R, E) of the contact forces at the start.
+        """Return a scaled derivative (C components, R samples, E contacts) of the contact forces at the start.
 
         The n-th scaled derivative is the n-th time derivative times (time step)^n / n!. The force of a sticking contact
         changes by its damper and by the spring that the slip stretches from the start on. That of a slipping contact
         stays; in contacts with two components its direction could change, which is left out.
 
-        derivatives : scaled derivatives (C, R, *N) of the spins, the 0th first; the result has the order of the last
-            one.
+        derivatives : scaled derivatives (C, R, *N spheres) of the spins, the 0th first; the result has the order of the
+            last one.
         """
         scene, options, order = self.scene, self.options, len(derivatives) - 1
         if order == 0 or not scene.law.holds:
@@ -253,12 +253,12 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.fields.load("integral", _mean_over_step(new) + corrected / share)
 
     def spins(self) -> np.ndarray:
-        """Return the spins now as methods carry them (staggered), (C, R, *N), 1/time."""
+        """Return the spins now as methods carry them (staggered), (C components, R samples, *N spheres), 1/time."""
         return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the staggered spins (C, R, *N), the contact forces (C, R, E) and the elongations of the springs (C, R,
-        E) now.
+        """Return the staggered spins (C components, R samples, *N spheres), the contact forces (C, R, E contacts) and
+        the elongations of the springs (C, R, E) now.
         """
         staggered = self.spins()
         force = self.contacts.read_forces("force") if self.iteration else self.damping_force(staggered)
@@ -266,8 +266,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return staggered, force, stretch
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return further results at the end, by name, (R,) each: share of the elastic slip, error of the time step, and
-        a step that is accurate.
+        """Return further results at the end, by name, (R samples,) each: share of the elastic slip, error of the time
+        step, and a step that is accurate.
 
         The error is that of the spins, relative to the largest one, estimated from the modes of sticking contacts
         (gear.py). It is known for lattices only.
@@ -283,10 +283,10 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return super().findings(last) | {name: np.full(replicas, value) for name, value in found.items()}
 
     def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
-        """Return the power (R,) that the contacts take from the spins, divided by the radius.
+        """Return the power (R samples,) that the contacts take from the spins, divided by the radius.
 
-        force : (C, R, E), contact forces.
-        staggered : (C, R, *N), spins as methods carry them.
+        force : (C components, R, E contacts), contact forces.
+        staggered : (C, R, *N spheres), spins as methods carry them.
         """
         return replica_sum(force * self.differences(staggered))
 
@@ -296,8 +296,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         The powers of contacts and drive are integrated over time by the trapezoidal rule, so that the residual of the
         balance is the error of Gear's method and of this rule.
 
-        staggered : (C, R, *N), spins as methods carry them.
-        force : (C, R, E), contact forces.
+        staggered : (C components, R samples, *N spheres), spins as methods carry them.
+        force : (C, R, E contacts), contact forces.
         spring : (R,), energy in the springs.
         """
         if not self.options.energy:
@@ -306,10 +306,11 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.balance(staggered, spring)
 
     def _work(self, staggered: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the energies (R,) since the start that contacts took from the spins, and (R,) that driven spheres
-        gave.
+        """Return the energies (R samples,) since the start that contacts took from the spins, and (R,) that driven
+        spheres gave.
 
-        staggered, force : spins (C, R, *N) and contact forces (C, R, E) at the end of the last step.
+        staggered, force : spins (C components, R, *N spheres) and contact forces (C, R, E contacts) at the end of the
+            last step.
         """
         driven, power = self.absolute(staggered) * self.scene.is_driven, self._contact_power(force, staggered)
         if self.balance_before is not None:  # the trapezoidal rule over the last step alone

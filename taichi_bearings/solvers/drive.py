@@ -38,7 +38,8 @@ class Report:
     """What a monitor (a function that is called while a method runs) gets each time that the progress is read.
 
     progress : the state now.
-    objective, gap : (R,), of the best state so far: what is minimised, and its relative distance from the lower bound.
+    objective, gap : (R samples,), of the best state so far: what is minimised, and its relative distance from the lower
+        bound.
     seconds : wall time since the start, that before a checkpoint included.
     stop : the rule that will end the run.
     """
@@ -103,7 +104,7 @@ def solve(
 
     scene : a lattice, or a packing, which takes no slip threshold.
     method : built from a row of the table of methods.
-    spin : (R, *N, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+    spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
     stop : when to end; default `StopRule()`.
     monitors : functions that are called with a `Report` each time that the progress is read.
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless. Default: the smallest slip that
@@ -141,7 +142,7 @@ class _Sample:
 
     scene : the lattice or the sample.
     method : a method of its own.
-    spin : (R, *N, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+    spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
     checkpoints : where its state is saved, or None.
     """
 
@@ -276,7 +277,7 @@ class Course:
     status : how it ended.
     last : the progress at the end.
     seconds : wall time that it took, that before a checkpoint included.
-    findings : further results of the method at the end, by name, (R,) each.
+    findings : further results of the method at the end, by name, (R samples,) each.
     target : iteration at which the progress is read next.
     launch : iterations that are made at a time, adapted to half a second.
     best, recorder : the best state so far, and the history.
@@ -462,8 +463,8 @@ class _Best:
     """The best state so far, sample by sample, and the best lower bound so far.
 
     progress : of a minimisation the states of least objective; of a dynamics the state now.
-    bound : (R,), the best lower bound on the objective.
-    proof : (C, R, E), contact forces from which that bound follows.
+    bound : (R samples,), the best lower bound on the objective.
+    proof : (C components, R, E contacts), contact forces from which that bound follows.
     keeps_best : True for a minimisation.
     """
 
@@ -477,7 +478,9 @@ class _Best:
 
     @property
     def objective(self) -> np.ndarray:
-        """(R,), what is minimised, of the best state: its power, or its potential where the law minimises that."""
+        """(R samples,), what is minimised, of the best state: its power, or its potential where the law
+        minimises that.
+        """
         return self.progress.objective
 
     def has_stalled(self, iteration: int, gap: float) -> bool:

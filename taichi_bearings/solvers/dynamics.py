@@ -33,13 +33,13 @@ def replica_sum(values: np.ndarray) -> np.ndarray:
 def slipping_contacts(
     scene: Bearing, force: np.ndarray, slip: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Return how many contacts of each sample slip, (R,), and the slip speed that can be resolved, length/time.
+    """Return how many contacts of each sample slip, (R samples,), and the slip speed that can be resolved, length/time.
 
     A contact slips if it bears all the friction that it can. A slip is resolved if it is faster than the largest one of
     a contact that does not slip; this is cut off at REST_SLIP, so that fast contacts count as slipping from the first
     step on.
 
-    force : (C, R, E), contact forces.
+    force : (C components, R, E contacts), contact forces.
     slip : (R, E), slip speeds, length/time.
     tolerance : relative distance from the friction limit that counts as none.
     """
@@ -56,7 +56,7 @@ class RestWatch:
 
     least, share : the next check is `least` + iteration // `share` iterations after the last one.
     later : a check counts if the simulated time has grown by this fraction since the last one that counted.
-    last_objective : (R,), the objective at the last check that counted.
+    last_objective : (R samples,), the objective at the last check that counted.
     last_slipping : number of slipping contacts then, of all samples.
     quiet_checks : how many checks in a row found no change.
     iteration : iteration of the last check.
@@ -132,7 +132,7 @@ class Dynamics(Method):
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare to solve a scene, at time 0.
 
-        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         """
         super().begin(scene, spin)
         self.inertia = self.contacts.inertias(self.options, self.density)
@@ -167,7 +167,7 @@ class Dynamics(Method):
         self.contacts.restore(state)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return further results at the end by name, (R,) each; here none. last : the progress at the end."""
+        """Return further results at the end by name, (R samples,) each; here none. last : the progress at the end."""
         return {}
 
     def may_be_at_rest(self, found: Progress) -> bool:
@@ -193,7 +193,7 @@ class Dynamics(Method):
     def start_energy_balance(self, staggered: np.ndarray) -> None:
         """Begin the energy balance, when no spring is stretched.
 
-        staggered : (C, R, *N), spins at the start as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins at the start as methods carry them.
         """
         self.injected, self.work = np.zeros((2, self.scene.replicas))
         self.energy_at_start = self.kinetic_energy(staggered)
@@ -202,8 +202,8 @@ class Dynamics(Method):
     def add_energies(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
         """Add the energies of one step to the balance: the work of the contacts, and that of the driven spheres.
 
-        before, after : (C, R, *N), staggered spins at the two ends of the step, 1/time.
-        force : (C, R, E), mean contact forces of the step.
+        before, after : (C components, R samples, *N spheres), staggered spins at the two ends of the step, 1/time.
+        force : (C, R, E contacts), mean contact forces of the step.
         duration : length of the step, time.
         """
         length, mean = duration * self.scene.slip_radius, (before + after) / 2
@@ -211,16 +211,16 @@ class Dynamics(Method):
         self.injected = self.injected + length * replica_sum(force * self.imposed)
 
     def kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the kinetic energy (R,) of the free spheres.
+        """Return the kinetic energy (R samples,) of the free spheres.
 
-        staggered : (C, R, *N), spins as methods carry them, 1/time.
+        staggered : (C components, R, *N spheres), spins as methods carry them, 1/time.
         """
         return replica_sum(self.inertia / 2 * ~self.scene.is_driven * self.absolute(staggered) ** 2)
 
     def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
         """Return the energy balance now: kinetic, spring, injected and dissipated energy.
 
-        staggered : (C, R, *N), spins as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins as methods carry them.
         spring : (R,), energy stored in the springs.
         """
         return Energy(self.kinetic_energy(staggered), spring, self.injected, self.work - spring, self.energy_at_start)
@@ -251,23 +251,23 @@ class SpringDynamics(Dynamics):
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare to solve a scene, and to watch for rest.
 
-        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         """
         super().begin(scene, spin)
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the staggered spins (C, R, *N), the contact forces (C, R, E) and the elongations of the springs (C, R,
-        E) now.
+        """Return the staggered spins (C components, R samples, *N spheres), the contact forces (C, R, E contacts) and
+        the elongations of the springs (C, R, E) now.
         """
         raise NotImplementedError
 
     def damping_force(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the forces (C, R, E) of contacts whose springs are not stretched.
+        """Return the forces (C components, R samples, E contacts) of contacts whose springs are not stretched.
 
         They are that of the damper, cut off at the friction limit, and that of the viscosity.
 
-        staggered : (C, R, *N), spins as methods carry them, 1/time.
+        staggered : (C, R, *N spheres), spins as methods carry them, 1/time.
         """
         scene, difference = self.scene, self.differences(staggered)
         force = self.options.damping * scene.slip_radius * difference
@@ -279,15 +279,15 @@ class SpringDynamics(Dynamics):
     def energy_balance(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """Return the energy balance now; a subclass may return None if none is kept.
 
-        staggered : (C, R, *N), spins as methods carry them.
-        force : (C, R, E), contact forces.
+        staggered : (C components, R samples, *N spheres), spins as methods carry them.
+        force : (C, R, E contacts), contact forces.
         spring : (R,), energy stored in the springs.
         """
         return self.balance(staggered, spring)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return as `elastic_share`, (R,), the elongation of the longest spring over the distance that the driven
-        planes have slid; nothing if they have not.
+        """Return as `elastic_share`, (R samples,), the elongation of the longest spring over the distance that the
+        driven planes have slid; nothing if they have not.
 
         last : the progress at the end.
         """

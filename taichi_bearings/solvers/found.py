@@ -21,7 +21,7 @@ class Found:
     ties : (A,), mask of contacts whose slip is not the same at all minima, or that bear all their friction without
         slip; None if that is not known.
     steps : factorisations that the method made.
-    everywhere : (N, C), u of all spheres, from methods that step all of them; else None.
+    everywhere : (N spheres, C components), u of all spheres, from methods that step all of them; else None.
     open : (A,), mask of contacts that could not be settled: they slip by more than rounding, but bear less than the
         friction limit; None if there is no such mask.
     rest : (unknowns,), second double of each u, where a method computes sums of two; else None.

@@ -48,7 +48,8 @@ class GradientDescentMethod(Swept):
     The gradient is divided by a diagonal metric, which bounds the curvature of the power at each sphere.
 
     momentum : True to accelerate the descent.
-    viscosity : (R, E), viscosity of each contact beside friction, in the unit of the coefficients, or None.
+    viscosity : (R samples, E contacts), viscosity of each contact beside friction, in the unit of the coefficients, or
+        None.
     box : interval in which spins stay, lower ends of three components and then upper ends, 1/time.
 
     With momentum:
@@ -78,8 +79,8 @@ class GradientDescentMethod(Swept):
         """Prepare the descent: load the spins at the start and the metric, and compile the kernels.
 
         scene : what to solve.
-        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to the interval
-            between the driven spins where a minimum is known to lie in it.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to
+            the interval between the driven spins where a minimum is known to lie in it.
         """
         super().begin(scene, spin)
         scene, contacts = self.scene, self.contacts
@@ -141,7 +142,7 @@ class GradientDescentMethod(Swept):
     def _load_spins(self, staggered: np.ndarray) -> None:
         """Write spins into all fields that hold spins.
 
-        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
         """
         for name in self.contacts.points + (("spin",) if self.momentum else ()):
             self.fields.load(name, staggered)
@@ -239,7 +240,7 @@ class GradientDescentMethod(Swept):
         """Set the momentum to zero if it has overshot; halve the width of the smoothing if it causes half the gap or
         more.
 
-        staggered : (C, R, *N), spins now.
+        staggered : (C components, R samples, *N spheres), spins now.
         objective, bound : (R,), what is minimised, and its best lower bound.
         """
         shorten, smooth, scene = False, objective, self.scene

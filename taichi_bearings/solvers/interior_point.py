@@ -119,8 +119,8 @@ class InteriorPointMethod(Descent, Method):
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare the path: build the contact system and its matrix, and put all samples at their starts.
 
-        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to the interval
-            between the driven spins.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to
+            the interval between the driven spins.
         """
         Method.begin(self, scene, spin)
         scene = self.scene
@@ -266,8 +266,9 @@ class InteriorPointMethod(Descent, Method):
         )
 
     def _spins(self) -> Pair:
-        """Return the spins, with alternating signs as methods carry them, as sums of two doubles: a pair of arrays (C,
-        R, *N), 1/time; 0 in the driven planes.
+        """Return the spins as sums of two doubles: a pair of arrays (C components, R samples, *N spheres), 1/time.
+
+        Spins have alternating signs, as methods carry them; those of driven planes are 0 here.
         """
         high, low = np.zeros((2, len(self.samples), self.system.unknowns))
         for number, sample in enumerate(self.samples):
@@ -284,12 +285,12 @@ class InteriorPointMethod(Descent, Method):
         return found[0], found[1]
 
     def _lower_bound(self, force: np.ndarray, objective: np.ndarray) -> np.ndarray:
-        """Return lower bounds (R,) on the objective.
+        """Return lower bounds (R samples,) on the objective.
 
         A sample has the quick bound until it has ended, and also then if the gap to that is small enough. Otherwise the
         slower bound of the certificate is computed.
 
-        force : (C, R, E), contact forces.
+        force : (C components, R, E contacts), contact forces.
         objective : (R,), at the spins of now.
         """
         ended = np.array([sample.done or not self.frustrated for sample in self.samples])

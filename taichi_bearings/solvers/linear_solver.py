@@ -37,7 +37,8 @@ class LinearSolverMethod(Method):
 
     A plane is the two-dimensional grid of one layer and sample; a bundle has so many planes that memory suffices.
 
-    spin, rest : (C, R, *N), spins with alternating signs as methods carry them, as sums of two doubles.
+    spin, rest : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, as sums of
+        two doubles.
     bundles : for each bundle the place of its spin component among those computed, and its planes.
     """
 
@@ -46,7 +47,8 @@ class LinearSolverMethod(Method):
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare to solve: split the planes of each spin component into bundles.
 
-        spin : (R, *N, 3), in 2D (R, *N), laboratory spins, 1/time, which give those of the driven planes.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which give those of the driven
+            planes.
         """
         super().begin(scene, spin)
         scene = self.scene

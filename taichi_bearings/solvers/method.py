@@ -48,7 +48,7 @@ class Method:
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare to solve a scene: load the fields, if any, and compile the kernels.
 
-        spin : (R, *N, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         """
         self.contacts = contacts_of(scene, spin, self.options.is_dynamics)
         self.scene, self.spin_axes = self.contacts.scene, self.contacts.spin_axes
@@ -74,26 +74,30 @@ class Method:
         raise NotImplementedError
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the slips of the contacts divided by the radius (`Bearing.slip_radius`), (C, R, E), 1/time.
+        """Return the slips of the contacts divided by the radius (`Bearing.slip_radius`), (C components, R samples, E
+        contacts), 1/time.
 
-        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C, R, *N spheres), spins with alternating signs as methods carry them, 1/time.
         """
         return self.scene.differences(staggered, self.spin_axes)
 
     def pulls(self, force: np.ndarray) -> np.ndarray:
-        """Return the sum (C, R, *N) of the contact forces on each sphere. force : (C, R, E), contact forces."""
+        """Return the sum (C components, R samples, *N spheres) of the contact forces on each sphere. force : (C, R, E
+        contacts), contact forces.
+        """
         return self.scene.pulls(force, self.spin_axes)
 
     def absolute(self, staggered: np.ndarray) -> np.ndarray:
-        """Return spins as methods carry them, but measured from zero, not from the bottom: (C, R, *N), as energies need
-        them.
+        """Return spins as methods carry them, but measured from zero, not from the bottom: (C components, R samples, *N
+        spheres), as energies need them.
 
         staggered : (C, R, *N), spins with alternating signs, measured from the bottom, 1/time.
         """
         return self.scene.absolute(staggered, self.spin_axes)
 
     def with_viscosity(self, force: np.ndarray, difference: np.ndarray) -> np.ndarray:
-        """Return forces (C, R, E) plus what the contacts resist by viscosity, or by a law that a user has defined.
+        """Return forces (C components, R samples, E contacts) plus what the contacts resist by viscosity, or by a law
+        that a user has defined.
 
         force : (C, R, E), friction alone.
         difference : (C, R, E), spin differences of the contacts, 1/time.
@@ -104,10 +108,10 @@ class Method:
         return force if resistance is None else force + radius * resistance * difference
 
     def forces_at(self, staggered: np.ndarray, width: float) -> np.ndarray:
-        """Return the contact forces (C, R, E) of the law at some spins, with friction that grows from 0 over a small
-        slip.
+        """Return the contact forces (C components, R samples, E contacts) of the law at some spins, with friction that
+        grows from 0 over a small slip.
 
-        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C, R, *N spheres), spins with alternating signs as methods carry them, 1/time.
         width : spin difference, 1/time, up to which friction grows in proportion to it.
         """
         difference = self.differences(staggered)
@@ -116,22 +120,24 @@ class Method:
         return self.with_viscosity(force, difference)
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R,) on the objective that contact forces (C, R, E), of a checkpoint, prove."""
+        """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
+        checkpoint, prove.
+        """
         return self.contacts.proven_by(force)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: Any) -> Progress:
         """Return the progress for given spins and forces: with objective, its lower bound, and the largest torque left.
 
-        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
-        force : (C, R, E), contact forces.
+        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        force : (C, R, E contacts), contact forces.
         proof : (C, R, E), forces from which the lower bound follows; None for `force`.
         more : further entries of the `Progress`, by name.
         """
         return self.contacts.judged(staggered, force, proof, **more)
 
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
-        """Return values of spheres or contacts on a lattice by plane, as a view (R, planes, m, n); the height is the
-        last axis.
+        """Return values of spheres or contacts on a lattice by plane, as a view (R samples, planes, m, n); the height
+        is the last axis.
 
         The planes are the layers across the axis of a spin component; a square lattice is one plane.
 
@@ -170,7 +176,7 @@ class Swept(Method):
 def contacts_of(scene: Bearing, spin: np.ndarray, moves: bool) -> Contacts:
     """Return the contacts of a scene: with neighbours a stride apart for a lattice, in lists for a packing.
 
-    spin : (R, *N, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+    spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
     moves : True for a dynamics, which may begin with spin components that no minimum needs.
     """
     if scene.network.lattice is not None:

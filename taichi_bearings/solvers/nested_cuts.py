@@ -176,11 +176,11 @@ def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.nd
 
 
 def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the friction limits of contacts (A,) exactly, as whole numbers of Python, and their unit of force.
+    """Return the friction limits of some contacts exactly, as whole numbers of Python, and their unit of force.
 
     A limit is friction coefficient times normal force; a normal force that all contacts have is part of the unit.
 
-    contact : (A,), numbers of the contacts.
+    contact : numbers of the contacts, an array of the length of the result.
     """
     normal = np.broadcast_to(packing.normal_force, packing.contacts)[contact]
     same = bool((normal == normal[:1]).all())

@@ -55,7 +55,7 @@ class OnLists(Contacts):
         """Take a packing of one sample, and find out whether it has a state without slip.
 
         bearing : the packing.
-        spin : (1, N, 3), of discs (1, N), spins to start from, 1/time.
+        spin : (1, N spheres, 3), of discs (1, N), spins to start from, 1/time.
         """
         packing = of_packing(bearing)
         self.spin_axes = packing.minimum_spin_axes
@@ -66,8 +66,8 @@ class OnLists(Contacts):
 
     @property
     def across(self) -> np.ndarray:
-        """(d, E, C), the unit tangents T of the contacts: d of them, 1 for discs and 2 for spheres, with C components
-        each.
+        """(d tangents, E contacts, C), the unit tangents T of the contacts: d of them, 1 for discs and 2 for spheres,
+        with C components each.
         """
         return self.scene.network.tangents
 
@@ -88,8 +88,8 @@ class OnLists(Contacts):
         """Allocate the fields, and load the tangents and the coefficients of the law into them.
 
         spec : names and sizes of the fields of spheres, and of those of contacts.
-        viscosity : (1, E), viscosity of each contact beside its friction, in the unit of the kernels; None for laws
-            without.
+        viscosity : (1, E contacts), viscosity of each contact beside its friction, in the unit of the kernels; None for
+            laws without.
         """
         network = self.scene.network
         self._numbers = np.zeros(COPY_NUMBERS)
@@ -141,7 +141,8 @@ class OnLists(Contacts):
             self._numbers = given
 
     def read_forces(self, name: str) -> np.ndarray:
-        """Return the forces (or elongations of springs) of the contacts along their tangents, (d, 1, E).
+        """Return the forces (or elongations of springs) of the contacts along their tangents, (d tangents, 1, E
+        contacts).
 
         name : of the field that holds them; in the field `force` they are vectors, which are projected.
         """
@@ -149,16 +150,17 @@ class OnLists(Contacts):
         return np.einsum("kre,tek->tre", found, self.across) if name == "force" else found
 
     def load_force(self, force: np.ndarray) -> None:
-        """Write contact forces along the tangents, (d, 1, E), into the field `force`, as vectors."""
+        """Write contact forces along the tangents, (d tangents, 1, E contacts), into the field `force`, as vectors."""
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.across))
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Return upper bounds (C, 1, N) on the curvature of the objective along each spin component of each sphere.
+        """Return upper bounds (C components, 1, N spheres) on the curvature of the objective along each spin component
+        of each sphere.
 
         The curvature at a sphere is the matrix of the sum of b_e T^T T over its contacts. It is no larger than the
         diagonal matrix that has the sums of the absolute entries of its rows.
 
-        bounds : (1, E), upper bounds b_e on the curvature of what each contact adds.
+        bounds : (1, E contacts), upper bounds b_e on the curvature of what each contact adds.
         """
         network = self.scene.network
         rows = np.abs(np.einsum("tek,tel->ekl", self.across, self.across)).sum(axis=2) * bounds[0][:, None]
@@ -168,7 +170,7 @@ class OnLists(Contacts):
         return total.T[:, None]
 
     def inertias(self, options: Any, density: Any) -> np.ndarray:
-        """Return the moments of inertia of the spheres over the squares of their radii, (N,), mass.
+        """Return the moments of inertia of the spheres over the squares of their radii, (N spheres,), mass.
 
         options : options of a method, with `mass` and `inertia`.
         density : of the spheres, as for `Packing.inertias`.
@@ -190,7 +192,7 @@ class OnLists(Contacts):
         They are rigorous, by the theorem of Collatz and Wielandt on matrices without negative entries. The first is 0
         without viscosity.
 
-        inertia : (N,), as from `inertias`, mass.
+        inertia : (N spheres,), as from `inertias`, mass.
         """
         network, viscosities = self.scene.network, self.scene.viscosities
         decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], inertia)
@@ -201,7 +203,7 @@ class OnLists(Contacts):
 
         spin_axes : not used, as all components of a packing move.
         unit : unit of the unknowns in the solve, length/time.
-        inertia : (N,), as from `inertias`, mass.
+        inertia : (N spheres,), as from `inertias`, mass.
         """
         return OfNetwork(self.scene, unit, inertia)
 
@@ -215,7 +217,9 @@ class OnLists(Contacts):
         return np.maximum(bound, self.bounds.proven)
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (1,) on the objective that contact forces (d, 1, E), of a checkpoint, prove."""
+        """Return the lower bound (1,) on the objective that contact forces (d tangents, 1, E contacts), of a
+        checkpoint, prove.
+        """
         with one_thread():
             return np.array([self.bounds.again(force)])
 
@@ -226,8 +230,8 @@ class OnLists(Contacts):
         The bound that costs a factorisation is computed only if the iterations have grown by a factor `look_again`
         since the last one; otherwise a cheaper one.
 
-        staggered : (C, 1, N), the unknowns u = radius * spin, length/time.
-        force : (d, 1, E), contact forces at these spins.
+        staggered : (C components, 1, N spheres), the unknowns u = radius * spin, length/time.
+        force : (d tangents, 1, E contacts), contact forces at these spins.
         proof : (d, 1, E), forces from which the lower bound is computed; None for `force`.
         more : further fields of :class:`Progress`, by name; `iteration` among them.
         """

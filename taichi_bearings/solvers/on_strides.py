@@ -44,7 +44,7 @@ class OnStrides(Contacts):
         """Take a lattice, and choose the spin components that are computed.
 
         scene : the lattice.
-        spin : (R, *N, 3), in 2D (R, *N), spins to start from, 1/time.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), spins to start from, 1/time.
         moves : True for a dynamics, which needs all components that turn at the start; False for a minimum.
         """
         self.scene = of_lattice(scene)
@@ -80,8 +80,8 @@ class OnStrides(Contacts):
         """Allocate the fields, and load the coefficients of the law into them.
 
         spec : names of the fields, with the numbers that each sphere has in them.
-        viscosity : (R, E), viscosity of each contact beside its friction, in the unit of the kernels; None for laws
-            without.
+        viscosity : (R samples, E contacts), viscosity of each contact beside its friction, in the unit of the kernels;
+            None for laws without.
         """
         self.spec, self.fields = spec, self.on_device(spec)
         layout = self.fields.layout
@@ -91,14 +91,15 @@ class OnStrides(Contacts):
             self.fields.load("viscosity", layout.at_lower_sphere(viscosity))
 
     def read_forces(self, name: str) -> np.ndarray:
-        """Return the forces (or elongations of springs) of the contacts, (C, R, E), by spin component.
+        """Return the forces (or elongations of springs) of the contacts, (C components, R samples, E contacts), by spin
+        component.
 
         name : of the field that holds them.
         """
         return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
 
     def load_force(self, force: np.ndarray) -> None:
-        """Write contact forces, (C, R, E) by spin component, into the field `force`."""
+        """Write contact forces, (C components, R samples, E contacts) by spin component, into the field `force`."""
         self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
 
     def spring_kernel(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
@@ -137,10 +138,10 @@ class OnStrides(Contacts):
         sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Return for each spin component of each sphere the sum of `bounds` over the contacts that slip by it: (C, R,
-        *N).
+        """Return for each spin component of each sphere the sum of `bounds` over the contacts that slip by it: (C
+        components, R samples, *N spheres).
 
-        bounds : (R, E), a number for each contact, such as a bound on its curvature.
+        bounds : (R, E contacts), a number for each contact, such as a bound on its curvature.
         """
         return weights(bounds, self.scene.lattice, self.spin_axes)
 
@@ -181,8 +182,8 @@ class OnStrides(Contacts):
         return OfLattice(self.scene, spin_axes, unit)
 
     def stopped_spins(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """Return what the spins of a component are once friction has stopped it: (R, *N), 1/time; None if the top is
-        driven in it.
+        """Return what the spins of a component are once friction has stopped it: (R samples, *N spheres), 1/time; None
+        if the top is driven in it.
 
         Without drive a component ends at 0. But about the height each layer keeps its mean spin, which no contact
         changes.
@@ -200,15 +201,17 @@ class OnStrides(Contacts):
         return rest
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R,) on the objective that contact forces (C, R, E), of a checkpoint, prove."""
+        """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
+        checkpoint, prove.
+        """
         return lower_bound(self.scene, force, self.spin_axes)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
         """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
         left.
 
-        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
-        force : (C, R, E), contact forces at these spins.
+        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        force : (C, R, E contacts), contact forces at these spins.
         proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
         more : further fields of :class:`Progress`, by name.
         """
@@ -257,7 +260,7 @@ def _moving_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
 
     A component turns if some sphere has another staggered spin in it than the bottom plane.
 
-    spin : (R, *N, 3), in 2D (R, *N), spins at the start, 1/time.
+    spin : (R samples, *N spheres, 3), in 2D (R, *N), spins at the start, 1/time.
     """
     needed, every = scene.minimum_spin_axes, scene.lattice.all_spin_axes
     if scene.lattice.dimension == 2:

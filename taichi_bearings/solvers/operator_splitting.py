@@ -90,8 +90,8 @@ class OperatorSplittingMethod(Method):
     potential : (C), rho Omega.
     pull : (C), the sum of the spring forces on each sphere before the Poisson step.
 
-    stiffness : (R,), rho of each sample.
-    weights, weight : stiffness of the springs over rho, by lattice axis, and by contact (E,).
+    stiffness : (R samples,), rho of each sample.
+    weights, weight : stiffness of the springs over rho, by lattice axis, and by contact (E contacts,).
     changing : names of the fields that the iteration changes.
     """
 
@@ -104,8 +104,8 @@ class OperatorSplittingMethod(Method):
         """Prepare the iteration: allocate the fields, build the Poisson solver, compile the kernels, and load the
         start.
 
-        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time; clipped to the interval of the driven
-            ones.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time; clipped to the
+            interval of the driven ones.
 
         Raises an error if the memory does not suffice.
         """
@@ -133,7 +133,7 @@ class OperatorSplittingMethod(Method):
 
         The first stiffness follows from the power of spins that change linearly with the height.
 
-        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
         """
         scene = self.scene
         friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), ABSENT_FRICTION)
@@ -148,7 +148,7 @@ class OperatorSplittingMethod(Method):
         self._load_trial_forces(self.weight * self.stiffness[:, None] * self.differences(staggered))
 
     def _load_trial_forces(self, trial: Forces) -> None:
-        """Write trial forces v, (C, R, E), into their field."""
+        """Write trial forces v, (C components, R samples, E contacts), into their field."""
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def state(self) -> dict[str, np.ndarray]:
@@ -163,7 +163,7 @@ class OperatorSplittingMethod(Method):
         self.iteration, self.stiffness = int(state["iteration"]), np.array(state["stiffness"])
 
     def _along_lattice(self, values: np.ndarray) -> np.ndarray:
-        """Return values (R,), one a sample, with an axis of length 1 for each axis of the lattice."""
+        """Return values (R samples,), one a sample, with an axis of length 1 for each axis of the lattice."""
         return values.reshape(-1, *(1,) * self.scene.lattice.dimension)
 
     def next_check(self, iteration: int) -> int:
@@ -235,8 +235,8 @@ class OperatorSplittingMethod(Method):
         )
 
     def _cut_off(self, trial: Forces) -> Forces:
-        """Return trial forces (C, R, E) cut off at the friction limit, with the same bits as in the pass over the
-        contacts.
+        """Return trial forces (C components, R samples, E contacts) cut off at the friction limit, with the same bits
+        as in the pass over the contacts.
         """
         scene, alone = self.scene, self.scene.lattice.tangential_mask(self.spin_axes).sum(axis=0) == 1
         limit, size = scene.strength * scene.acting_coefficient, np.sqrt((trial**2).sum(axis=0))
@@ -244,12 +244,13 @@ class OperatorSplittingMethod(Method):
         return np.where(alone, np.clip(trial, -limit, limit), trial * share)
 
     def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
-        """Return the spring forces rho D Omega - (v - 2 f), (C, R, E), balanced to double precision.
+        """Return the spring forces rho D Omega - (v - 2 f), (C components, R samples, E contacts), balanced to double
+        precision.
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction limits. In
         single precision they are balanced once more.
 
-        potential : (C, R, *N), rho Omega, stiffness times spins.
+        potential : (C, R, *N spheres), rho Omega, stiffness times spins.
         trial : (C, R, E), trial forces v.
         friction : (C, R, E), f, the trial forces cut off at the friction limit.
         """
@@ -259,8 +260,8 @@ class OperatorSplittingMethod(Method):
         return force if exact else balance(self.scene, force, self.spin_axes)
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
-        """Return the usual stiffness (R,): USUAL_STIFFNESS times the force of a column of spheres over the imposed spin
-        difference.
+        """Return the usual stiffness (R samples,): USUAL_STIFFNESS times the force of a column of spheres over the
+        imposed spin difference.
 
         A column transmits the force power / (radius * spin difference * number of columns).
 
@@ -273,8 +274,8 @@ class OperatorSplittingMethod(Method):
         )
 
     def _stiffness_factors(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> np.ndarray:
-        """Return factors (R,) by which the stiffness is to change, so that the two parts of the gap keep their ratio; 1
-        for none.
+        """Return factors (R samples,) by which the stiffness is to change, so that the two parts of the gap keep their
+        ratio; 1 for none.
 
         The part power - balanced_power is large if springs are too soft, balanced_power - bound if they are too hard.
         The stiffness may be off its usual value by a ratio that grows only slowly with the iterations: without that

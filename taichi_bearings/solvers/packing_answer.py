@@ -265,7 +265,8 @@ def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Foun
 
 
 def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sizes (E,) of contact forces, and the friction on the second sphere of each contact of a packing.
+    """Return the sizes (E contacts,) of contact forces, and the friction on the second sphere of each contact of a
+    packing.
 
     The friction is a vector, (E, 3), or for discs its component along z x n, (E,), with the normal n.
 
@@ -279,7 +280,8 @@ def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Judgement) -> np.ndarray:
-    """Return the contact states (E,) that slips and friction margins show, for contacts without a proven state.
+    """Return the contact states (E contacts,) that slips and friction margins show, for contacts without a proven
+    state.
 
     A contact slips if it is fast and its friction is at the limit, is slipless if neither, and is undecided otherwise.
     Where the method has settled the states these are taken instead, if slip or margin (1 - force over friction limit)

@@ -28,7 +28,7 @@ class PackingBounds:
     of_system : (A,), their places among the E.
     matrix : Newton matrix of the system, for forces that are to be balanced.
     proven : the best bound, energy/time.
-    witness : (C, 1, N), u = radius * spin with which it was proven.
+    witness : (C components, 1, N spheres), u = radius * spin with which it was proven.
     looked : iteration at which a bound was last computed by a factorisation.
     """
 
@@ -49,12 +49,13 @@ class PackingBounds:
         return judgement.slipless if judgement.can_be_judged else np.zeros(1, dtype=bool)
 
     def of(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
-        """Return a proven lower bound on the objective, 0 if none follows, and the forces (d, 1, E) that prove it.
+        """Return a proven lower bound on the objective, 0 if none follows, and the forces (d, 1, E contacts) that prove
+        it.
 
         Where normals are oblique only balanced forces prove a bound.
 
         force : (d, 1, E), contact forces along d tangents.
-        spins : (C, 1, N), u = radius * spin.
+        spins : (C components, 1, N spheres), u = radius * spin.
         whole : True to try these forces with their leftover torques balanced too, which costs a factorisation.
         """
         system = self.system
@@ -72,8 +73,8 @@ class PackingBounds:
         return best, proving
 
     def again(self, force: np.ndarray) -> float:
-        """Return the lower bound that the forces (d, 1, E) of the best bound prove, computed anew after a
-        checkpoint.
+        """Return the lower bound that the forces (d tangents, 1, E contacts) of the best bound prove, computed anew
+        after a checkpoint.
         """
         if not self.proven > 0:
             return 0.0
@@ -82,7 +83,7 @@ class PackingBounds:
     def take(self, bound: float, spins: np.ndarray) -> None:
         """Keep a bound if it is the best one.
 
-        spins : (C, 1, N), u = radius * spin with which it was proven.
+        spins : (C components, 1, N spheres), u = radius * spin with which it was proven.
         """
         if bound >= self.proven:
             self.proven, self.witness = bound, spins
@@ -90,8 +91,8 @@ class PackingBounds:
     def _proven_by(self, force: np.ndarray, spins: np.ndarray) -> float:
         """Return the lower bound, energy/time, that forces and spins prove; 0 if none follows.
 
-        force : (d, A), contact forces of the system along d tangents.
-        spins : (C, 1, N), u = radius * spin.
+        force : (d, A contacts), contact forces of the system along d tangents.
+        spins : (C components, 1, N spheres), u = radius * spin.
         """
         packing, friction = self.packing, forces_of(self.system, force)[1]
         spin = packing.spins_of(exactly(spins[:, 0].T))
@@ -99,8 +100,8 @@ class PackingBounds:
         return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
 
     def _balanced(self, force: np.ndarray) -> np.ndarray:
-        """Return contact forces (d, A) with their leftover torques balanced, or as they are if the matrix is
-        singular.
+        """Return contact forces (d tangents, A contacts) with their leftover torques balanced, or as they are if the
+        matrix is singular.
         """
         try:
             return self.matrix.balanced(force, isotropic(force, self.system.of_contacts(self.packing)[0]))

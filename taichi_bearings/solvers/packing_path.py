@@ -213,7 +213,7 @@ def _power(point: Iterate, spins: np.ndarray) -> float:
 
 
 def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:
-    """Return contact forces along the tangents of the packing, (d, A), from those of the path.
+    """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those of the path.
 
     system, contacts : the contacts of the packing, and those of the path.
     forces : forces in the rows of the path.

@@ -92,7 +92,7 @@ class Recorder:
         """Add a row to the history and a snapshot of the spins, each if it is due.
 
         progress : the state now.
-        bound : (R,), the best lower bound so far.
+        bound : (R samples,), the best lower bound so far.
         seconds : wall time so far.
         """
         if len(self.recording.history) == 0 or self._is_due(progress, self.recording.history):
@@ -108,7 +108,7 @@ class Recorder:
         """Add a row to the history, unless its last row is of the same iteration already.
 
         progress : the state now.
-        bound : (R,), the best lower bound so far.
+        bound : (R samples,), the best lower bound so far.
         seconds : wall time so far.
 
         Raises FileError if a history that was restored has other columns.
@@ -132,7 +132,7 @@ class Recorder:
         """Return the entries of a row of the history, by name of the column.
 
         progress : the state now.
-        bound : (R,), the best lower bound so far.
+        bound : (R samples,), the best lower bound so far.
         seconds : wall time so far.
         """
         scene, minimises_power = self._scene, self._scene.law.minimises == "power"
@@ -157,8 +157,8 @@ class Recorder:
         return {**row, **progress.columns}
 
     def history(self) -> dict[str, np.ndarray]:
-        """Return the columns of the history by name, of equal length: (rows,), or (rows, R) with a value for each
-        sample.
+        """Return the columns of the history by name, of equal length: (rows,), or (rows, R samples) with a value for
+        each sample.
         """
         return {name: np.asarray(values) for name, values in self._columns.items()}
 

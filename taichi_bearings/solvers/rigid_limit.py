@@ -44,7 +44,7 @@ class RigidLimitMethod(Dynamics):
     length, last_length : length of the next and of the last step, time.
     unit, largest : spread of the spins and largest spin at the start, 1/time.
     creep : spin difference, 1/time, up to which a contact may have no slip.
-    staggered, force : spins (C, R, *N) and contact forces (C, R, E) of the last step.
+    staggered, force : spins (C components, R, *N spheres) and contact forces (C, R, E contacts) of the last step.
     moving : axes of the spin components that friction has not stopped.
     slipping : (R,), number of contacts that slip in the last step.
     rest_time : (R,), time of the last step in which the power fell.
@@ -63,7 +63,7 @@ class RigidLimitMethod(Dynamics):
         """Prepare the dynamics: set up the steps, choose the length of the first, and begin the energy balance.
 
         scene : what to solve.
-        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         """
         super().begin(scene, spin)
         scene, self.contacts.look_again = self.scene, 1.0
@@ -244,8 +244,8 @@ class RigidLimitMethod(Dynamics):
         return super().may_be_at_rest(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return by name, (R,) each: the time since which the power has not fallen, NaN without rest, and the Newton
-        steps made.
+        """Return by name, (R samples,) each: the time since which the power has not fallen, NaN without rest, and the
+        Newton steps made.
 
         last : the progress at the end.
         """

@@ -49,7 +49,7 @@ class StopRule:
         """Return the status with which the run should end now, or None if it should go on.
 
         progress : the state now.
-        objective, bound : (R,), the best objective and the best lower bound so far.
+        objective, bound : (R samples,), the best objective and the best lower bound so far.
         elapsed : seconds of wall time in this call.
         stalled : True if the method makes no more progress.
         """
