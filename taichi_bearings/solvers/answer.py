@@ -33,15 +33,13 @@ MISSING_SLIP = 1e2  # a contact that misses its friction limit by a share x is t
 def answered(
     scene: Scene, method: Method, final: Progress, forces: Forces, bound: np.ndarray, threshold: float | None
 ) -> tuple[Solution, Judgement | None]:
-    """Return the answer to a lattice, with no contact state proven yet, and what is proven of its spins and forces.
-
-    The second is None where no arithmetic can judge the numbers.
+    """Return the answer to a lattice, with no contact state proven yet, and what is proven of its spins and forces:
+    None where no arithmetic can judge the numbers.
 
     final : the best state that the method has reached.
     forces : (C components, R samples, E contacts), contact forces from which the lower bound follows.
     bound : (R,), that lower bound.
-    threshold : slip speed up to which a contact counts as slipless, length/time; None for the smallest slip that the
-        method can resolve.
+    threshold : slip speed, length/time, up to which a contact counts as slipless; None for what the method can resolve.
     """
     # a sample whose least power is 0 gets the state without slip, whatever the method came to
     if not method.options.is_dynamics:
