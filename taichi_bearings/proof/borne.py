@@ -71,11 +71,13 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
         return found
     known, off = known_friction(bounds, far)
     rests = network.counts & ~known & ((network.holding - length(bounds.friction)).lower() > 0)
-    # X is chosen among the contacts that have friction left. Then bounds on |f| and |F*|: mu F_n, and eta (|y| + far).
+    # Contacts that can roll exactly are sought among those with friction left. Optimal friction is at most mu F_n, and
+    # with damping eta (slip + far) more.
     exact = ExactMotions.of(network, springs.number, rests)
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
     friction_bounds = FrictionBounds(network, springs.number, exact, bounds.friction, known, off * UP, limit * UP)
-    # Step 1: contacts in loops beside X rest where they surely bear less than their limit. Steps 2 to 5: parts of X.
+    # Step 1: contacts in loops rest where they surely bear less than their limit. Steps 2 to 5: exactly rolling
+    # contacts.
     pieces_of_q = friction_bounds.split_into_pieces()
     for piece in pieces_of_q:
         found[piece.contacts] = piece.largest < network.holding.least[piece.contacts]

@@ -31,7 +31,8 @@ are the corners of an equilateral triangle with its centre at 0, at distance 1. 
 - a_3| (Fermat's problem). At u = 0 all |z| = 1 and the unit vectors cancel: g = 0. H is the sum of 1 - n n^T, that is
 3/2 of the identity, so h = 3/2 and tau = 1. Given spins with an error d have |g| = (3/2) d / (3/2)^1/2, and with 1.5
 for 1 / 0.72 the minimum is proven to be within rho / h^1/2 = 1.5 d in each component, as long as that changes no slip
-by more than a quarter.
+by more than a quarter. The program is content with a far smaller tau (CURVATURE_SHARE), since g is of the size of
+rounding.
 """
 
 from __future__ import annotations
@@ -365,11 +366,11 @@ class Form:
 
 @dataclass(frozen=True)
 class Curvature:
-    """The curvature H of the power, as a quadratic form of n changes v of free domains, and a floor H >= tau h, with a
-    proven number tau and h the diagonal of H.
+    """The curvature of the power, a quadratic form of changes v of the spins of free domains, and a proven floor: it is
+    at least tau times its diagonal h.
 
     clusters : (unknowns, unknowns), entries 0 and 1: the changes of the spins of domains are clusters v.
-    form : H in unknowns scaled to a diagonal of 1; its `squares` are h.
+    form : the curvature in unknowns scaled to a diagonal of 1; its `squares` are h.
     changes : two matrices (contacts, unknowns): both components of the changes of slips, from v.
     """
 
@@ -421,12 +422,13 @@ class Curvature:
 
 
 def _clusters(contacts: Slipping) -> sparse.csr_array:
-    """Return the matrix (unknowns, unknowns) with entries 0 and 1 by which the unknowns u are sums of unknowns v. Any
-    choice is valid; this one keeps tau from becoming tiny.
+    """Return the matrix (unknowns, unknowns) with entries 0 and 1 that gives the unknowns, changes of the spins of free
+    domains, as sums of other variables. Any choice is valid; with this one the floor of the curvature is not tiny.
 
-    Domains between which slips are tiny, and so resist changes most, form a cluster. In v the spin of one domain of a
-    cluster, its head, is measured from 0, and that of every other one from its neighbour on the way to the head, along
-    a tree of the stiffest contacts. Then a motion of the whole cluster is one v and strains no stiff contact.
+    Domains between which slips are tiny, and so resist changes most, form a cluster. The new variables are the change
+    of one domain of a cluster, its head, and for every other one the change from its neighbour on the way to the head,
+    along a tree of the stiffest contacts. Then a motion of the whole cluster is one variable and strains no stiff
+    contact.
     """
     # Graph of the stiff contacts between unknowns, all driven domains being one node and a source another.
     driven, source = contacts.unknowns, contacts.unknowns + 1
@@ -480,13 +482,17 @@ def _row_scaled(
 def _curvature_rows(
     contacts: Slipping, changes: list[sparse.csr_array]
 ) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
-    """Return rows A with H = A^T A, a bound on the error of each entry, and for each row the contact (0 to n - 1) that
-    it belongs to. changes : two matrices (n, unknowns), both components of the changes of slips.
+    """Return rows A such that the curvature of the power is A^T A, a bound on the error of each entry of A, and for
+    each row the contact (0 to n - 1) that it belongs to.
 
-    A curved contact has one row, the change of its slip across the slip times (mu F_n / |z|)^1/2. With damping every
-    contact has two more, both components of the change of its slip times eta^1/2. Friction in one component has no
-    curvature: mu F_n |z| is straight.
+    contacts : the n slipping contacts. changes : two matrices (n, unknowns) that give both components of the changes of
+        slips.
+
+    A contact that slips in two components has one row, the change of its slip at right angles to the slip, times the
+    root of mu F_n / slip. With damping every contact has two more, both components of the change of its slip times the
+    root of eta. Friction in one component has no curvature: mu F_n |slip| is straight.
     """
+    # The unit vector at right angles to each slip, two components.
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
     # Relative error of the root: that of its square, and 16 roundings where a root, products and a sum make five.
     root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS
@@ -498,6 +504,7 @@ def _curvature_rows(
     found.eliminate_zeros()
     if contacts.damping is None:
         return found, unsure, contacts.curved
+    # With damping: two more rows for each contact.
     root, inexact = np.sqrt(contacts.damping.value), contacts.damping.error / contacts.damping.most + 16 * EPS
     whole, off = [found], [unsure]
     for change in changes:

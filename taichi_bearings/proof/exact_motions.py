@@ -196,6 +196,7 @@ class _Choices:
         high, low, error = (
             np.stack(values, axis=1) for values in zip(*(p.parts for p in network.imposed), strict=True)
         )
+        # Distinct sizes of imposed components, as exact sums of two doubles.
         moves = high != 0
         sizes = np.stack([np.abs(high), np.sign(high) * low])[:, moves]
         size, which = np.unique(sizes, axis=1, return_inverse=True)

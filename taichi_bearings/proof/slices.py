@@ -126,7 +126,8 @@ class Grid(Listed):
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """(m, C), friction on the second sphere in `force_unit`, 0 at contacts that are absent."""
+        """(m, C), friction on the second sphere of each of the m contacts by its C components, in `force_unit`; 0 at
+        contacts that are absent."""
         samples = self.samples
         found = samples.friction.reshape(self.contacts, -1) / samples.force_unit
         found[samples.scene.coefficient.ravel() == 0] = 0.0
@@ -238,10 +239,10 @@ class Grid(Listed):
         return found
 
     def slips(self, spin: list[Enclosure], shift: list[Enclosure | None], still: np.ndarray) -> Enclosure:
-        """Return slip speeds (m,): lengths of the differences of signed spins over the components that make each
-        contact slip.
+        """Return slip speeds (m,) of all contacts: lengths of the differences of signed spins over the components that
+        make each contact slip. (A signed spin has the sign of its sublattice, so equal ones roll.)
 
-        spin : signed spins by component, C enclosures (n,).
+        spin : signed spins by component, C enclosures (n,) for the n spheres.
         shift : by component, (n,), what is added to the spins, known to twice the precision; None for nothing.
         still : (m,) mask of contacts that do not slip at all.
         """
@@ -288,8 +289,9 @@ class Grid(Listed):
         return found
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Return the sums (n,) of exact moments at each sphere, by component; always in the same order, axis by axis,
-        first spheres before second ones. moment : by component, C enclosures (m,)."""
+        """Return the sums at each of the n spheres of exact moments at the m contacts, by component, C enclosures (n,);
+        always added in the same order, axis by axis, first spheres before second ones. moment : by component, C
+        enclosures (m,)."""
         found = []
         for slot, part in enumerate(moment):
             found.append(nothing(self.spheres))

@@ -140,7 +140,7 @@ class Pulls:
 
     @cached_property
     def same_in_both(self) -> np.ndarray:
-        """(spheres,), equal numbers for spheres that are in the same domain_tc in both components."""
+        """(spheres,), equal numbers for spheres that are in the same domain (`domain_tc`) in both components."""
         return np.unique(self.domain_tc, axis=1, return_inverse=True)[1].reshape(-1)
 
     def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
@@ -186,10 +186,10 @@ class Line:
         return np.isin(piece, piece[some])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three masks (n,): the contact rests at some minimum; it slips at every one; it slips at some. Step 5
-        of the proof.
+        """Return three masks (n,): the contact rests at some minimum; it slips at every one; it slips at some. (Step 5
+        at the head of the file.)
 
-        least, most : (n,), bounds of the slip t at u*, both 0 for C.
+        least, most : (n,), bounds of the slip at one minimum, both 0 for contacts that do not slip there.
         """
         # That a contact does not slip backwards means y[head] - y[tail] <= t.
         tail, head = np.where(self.sign > 0, (self.upper, self.lower), (self.lower, self.upper))
@@ -474,8 +474,10 @@ def _minimum_with_held(
 
 
 def _known_pulls_cancel(pulls: Pulls) -> bool:
-    """Return True if the pulls that are known exactly cancel on each wide domain, and on each domain_t, except on one
-    of each free domain_tc at most, which contacts pull whose slip may change its direction."""
+    """Return True if the pulls that are known exactly cancel wherever friction has to balance exactly (steps 1 and 3 at
+    the head of the file): on each wide domain; and on each domain of resting contacts with friction left (`domain_t`),
+    except on one of each free `domain_tc` at most, which contacts pull whose slip may change its direction."""
+    # For both components: wide domains; which domain_t are pulled by contacts that may turn; all other domain_t.
     for slot in range(2):
         cancels_at = pulls.known_pulls_cancel_at(pulls.wide_domains(pulls.domain_tc, slot), slot)
         if not all(cancels for number, cancels in cancels_at.items() if number > 0):
