@@ -42,7 +42,7 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
         _warn_of_slow_starts()
         return lambda: kernel(*arguments)
 
-    def started(keep: tuple = arguments) -> None:
+    def started(keep: tuple[np.ndarray | int, ...] = arguments) -> None:
         """Start the compiled kernel. keep : keeps the arrays alive."""
         refuse_changed()
         start(machine_code, context)

@@ -11,6 +11,8 @@ from typing import Any
 from taichi_bearings.errors import InputError
 from taichi_bearings.words import meant, shown
 
+Reader = Callable[[Any], Any]  # turns a given value into the one that is kept, or raises ValueError
+
 
 class Kind:
     """How a value is read, and which values are allowed.
@@ -21,7 +23,7 @@ class Kind:
 
     known: Collection[str] = ()  # words that it is one of, if it is
 
-    def __init__(self, read: Callable[[Any], Any], allowed: str, metavar: str) -> None:
+    def __init__(self, read: Reader, allowed: str, metavar: str) -> None:
         """read, allowed, metavar : see the class."""
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
@@ -40,13 +42,13 @@ class Kind:
             raise InputError(f"{name} is {said}; it must be {self.allowed}{hint}") from None
 
 
-def numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[[Any], Any]:
+def numbers(convert: Reader, counts: tuple[int, ...]) -> Reader:
     """Return a function that reads several numbers from a text such as 32,32,32 or 32x32x32, or from a list.
 
     convert : reads each of them. counts : how many there may be.
     """
 
-    def read(value: Any) -> tuple:
+    def read(value: Any) -> tuple[Any, ...]:
         """Return the numbers as a tuple; ValueError if there are too many or too few."""
         parts = value.replace("x", ",").split(",") if isinstance(value, str) else list(value)
         if len(parts) not in counts:
@@ -102,7 +104,7 @@ def _truth(value: Any) -> bool:
     return {"true": True, "false": False}[str(value).lower()]
 
 
-def bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, open_low: bool = False) -> Callable:
+def bounded(convert: Reader, low: float, high: float = math.inf, open_low: bool = False) -> Reader:
     """Return a function that reads a number by `convert`; ValueError if it is not from low to high.
 
     open_low : low itself is not allowed.

@@ -44,7 +44,7 @@ SIMPLE = bool, int, float, str, type(None)  # types of Python whose values are s
 COMPILER_MODULES = "taichi.lang."
 LIST, ITEM = "list of", "item of"  # names of the steps that are no calls of the core
 PLAINLY, KIND, MEMBER = range(3)  # sorts of constants: values of `SIMPLE`; types of numbers; members of enumerations
-Walk = tuple[list[str], list[tuple], list[tuple[int, tuple[int, ...], tuple[str, ...]]]]
+Walk = tuple[list[str], list[tuple[Any, ...]], list[tuple[int, tuple[int, ...], tuple[str, ...]]]]
 """A stored walk: the names of the functions that it calls, its constants, and its calls. A call is the number of its
 function's name, the places of its arguments, and the keywords of the last of these. Places count, from 0, the objects
 that every walk begins with, then the constants, then the results of the calls in their order."""
@@ -80,7 +80,7 @@ class _Kept:
         self.core, self.reader, self.folder, self.writes = core, reader, folder, writes
         self._lock, self._settings = threading.Lock(), dict[int, list[str]]()
 
-    def materialize(self) -> Callable:
+    def materialize(self) -> Callable[..., None]:
         """Return the method that takes the place of `Kernel.materialize` of Taichi: it repeats a walk, or makes it."""
 
         def materialized(kernel: Any, key: Any = None, args: Any = None, arg_features: Any = None) -> None:
@@ -138,7 +138,7 @@ class _Kept:
         kernel.compiled_kernels[key] = made
         return True
 
-    def _walked(self, kernel: Any, wishes: tuple, place: Path) -> None:
+    def _walked(self, kernel: Any, wishes: tuple[Any, ...], place: Path) -> None:
         """Have the compiler walk through a kernel, and keep its calls in a file if `writes`.
 
         wishes : the arguments of `Kernel.materialize`. place : path of the file.
@@ -199,13 +199,13 @@ class _Record:
     """
 
     def __init__(self, core: Any) -> None:
-        self.calls, self.functions = list[tuple[str, tuple, dict, Any]](), list[Any]()
+        self.calls, self.functions = list[tuple[str, tuple[Any, ...], dict[str, Any], Any]](), list[Any]()
         self._core, self._kinds = core, core.DataType
         self._given = {kind: -1 - n for n, kind in enumerate(_given_kinds(core))}
         self._constants, self._places = dict[Any, int](), dict[int, int]()
-        self._steps = list[tuple[str, list[int], tuple]]()
+        self._steps = list[tuple[str, list[int], tuple[str, ...]]]()
 
-    def listening(self, name: str, function: Callable) -> Callable:
+    def listening(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function that does what `function` does and writes down each call under `name`."""
 
         def heard(*given: Any, **named: Any) -> Any:
@@ -271,7 +271,7 @@ class _Record:
         calls = [(names[name], tuple([moved[at] for at in places]), named) for name, places, named in found]
         return list(names), list(self._constants), calls
 
-    def _note(self, name: str, places: list[int], named: tuple, result: Any) -> None:
+    def _note(self, name: str, places: list[int], named: tuple[str, ...], result: Any) -> None:
         """Write down one step, and where its result, or an item of it, is found by later steps.
 
         name : of what is called. places : of its arguments. named : the keywords of the last of these.
@@ -309,7 +309,7 @@ class _Record:
             return self._constant((MEMBER, kind.__name__, value.name))
         raise Unkept
 
-    def _constant(self, described: tuple) -> int:
+    def _constant(self, described: tuple[Any, ...]) -> int:
         """Return the negative place of a constant, which gets a new one when it is first seen.
 
         described : its sort and what `_made` makes it of. Its text is part of the key, so that equal numbers of
@@ -318,7 +318,7 @@ class _Record:
         first = -1 - len(self._given)
         return first - self._constants.setdefault((*described, repr(described)), len(self._constants))
 
-    def _described(self, kind: Any) -> tuple | None:
+    def _described(self, kind: Any) -> tuple[Any, ...] | None:
         """Return sort, name and shape of a type of numbers, or of vectors or matrices of them; None for other types."""
         name = kind.to_string()
         if hasattr(self._core, f"DataType_{name}"):
@@ -348,7 +348,7 @@ def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
             values.append(tools[tool](*given))
 
 
-def _listed(*values: Any) -> list:
+def _listed(*values: Any) -> list[Any]:
     """Return the values as a list: the step `LIST`."""
     return list(values)
 
@@ -373,7 +373,7 @@ def _is_ours(module: str) -> bool:
     return module == KERNELS or module.startswith(f"{KERNELS}.")
 
 
-def _named(value: Any, above: tuple) -> Any:
+def _named(value: Any, above: tuple[int, ...]) -> Any:
     """Return a value that a kernel depends on as lists of numbers and texts, the same in every process.
 
     above : `id` of the values around this one; one that holds itself is named "above" there.

@@ -342,6 +342,7 @@ def _start(case: Case, value: str, row: Row) -> Case:
     shape = scene.lattice.shape if row.dimension == 2 else (*scene.lattice.shape, 3)
     rng = np.random.default_rng(5)
     parity = scene.lattice.parity if row.dimension == 2 else scene.lattice.parity[..., None]
+    made: dict[str, Callable[[], np.ndarray]]
     made = {"huge": lambda: rng.uniform(-1e12, 1e12, shape), "opposite": lambda: -parity * np.ones(shape),
             "not staggered": lambda: np.ones(shape), "tiny": lambda: rng.uniform(-1e-300, 1e-300, shape),
             "NaN": lambda: np.full(shape, np.nan), "infinite": lambda: np.full(shape, np.inf)}  # fmt: skip

@@ -20,6 +20,7 @@ from taichi_bearings.memory import aligned_zeros
 PADDING = {kernels.FRICTION_ROW: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
 MOST_CONSTANTS = 5  # most numbers of each sample that a pass over the contacts takes
 # tables that say which numbers to add and to subtract, for kernels.add_up; or a matrix of other factors
+Pass: TypeAlias = Callable[..., None]  # a kernel that goes over all contacts once
 Sums: TypeAlias = tuple[np.ndarray, np.ndarray] | sparse.csr_array
 
 
@@ -73,14 +74,14 @@ class ContactRows:
         if laplacian is not None:
             terms, stiffness = laplacian.tocoo(), self._places(d * (d + 1) // 2)
             self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, (terms.shape[0], 3 * contacts))
-        self._starts: dict[tuple, list[Callable[[], None]]] = {}
+        self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
         """Places of the first `count` rows of each contact in rows one after the other, row by row."""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(
-        self, kernel: tuple[Callable, Callable], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
+        self, kernel: tuple[Pass, Pass], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
     ) -> np.ndarray:
         """Run a pass over all contacts and return what it finds, (found, S): minima first, then sums.
 

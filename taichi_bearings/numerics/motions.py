@@ -166,7 +166,11 @@ def _eliminated(
     order = np.argsort(both)
     # dense matrix of own and border: entries of K^T K, then what the children left
     full = np.zeros((len(both), len(both)))
-    find = lambda wanted: order[np.searchsorted(both, wanted, sorter=order)]  # noqa: E731
+
+    def find(wanted: np.ndarray) -> np.ndarray:
+        """Return the rows of these unknowns in the dense matrix."""
+        return order[np.searchsorted(both, wanted, sorter=order)]
+
     for local, (columns, a, b) in enumerate(zip(rows, begin, end, strict=True)):
         later = position[columns] >= start
         full[find(columns[later]), local] += matrix.data[a:b][later]

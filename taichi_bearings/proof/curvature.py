@@ -530,6 +530,7 @@ def proven_floor(
     """
     terms = int(np.bincount(rows.indices).max(initial=0)) + 4
     sizes = _with_values(rows, np.abs(rows.data)) + doubt
+    guesses: tuple[tuple[Callable[[], float], int], ...]
     guesses = (lambda: CURVATURE_SHARE, 1), (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS)
     for guess, steps in guesses[sharp:]:
         most, off = (_largest_eigenvalue(part, steps) for part in (sizes, doubt))

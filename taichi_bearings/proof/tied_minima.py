@@ -394,6 +394,7 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
     """Collect the contacts of a motion that bear all their friction, and what they pull. contacts : those that slip.
     saturated : those that do not."""
     network, in_c = motion.network, np.flatnonzero(saturated.mask)
+    components = len(network.needed)
     own = np.append(contacts.own, in_c)
     lower, upper = network.graph.contact[:, own]
     signs_of_c = np.array([np.sign(saturated.friction(slot).high) * network.sign[k][network.graph.contact[1, in_c]]
@@ -401,11 +402,11 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
     signs = np.array([np.sign(part.high) for part in contacts.difference])
     (coefficient,) = network.factors
     domain_tc, domain_t, domain_tc0 = (
-        np.array([_numbered(joined_by(slot), k) for slot, k in enumerate(network.needed)])
-        for joined_by in (
-            lambda _: motion,
-            lambda _: saturated.motion_of(motion, None),
-            lambda s: saturated.motion_of(motion, s),
+        np.array([_numbered(own, k) for own, k in zip(motions, network.needed, strict=True)])
+        for motions in (
+            [motion] * components,
+            [saturated.motion_of(motion, None)] * components,
+            [saturated.motion_of(motion, slot) for slot in range(components)],
         )
     )
     return Pulls(

@@ -42,7 +42,7 @@ def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Clien
         return contextlib.nullcontext()
     try:
         import distributed
-        from distributed.comm import resolve_address
+        from distributed.comm.addressing import resolve_address
     except ImportError:
         words = "Dask clusters need the package distributed; install it with: pip install 'taichi-bearings[cluster]'"
         raise InputError(words) from None

@@ -242,6 +242,7 @@ def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], A
     ):
         raise InputError(f"{key} in [scan] is {toml_value(table)}; a range is {RANGES}")
     if is_spaced:  # in themselves or in their logarithm, both ends as they are given
+        inner: dict[str, Callable[[float], float]]
         inner = {"linear": lambda share: start + (stop - start) * share, "log": lambda s: start * (stop / start) ** s}
         ends = {0: start, number - 1: stop}
         return number, lambda i: ends[i] if i in ends else inner[spacing](i / (number - 1))

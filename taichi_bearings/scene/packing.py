@@ -125,7 +125,7 @@ class Packing(Bearing):
     def __post_init__(self) -> None:
         object.__setattr__(self, "normals_given", self.normal is not None)
         object.__setattr__(self, "schematic", bool(np.any(self.schematic)))
-        put = lambda name, values: object.__setattr__(self, name, values)  # noqa: E731  # fields are frozen
+        put = self._put
         put("center", checks.places(self.center))
         put("contact", checks.pairs(self.contact, self.spheres))
         put("driven", checks.bodies(self.driven, self.spheres))
@@ -139,7 +139,7 @@ class Packing(Bearing):
             known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
             raise InputError(f"law is {self.law.name!r}; packings have {known}, laws of one's own are for lattices")
         put("normal_force", checks.pressing(self.normal_force, self.contacts))
-        self._take_coefficients(put)
+        self._take_coefficients()
 
     def _checked_normals(self) -> np.ndarray:
         """Return the normals (E, D), from the centres if none are given; raise InputError where the two disagree."""
@@ -152,16 +152,17 @@ class Packing(Bearing):
         normal.setflags(write=False)
         return normal
 
-    def _take_coefficients(self, put: Any) -> None:
-        """Set friction and viscosity to checked arrays, drawn from the seed where none are given.
+    def _put(self, name: str, value: object) -> None:
+        """Set a field of this frozen object while it is made."""
+        object.__setattr__(self, name, value)
 
-        put : the function (name, value) that sets a field.
-        """
+    def _take_coefficients(self) -> None:
+        """Set friction and viscosity to checked arrays, drawn from the seed where none are given."""
         two = len(self.law.quantities) > 1
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
         seed = SEED.named("seed", self.seed)
-        put("seeds", (seed,))
+        self._put("seeds", (seed,))
         usual: list[Any] = [("friction", seed, self.distribution), ("viscosity", [seed, 2], DISTRIBUTION)]
         for name, state, values in usual[: 1 + two]:
             given: Any = getattr(self, name)
@@ -169,7 +170,7 @@ class Packing(Bearing):
             if isinstance(values, str) or callable(values):
                 draw = Distribution.parse(values) if isinstance(values, str) else values
                 values = draw(np.random.default_rng(state), (self.contacts,))
-            put(name, checks.sizes(name, values, self.contacts, "contact", may_vanish=True))
+            self._put(name, checks.sizes(name, values, self.contacts, "contact", may_vanish=True))
 
     @property
     def spheres(self) -> int:

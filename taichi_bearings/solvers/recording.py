@@ -83,7 +83,7 @@ class Recorder:
         recording : the simulated times that are asked for.
         """
         self._scene, self.recording = scene, recording
-        self._columns: dict[str, list] = {}
+        self._columns: dict[str, list[Any]] = {}
         self._snapshot_times: list[float] = []
         self._snapshot_spins: list[np.ndarray] = []
         self._last_time = -np.inf

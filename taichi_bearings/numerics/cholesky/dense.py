@@ -23,7 +23,7 @@ from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.layout import update_size
 
 
-def _routine(module: object, name: str) -> Callable:
+def _routine(module: object, name: str) -> Callable[..., None]:
     """Return a routine of SciPy's compiled BLAS or LAPACK as a function of ctypes. module : cython_blas or
     cython_lapack.
     """
@@ -64,7 +64,7 @@ class Task:
     work: Callable[[], bool]
 
 
-Call = tuple[int | None, Callable, tuple]
+Call = tuple[int | None, Callable[..., None], tuple[Any, ...]]
 """A call of LAPACK or BLAS: the panel that has to be done before (-1 the last one, None none); routine; arguments."""
 
 
@@ -178,7 +178,9 @@ def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target
     return [(-1, _dsyrk, square), (None, _dgemm, below)]
 
 
-def _product(rows: int, width: int, depth: int, left: Any, right: Any, ld: Any, target: Any, ld_target: Any) -> tuple:
+def _product(
+    rows: int, width: int, depth: int, left: Any, right: Any, ld: Any, target: Any, ld_target: Any
+) -> tuple[Any, ...]:
     """Return the arguments of `dgemm` for target (rows, width) -= left (rows, depth) right (width, depth)^T.
 
     ld, ld_target : distance from one column of left and right, and of target, to the next.

@@ -23,7 +23,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
     """
     shape = lattice.free_shape
     sphere = np.arange(int(np.prod(shape))).reshape(shape)
-    known: dict[tuple, np.ndarray] = {}
+    known: dict[tuple[object, ...], np.ndarray] = {}
 
     def numbers(region: Region) -> np.ndarray:
         """Return the numbers of all unknowns in a region."""

@@ -21,7 +21,7 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
 
     lattice : whose spheres rotate. spin_axes : axes of the spin components that are unknown.
     """
-    shape, known = lattice.free_shape, dict[tuple, Tree]()
+    shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
     def neighbours(region: Region) -> float:
         """Return the number of unknowns outside a region that touch it: its border once it is eliminated."""

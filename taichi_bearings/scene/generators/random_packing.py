@@ -28,6 +28,10 @@ FLATTEST = (
 )
 CLAIMED_OVERLAP = 1e-12  # overlap that may be rounding, relative to the sum of the radii
 
+Pocket = tuple[float, int, np.ndarray, tuple[int, ...], int]
+"""A pocket: its height, its number, its place (D,), the numbers of the spheres that form it, and how many spheres stood
+when it was found."""
+
 
 class _Heap:
     """The spheres placed so far, and the pockets for spheres of each size, lowest first.
@@ -41,7 +45,7 @@ class _Heap:
         self.sides = np.append(np.full(dimension - 1, width), np.inf)
         self.sizes = (1.0, ratio)
         self.count, self.made = 0, 0
-        self.pockets: dict[float, list] = {size: [] for size in self.sizes}
+        self.pockets: dict[float, list[Pocket]] = {size: [] for size in self.sizes}
 
     def away(self, place: np.ndarray, since: int = 0) -> np.ndarray:
         """Return vectors (n, D) from a place to the nearest images of the spheres with numbers from `since` on."""
