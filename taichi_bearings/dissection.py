@@ -59,6 +59,43 @@ def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, le
     return found
 
 
+def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
+    """Return the parts of a graph whose nodes belong to some nodes of a divided graph, children before parents.
+
+    parts : of the divided graph.
+    node : (n,), the node of the divided graph to which each node of the new graph belongs. Nodes of the new graph may
+        be joined only if they belong to one node of the divided graph, or to two that are joined.
+    leaf : parts of no more nodes, with all below them, become one part. Parts without any node are left out.
+
+    No separator is looked for, so this takes far less time than a division of the new graph.
+    """
+    size = sum(len(part.nodes) for part in parts)
+    owner, parent = np.empty(size, dtype=np.intp), np.full(len(parts), -1)
+    for number, part in enumerate(parts):
+        owner[part.nodes], parent[part.children] = number, number
+    own = np.bincount(owner[node], minlength=len(parts))
+    below = own.copy()  # with all parts below
+    for number, above in enumerate(parent.tolist()):
+        if above >= 0:
+            below[above] += below[number]
+    # the part that each one becomes, the highest above it that is small enough as a whole; and the next one above
+    becomes, higher = np.arange(len(parts)), np.full(len(parts), -1)
+    for number, above in reversed(list(enumerate(parent.tolist()))):
+        if above < 0:
+            continue
+        higher[number] = above if own[above] else higher[above]
+        if below[above] <= leaf:
+            becomes[number] = becomes[above]
+    of_node = becomes[owner[node]]
+    number_of = np.cumsum(np.bincount(of_node, minlength=len(parts)) > 0) - 1
+    order = np.argsort(of_node, kind="stable")
+    found = [Part(nodes, []) for nodes in np.split(order, np.flatnonzero(np.diff(of_node[order])) + 1)]
+    for number in np.unique(of_node).tolist():
+        if higher[number] >= 0:
+            found[number_of[higher[number]]].children.append(int(number_of[number]))
+    return found
+
+
 def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
     """Divide the graph; see :func:`dissected`."""
     count = graph.shape[0]

@@ -272,8 +272,9 @@ class SpringsOfX:
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))
         rows = sparse.csr_array(rows @ sparse.diags_array(scale))
-        place = loaded.friction_bounds.network.graph.place[loaded.friction_bounds.sphere[loaded.columns]].T
-        factor = Elimination.of((rows.T @ rows).tocsc(), place).factorised(YIELDING)
+        network, sphere = loaded.friction_bounds.network, loaded.friction_bounds.sphere[loaded.columns]
+        elimination = Elimination.of((rows.T @ rows).tocsc(), network.graph.place[sphere].T, network.parts_of(sphere))
+        factor = elimination.factorised(YIELDING)
         return None if factor is None else cls(loaded, weight, scale, factor)
 
     def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.proof.enclosure import UP, Enclosure, in_cache, row_sum
+from taichi_bearings.proof.enclosure import UP, Enclosure, in_cache, joined, row_sum
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.springs import Springs, natural, rolling
 
@@ -38,11 +38,13 @@ class Bounds:
     excess : (R,), bound E on the potential of the stored spins less what the friction proves, 0 or more.
     size : (m,), s |F|.
     worst : (R,), 1 / s.
-    proof : PROVEN, or the words that restrict `lower` to slower spins.
+    proof : (R,), PROVEN, or the words that restrict `lower` to slower spins.
     largest_torque : (R,), largest torque over the radius that the stored friction leaves over.
     price : (R,), what these torques may cost at spins within the box.
     springs : those that take torques away, where components mix; None elsewhere, or if there are none.
     friction : F by component after springs have balanced it, where components mix; else empty.
+    alone : the bounds of each sample, of several in which components mix; else empty. The fields `springs` and
+        `friction` are then those of the samples.
     """
 
     network: JudgedNetwork
@@ -51,15 +53,27 @@ class Bounds:
     excess: np.ndarray
     size: Enclosure
     worst: np.ndarray
-    proof: str
+    proof: np.ndarray
     largest_torque: np.ndarray
     price: np.ndarray
     springs: Springs | None
     friction: list[Enclosure]
+    alone: tuple[Bounds, ...] = ()
+
+    @classmethod
+    def joined(cls, network: JudgedNetwork, samples: list[Bounds]) -> Bounds:
+        """The bounds of a network from those of its samples."""
+        of_samples = ("upper", "lower", "excess", "worst", "proof", "largest_torque", "price")
+        found = {name: np.concatenate([getattr(one, name) for one in samples]) for name in of_samples}
+        size = joined([one.size for one in samples])
+        return cls(network, size=size, springs=None, friction=[], alone=tuple(samples), **found)
 
     @classmethod
     def of(cls, network: JudgedNetwork) -> Bounds:
         """Find the bounds of a network by theorem 1."""
+        if network.mixes and network.count > 1:  # springs are those of one sample
+            alone = [network.some(slice(number, number + 1)) for number in range(network.count)]
+            return cls.joined(network, list(map(cls.of, alone)))
         potential, layered = network.dissipated(0.5), network.graph.layered
         # Upper bound: any spins have a potential that is not below the least, but spins that cannot exist prove
         # nothing.
@@ -106,8 +120,9 @@ class Bounds:
         least = work / Enclosure.exact(worst) - cost
         lower = least.lower()
         apart = (potential - least).upper() if not layered else (upper - lower) * UP
-        return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, proof, left.max(axis=0), price.upper(),
-                   springs, friction if network.mixes else [])  # fmt: skip
+        words, friction = np.full(count, proof), friction if network.mixes else []
+        return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, words, left.max(axis=0), price.upper(),
+                   springs, friction)  # fmt: skip
 
 
 def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:

@@ -45,6 +45,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
+from taichi_bearings.dissection import Part
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, length
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
@@ -336,13 +337,19 @@ class Form:
 
     @classmethod
     def of(
-        cls, rows: sparse.csr_array, doubt: sparse.csr_array, place: np.ndarray, of_rows: bool = False
+        cls,
+        rows: sparse.csr_array,
+        doubt: sparse.csr_array,
+        place: np.ndarray,
+        of_rows: bool = False,
+        parts: list[Part] | None = None,
     ) -> Form | None:
         """Scale the columns of `rows` and of `doubt`, and order the elimination; None where a column is 0 or not
         finite.
 
         place : (d, n), positions of the unknowns. If `of_rows` is True: positions of the rows, and each unknown is put
             at the mean of its rows.
+        parts : the parts in which unknowns are eliminated; None to find them.
         """
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         if not ((squares > 0) & (squares < np.inf)).all():
@@ -351,7 +358,7 @@ class Form:
         rows, doubt = (_with_values(part, part.data * inverse[part.indices]) for part in (rows, doubt))
         if of_rows:
             place = place @ _with_values(rows, rows.data**2)
-        return cls(rows, doubt, squares, Elimination.of((rows.T @ rows).tocsc(), place))
+        return cls(rows, doubt, squares, Elimination.of((rows.T @ rows).tocsc(), place, parts))
 
     @cached_property
     def scale(self) -> np.ndarray:

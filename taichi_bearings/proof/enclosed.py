@@ -28,9 +28,9 @@ def judged_network(
     """Return the network to be judged; None for numbers that are not finite, or whose scales are so large or small that
     products might overflow or underflow.
 
-    scene : a lattice with R samples, or a packing.
+    scene : R samples of a lattice or of a packing.
     spin, spin_rounding, friction : the spins, as the sum of both, and the friction on the second sphere of each
-        contact, with the shapes of :class:`Judgement`; for contacts in lists those of one sample.
+        contact, with the shapes of :class:`Judgement`.
     """
     samples = samples_of_lattice(scene, spin, spin_rounding, friction)
     if samples is None:
@@ -52,7 +52,7 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
     holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
     viscosity = scene.named_coefficients.get("viscosity", coefficient).ravel()
     return JudgedNetwork(
-        law, samples.count, free, radius * samples.spin_unit, force,
+        law, samples.count, free, radius * samples.spin_unit, np.full(samples.count, force),
         list(samples.signed_spin.values()), grid.moment(acts), holding if law.holds else zero,
         Enclosure.exact(viscosity).times(np.array([speed])) if law.flows else zero,
         [grid.imposed(k) for k in samples.components], grid, factors=(coefficient,),
@@ -60,50 +60,52 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
 
 
 def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray) -> JudgedNetwork | None:
-    """Return the network of a bearing whose contacts are in lists; None where its scales are not allowed. spin,
-    rounding, friction : those of one sample, with the shapes of :class:`Judgement`."""
-    contacts, law = packing.network, packing.law
-    free, radius = contacts.free, contacts.radius
-    spin, rounding, imposed = (of.reshape(contacts.spheres, -1) for of in (spin, rounding, packing.imposed_spins()[0]))
-    friction = friction.reshape(contacts.contacts, contacts.components)
+    """Return the network of samples of a bearing whose contacts are in lists, side by side; None where their scales are
+    not allowed. spin, rounding, friction : with the shapes of :class:`Judgement`."""
+    contacts, law, count = packing.network, packing.law, packing.replicas
+    free, radius, spheres = contacts.free, contacts.radius, contacts.spheres
+    imposed = packing.imposed_spins()[0].reshape(spheres, -1)
+    spin, rounding = (of.reshape(count, spheres, -1) for of in (spin, rounding))
+    friction = friction.reshape(count, contacts.contacts, contacts.components)
     spin = np.where(free[:, None], spin, imposed)
     rounding = np.where(free[:, None], rounding, 0.0)
     # where all radii are the same, speeds are measured in it, and none is rounded
     unit, radius = (float(radius[0]), np.ones(len(radius))) if (radius == radius[0]).all() else (1.0, radius)
-    fastest = float(np.abs(spin * radius[:, None])[~free].max(initial=0.0)) or 1.0
-    given, *beside = (of[0] for of in packing.named_coefficients.values())
-    pressed = packing.normal_force if law.holds else 1.0
+    fastest = float(np.abs(imposed * radius[:, None])[~free].max(initial=0.0)) or 1.0
+    given, *beside = packing.named_coefficients.values()
+    pressed = np.broadcast_to(packing.normal_force if law.holds else 1.0, given.shape)
     # Friction limits (`first`) and damping (`slope`) in doubles, to choose units by them.
-    first, slope = given * pressed, np.zeros(contacts.contacts)
+    first, slope = given * pressed, np.zeros(given.shape)
     if law.flows:
         slope = beside[0] if law.holds else given
-    largest = float(slope.max(initial=0.0)) * unit * fastest
-    largest = max(float(first.max(initial=0.0)) if law.holds else 0.0, largest)
-    # Scale speeds and forces by powers of two, by which nothing is rounded.
+    largest = slope.max(axis=1, initial=0.0) * unit * fastest
+    largest = np.maximum(first.max(axis=1, initial=0.0) if law.holds else 0.0, largest)
+    # Scale speeds and forces by powers of two, by which nothing is rounded; forces of each sample by its own.
     if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
         return None
-    if largest and not LEAST_SCALE < largest < MOST_SCALE:
+    if not ((largest == 0) | ((largest > LEAST_SCALE) & (largest < MOST_SCALE))).all():
         return None
-    speed, force = power_of_two(fastest), power_of_two(largest)
+    speed, force = power_of_two(fastest), np.array([power_of_two(of) for of in largest.tolist()])
     acts = ((first > 0) | (slope > 0)) & contacts.has_free_end
     with np.errstate(over="ignore"):
-        spin, rounding, friction = spin / speed, rounding / speed, friction / force
+        spin, rounding, friction = spin / speed, rounding / speed, friction / force[:, None, None]
     sizes = (spin, rounding, spin * radius[:, None], rounding * radius[:, None], friction)
     if not all((np.abs(values) < MOST_SCALE).all() for values in sizes):
         return None
-    zero = Enclosure.exact(np.zeros(contacts.contacts))
-    moving = [Enclosure.exact(*part) for part in zip(spin.T, rounding.T, strict=True)]
+    graph = Listed.of_samples(contacts, friction)
+    every, radius = np.tile(free, count), np.tile(radius, count)
+    moving = [Enclosure.exact(*(of[..., k].ravel() for of in (spin, rounding))) for k in range(spin.shape[2])]
     moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
     for part in moving:
-        _equalise_imposed_speeds(part, np.flatnonzero(~free))
-    moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], contacts.normal)
+        _equalise_imposed_speeds(part, np.flatnonzero(~every))
+    zero, pressed = Enclosure.exact(np.zeros(acts.size)), pressed.ravel()
+    moment = moments([Enclosure.exact(np.where(acts.ravel(), part, 0.0)) for part in graph.friction.T], graph.normal)
     return JudgedNetwork(
-        law, 1, free, speed * unit, force, moving, moment,
-        Enclosure.exact(given / force).times(np.broadcast_to(pressed, given.shape)) if law.holds else zero,
-        Enclosure.exact(slope * (speed / force)).times(np.array([unit])) if law.flows else zero,
-        [part.where(~free) for part in moving],
-        Listed(contacts.center, contacts.contact, contacts.normal, friction),
-        factors=(given, np.broadcast_to(packing.normal_force, given.shape)),
+        law, count, every, speed * unit, force, moving, moment,
+        Enclosure.exact((given / force[:, None]).ravel()).times(pressed) if law.holds else zero,
+        Enclosure.exact((slope * (speed / force)[:, None]).ravel()).times(np.array([unit])) if law.flows else zero,
+        [part.where(~every) for part in moving],
+        graph, factors=(given.ravel(), np.broadcast_to(packing.normal_force, given.shape).ravel()),
     )  # fmt: skip
 
 

@@ -136,9 +136,11 @@ class _Parts:
     def floor_and_motions(self) -> tuple[float, _Motions] | np.ndarray:
         """Prove that all contacts can roll exactly, and return the floor of singular values and the motions; else
         return a mask (N,) of at least one sphere that is to be left out before the next try."""
-        everything, place = np.asarray(self.free.any(axis=1)), self.network.graph.place[np.nonzero(self.free)[0]].T
+        everything, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
+        network, place = self.network, self.network.graph.place[sphere].T
         # Step 1: choose J, unknowns without which no pivot is nearly 0. All others follow.
-        follows = ~Elimination.of((self.rows.T @ self.rows).tocsc(), place).dependent(NULL_PIVOT)
+        elimination = Elimination.of((self.rows.T @ self.rows).tocsc(), place, network.parts_of(sphere))
+        follows = ~elimination.dependent(NULL_PIVOT)
         # A slip has two components. Parts without more of these conditions than unknowns outside J have nothing to
         # prove: leave them out.
         conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
@@ -147,7 +149,8 @@ class _Parts:
             return self._spheres(enough[self.of_unknown] | ~follows.any())
         # Steps 2 to 5: s^2 for the other unknowns, and the motions that follow from J and from what is imposed.
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
-        elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows])
+        parts = network.parts_of(sphere[follows])
+        elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows], parts)
         tau, factor = proven_floor(rows, rounding_of(rows), elimination, sharp=True), elimination.factorised()
         if tau is None or factor is None or choices is None:
             return everything

@@ -25,10 +25,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
+from taichi_bearings.dissection import Part, dissected, restricted
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, length, row_sum
 from taichi_bearings.proof.listed import Listed, across, signs
+from taichi_bearings.proof.rounded_elimination import REGION_UNKNOWNS
 from taichi_bearings.proof.slices import nothing, slices
 from taichi_bearings.scene.law import Law
 
@@ -40,7 +43,8 @@ class JudgedNetwork:
     law : the contact law.
     count : R.
     free : (n,) mask of the spheres that are not driven.
-    speed_unit, force_unit : powers of two; on lattices the unit of speed is one times the radius.
+    speed_unit : a power of two; on lattices one times the radius.
+    force_unit : (R,), powers of two.
     spin : u by component, C enclosures (n,), on lattices with the sign s.
     moment : n x F by component, C enclosures (m,), 0 where nothing acts.
     holding, slope : mu F_n and eta, enclosures (m,), 0 where a law has none.
@@ -54,7 +58,7 @@ class JudgedNetwork:
     count: int
     free: np.ndarray
     speed_unit: float
-    force_unit: float
+    force_unit: np.ndarray
     spin: list[Enclosure]
     moment: list[Enclosure]
     holding: Enclosure
@@ -65,7 +69,8 @@ class JudgedNetwork:
     factors: tuple[np.ndarray, ...] = ()
 
     @property
-    def power_unit(self) -> float:
+    def power_unit(self) -> np.ndarray:
+        """(R,), the unit of power of each sample."""
         return self.speed_unit * self.force_unit
 
     @property
@@ -133,8 +138,24 @@ class JudgedNetwork:
         not mix."""
         return self.counts & self.slips_with
 
+    @cached_property
+    def division(self) -> list[Part]:
+        """The spheres in parts, by nested dissection of the contacts that act between free ones."""
+        first, second = self.graph.contact[:, self.acts]
+        inner, count = self.free[first] & self.free[second], len(self.free)
+        ends = np.append(first[inner], second[inner]), np.append(second[inner], first[inner])
+        graph = sparse.csr_array((np.ones(2 * int(inner.sum())), ends), shape=(count, count))
+        return dissected(graph, self.graph.place.T, REGION_UNKNOWNS // len(self.spin))
+
+    def parts_of(self, sphere: np.ndarray) -> list[Part]:
+        """The parts in which n unknowns are eliminated that only contacts couple. sphere : (n,), that of each one."""
+        return restricted(self.division, sphere, REGION_UNKNOWNS)
+
     def some(self, pick: slice) -> JudgedNetwork:
         """The network of the samples in the slice `pick` alone."""
+
+        if len(range(*pick.indices(self.count))) == self.count:
+            return self
 
         def of(values: np.ndarray) -> np.ndarray:
             return values.reshape(self.count, -1)[pick].reshape(-1)
@@ -151,7 +172,8 @@ class JudgedNetwork:
             holding=part(self.holding),
             slope=part(self.slope),
             imposed=list(map(part, self.imposed)),
-            graph=self.graph.some(pick),
+            force_unit=self.force_unit[pick],
+            graph=self.graph.some(pick, self.count),
             rolling=None if self.rolling is None else of(self.rolling),
             factors=tuple(map(of, self.factors)),
         )

@@ -21,11 +21,11 @@ from taichi_bearings.scene.solution import SLIPLESS
 class Judgement:
     """What spins and friction of a scene prove, in energy/time, speeds and forces; bounds are rounded outwards.
 
-    scene : a lattice with R samples, or a packing (R = 1).
+    scene : a lattice or a packing with R samples. In those of a packing the same contacts must act.
     spin, spin_rounding : in the laboratory frame, (R, *N, 3), of discs (R, *N), 1/time; the spin is the sum of the two.
     friction : on the second sphere of each contact, (R, E, 3); of discs (R, E), the component along z x n.
 
-    Arrays of a packing may come without the axis R.
+    Arrays of a single sample of a packing may come without the axis R.
     """
 
     scene: Bearing
@@ -79,15 +79,18 @@ class Judgement:
     def limit(self) -> np.ndarray:
         """(R, E), the largest friction of each contact, force; for laws without friction its damping, force * time /
         length."""
-        return self._by_sample(self.network.holding.value * self.force_unit) if self.law.holds else self.damping
+        if not self.law.holds:
+            return self.damping
+        return self._by_sample(self.network.holding.value) * self.force_unit[:, None]
 
     @property
     def damping(self) -> np.ndarray:
         """(R, E), damping of each contact, force * time / length; 0 for friction alone."""
-        return self._by_sample(self.network.slope.value * (self.force_unit / self.network.speed_unit))
+        return self._by_sample(self.network.slope.value) * (self.force_unit / self.network.speed_unit)[:, None]
 
     @property
-    def force_unit(self) -> float:
+    def force_unit(self) -> np.ndarray:
+        """(R,), the unit of force of each sample, a power of two."""
         return self.network.force_unit
 
     @property
@@ -104,7 +107,7 @@ class Judgement:
     @property
     def friction_size(self) -> np.ndarray:
         """(R, E), size of the stored friction, force."""
-        return self._by_sample(np.linalg.norm(self.network.graph.friction, axis=1)) * self.force_unit
+        return self._by_sample(np.linalg.norm(self.network.graph.friction, axis=1)) * self.force_unit[:, None]
 
     @cached_property
     def slipless(self) -> np.ndarray:
@@ -177,9 +180,9 @@ class Judgement:
         viscosity the potential; to the nearest doubles."""
         return self._of_spins(0.5, self.network.power_unit * self.law.share)
 
-    def _of_spins(self, of_slope: float, unit: float) -> np.ndarray:
-        """(R,), friction times slip plus `of_slope` times damping times the squared slip, in the given unit; infinite
-        for spins that are impossible, 0 at rest."""
+    def _of_spins(self, of_slope: float, unit: np.ndarray) -> np.ndarray:
+        """(R,), friction times slip plus `of_slope` times damping times the squared slip, in units (R,); infinite for
+        spins that are impossible, 0 at rest."""
         taken = np.where(np.isinf(self.bounds.upper), np.inf, self.network.dissipated(of_slope).value * unit)
         return np.where(self.at_rest, 0.0, taken)
 
@@ -200,9 +203,9 @@ class Judgement:
         return gap
 
     @property
-    def proof(self) -> str:
-        """The words that say for which spins the lower bound is proven."""
-        return PROVEN if self.slipless.all() else self.bounds.proof
+    def proof(self) -> np.ndarray:
+        """(R,), the words that say for which spins the lower bound is proven."""
+        return np.where(self.slipless, PROVEN, PROVEN if self.slipless.all() else self.bounds.proof)
 
     @property
     def largest_torque(self) -> np.ndarray:
@@ -212,15 +215,15 @@ class Judgement:
         return rounded_out(self.bounds.largest_torque, self.force_unit * radius, np.inf)
 
     @property
-    def driven_power(self) -> float:
-        """Power that contacts between driven spheres of a packing dissipate, energy/time."""
+    def driven_power(self) -> np.ndarray:
+        """(R,), the power that contacts between driven spheres of a packing dissipate, energy/time."""
         between = ~self.network.free[self.network.graph.contact].any(axis=0)
-        return float(self.network.dissipated(1.0, between).value[0] * self.network.power_unit)
+        return np.asarray(self.network.dissipated(1.0, between).value * self.network.power_unit)
 
 
-def rounded_out(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
-    """Values times a unit, rounded towards `towards`, an infinity: by two units in the last place, as the unit and the
-    product are each rounded once. 0 stays 0, and a power of two rounds only tiny numbers."""
+def rounded_out(values: np.ndarray, unit: np.ndarray, towards: float) -> np.ndarray:
+    """Values (R,) times their units (R,), rounded towards `towards`, an infinity: by two units in the last place, as
+    the unit and the product are each rounded once. 0 stays 0, and a power of two rounds only tiny numbers."""
     found = values * unit
     for _ in range(2):
         inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)

@@ -13,6 +13,7 @@ import numpy as np
 
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, joined, length
+from taichi_bearings.scene.network import Network
 
 
 class Listed:
@@ -27,6 +28,20 @@ class Listed:
     def __init__(self, place: np.ndarray, contact: np.ndarray, normal: np.ndarray, friction: np.ndarray) -> None:
         """Take place (n, D), and of the contacts their spheres (2, m), normals (m, D) and friction F (m, C)."""
         self._arrays = place, contact, normal, friction
+
+    @classmethod
+    def of_samples(cls, network: Network, friction: np.ndarray) -> Listed:
+        """The contacts of R samples on one network of N spheres. friction : (R, E, C)."""
+        count, contacts, components = friction.shape
+        if count == 1:
+            return cls(network.center, network.contact, network.normal, friction[0])
+        first = np.repeat(np.arange(count) * network.spheres, contacts)  # number of the first sphere of each sample
+        return cls(
+            np.tile(network.center, (count, 1)),
+            np.tile(network.contact, count) + first,
+            np.tile(network.normal, (count, 1)),
+            friction.reshape(-1, components),
+        )
 
     @property
     def place(self) -> np.ndarray:
@@ -48,10 +63,15 @@ class Listed:
         """(m, C), friction F on the second sphere of each contact."""
         return self._arrays[3]
 
-    def some(self, pick: slice) -> Listed:
-        """The contacts of the samples in the slice `pick`: all of them, as contacts in lists belong to one sample."""
-        assert pick.indices(1)[:2] == (0, 1)
-        return self
+    def some(self, pick: slice, count: int) -> Listed:
+        """The contacts of the samples in the slice `pick` alone. count : R, with which the slice is taken."""
+        begin, end, _ = pick.indices(count)
+        if (begin, end) == (0, count):
+            return self
+        spheres, contacts = (len(of) // count for of in (self.place, self.normal))
+        of_spheres, of_contacts = slice(begin * spheres, end * spheres), slice(begin * contacts, end * contacts)
+        ends = self.contact[:, of_contacts] - begin * spheres
+        return Listed(self.place[of_spheres], ends, self.normal[of_contacts], self.friction[of_contacts])
 
     def any_end(self, mask: np.ndarray) -> np.ndarray:
         """(m,) mask, true where the mask (n,) is true of either sphere."""

@@ -52,6 +52,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.dissection import Part
 from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.curvature import Form
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
@@ -211,6 +212,11 @@ class Near:
         """Positions (3, n) of the spheres to which the n unknown spin components belong."""
         return np.asarray(self.network.graph.place[np.nonzero(self.number >= 0)[0]].T)
 
+    @cached_property
+    def parts(self) -> list[Part]:
+        """The parts in which the unknowns are eliminated."""
+        return self.network.parts_of(np.nonzero(self.number >= 0)[0])
+
     def curvature(self, firmness: float = 1.0) -> Form | None:
         """Return the curvature of the potential at these spins, as a quadratic form |B x|^2 of the changes x of the n
         unknowns, with springs at resting contacts; None if some unknown changes no slip.
@@ -242,7 +248,7 @@ class Near:
         rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ self.rows)
         # Rounding of an entry: slip, cross product, division, root, sum of three products: fewer than 32 operations.
         doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
-        return Form.of(rows, sparse.csr_array(doubt), self.place)
+        return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts)
 
     def improved(self) -> Near:
         """Return spins closer to the minimum among spins at which the resting contacts rest, by Newton's method. Its
@@ -252,7 +258,7 @@ class Near:
         # The slips of resting contacts are fixed @ spins. A motion is split into one in which these are 0 and another
         # one, by the factorised matrix fixed^T fixed.
         fixed = sparse.csr_array(self.rows[self.rows_of(self.resting)])
-        factor = Elimination.of((fixed.T @ fixed).tocsc(), self.place).factorised(SOFT)
+        factor = Elimination.of((fixed.T @ fixed).tocsc(), self.place, self.parts).factorised(SOFT)
         soft = None if curvature is None else curvature.elimination.factorised()
         if curvature is None or factor is None or soft is None:
             return self

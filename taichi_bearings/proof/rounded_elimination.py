@@ -26,11 +26,15 @@ from scipy import sparse
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpstrf
 
-from taichi_bearings.dissection import dissected
+from taichi_bearings.dissection import Part, dissected
 from taichi_bearings.proof.enclosure import UP
 
 EPS = np.finfo(np.float64).eps
 REGION_UNKNOWNS = 150  # number of unknowns up to which a region is not divided
+MOST_RUNS = 12  # groups of rows that follow each other, up to which an update is added group by group
+Columns = tuple[np.ndarray, np.ndarray]
+"""Columns of the factor for the own unknowns of a front: their rows (own, own), and those of its border (border,
+own)."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +72,13 @@ class Elimination:
     fronts: list[Front]
 
     @classmethod
-    def of(cls, matrix: sparse.csc_array, place: np.ndarray) -> Elimination:
-        """Order the unknowns of a matrix and find the fronts. place : (d, n), position of each unknown in d dimensions,
-        by which nested dissection divides them."""
-        parts = dissected(matrix, place, REGION_UNKNOWNS)
+    def of(cls, matrix: sparse.csc_array, place: np.ndarray, parts: list[Part] | None = None) -> Elimination:
+        """Order the unknowns of a matrix and find the fronts.
+
+        place : (d, n), position of each unknown in d dimensions, by which nested dissection divides them.
+        parts : the unknowns in parts that are eliminated one after the other; None to divide the graph of the matrix.
+        """
+        parts = dissected(matrix, place, REGION_UNKNOWNS) if parts is None else parts
         order = np.concatenate([part.nodes for part in parts])
         lower = sparse.csc_array(sparse.tril(matrix[order][:, order], format="csc"))
         fronts: list[Front] = []
@@ -95,9 +102,9 @@ class Elimination:
 
     def columns(
         self, shift: float, least: float = 0.0, held: np.ndarray | None = None
-    ) -> Iterator[tuple[Front, np.ndarray | None]]:
-        """Yield each front with its columns (own + border, own) of the factor of the matrix less `shift` times the
-        identity; yield None for the columns, and end, where a pivot is not positive.
+    ) -> Iterator[tuple[Front, Columns | None]]:
+        """Yield each front with its columns of the factor of the matrix less `shift` times the identity; yield None for
+        the columns, and end, where a pivot is not positive.
 
         held : (n,), filled in place with a mask, in the order of elimination, of unknowns that leave no pivot above
             `least`: these are taken out of the matrix, as if held at 0. None: no unknown is taken out.
@@ -105,37 +112,46 @@ class Elimination:
         updates: dict[int, np.ndarray] = {}
         local = np.empty(self.size, dtype=np.int64)
         for number, front in enumerate(self.fronts):
-            own, places = front.own, front.places
+            places = front.places
             local[places] = np.arange(len(places))
-            whole = self._assembled(front, local, shift)
+            pivots, below, rest = self._assembled(front, local, shift)
             # Add the updates of the children, eliminate the own unknowns, and leave the update for the parent.
             for child in front.children:
-                _add_at(whole.T, local[self.fronts[child].border], updates.pop(child).T)
+                at, update = local[self.fronts[child].border], updates.pop(child)
+                own = np.searchsorted(at, front.own)
+                _add_at(pivots, at[:own], at[:own], update[:own, :own])
+                _add_at(below, at[own:] - front.own, at[:own], update[own:, :own])
+                _add_at(rest, at[own:] - front.own, at[own:] - front.own, update[own:, own:])
             if held is not None:
-                _, order, rank, _ = dpstrf(whole[:own, :own], tol=least, lower=True)
+                _, order, rank, _ = dpstrf(pivots, tol=least, lower=True)
                 out = order[rank:] - 1
-                whole[out], whole[:, out], whole[out, out], held[front.first + out] = 0.0, 0.0, 1.0, True
-            factor, fault = dpotrf(whole[:own, :own], lower=True)
+                pivots[out], pivots[:, out], pivots[out, out], below[:, out] = 0.0, 0.0, 1.0, 0.0
+                held[front.first + out] = True
+            pivots, fault = dpotrf(pivots, lower=True, overwrite_a=True)
             if fault:
                 yield front, None
                 return
-            below, rest = whole[own:, :own], whole[own:, own:]
             if below.size:
-                below = dtrsm(1.0, factor, below, side=1, lower=1, trans_a=1)
-                rest = dsyrk(-1.0, below, 1.0, rest, lower=1)
+                below = dtrsm(1.0, pivots, below, side=1, lower=1, trans_a=1, overwrite_b=True)
+                rest = dsyrk(-1.0, below, 1.0, rest, lower=1, overwrite_c=True)
             updates[number] = rest
-            del whole, rest
-            yield front, np.concatenate([factor, below])
+            yield front, (pivots, below)
 
-    def _assembled(self, front: Front, local: np.ndarray, shift: float) -> np.ndarray:
-        """Return a dense matrix over all places of a front, with the matrix entries of its own columns, less the shift
-        on their diagonal. local : (n,), row within the front of each place in the order of elimination."""
+    def _assembled(self, front: Front, local: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the lower triangle of a dense matrix over all places of a front in three blocks: own by own, border by
+        own and border by border. It has the matrix entries of its own columns, less the shift on their diagonal. local
+        : (n,), row within the front of each place in the order of elimination."""
         begin = self.lower.indptr[front.first : front.first + front.own + 1]
-        at, own = slice(begin[0], begin[-1]), np.arange(front.own)
-        whole = np.zeros((len(front.border) + front.own,) * 2, order="F")
-        whole[local[self.lower.indices[at]], np.repeat(own, np.diff(begin))] = self.lower.data[at]
-        whole[own, own] -= shift
-        return whole
+        at, own, border = slice(begin[0], begin[-1]), np.arange(front.own), len(front.border)
+        pivots, below, rest = (
+            np.zeros(shape, order="F") for shape in ((front.own, front.own), (border, front.own), (border, border))
+        )
+        row, column, value = local[self.lower.indices[at]], np.repeat(own, np.diff(begin)), self.lower.data[at]
+        inside = row < front.own
+        pivots[row[inside], column[inside]] = value[inside]
+        below[row[~inside] - front.own, column[~inside]] = value[~inside]
+        pivots[own, own] -= shift
+        return pivots, below, rest
 
     def distance_from_positive(self, shift: float) -> float | None:
         """Return a bound on the distance, in the spectral norm, between the matrix less `shift` times the identity and
@@ -156,8 +172,10 @@ class Elimination:
         for front, columns in self.columns(shift):
             if columns is None:
                 return None
-            sizes, places = abs(columns), front.places
-            total[places] += sizes @ (root[places] @ sizes)
+            sizes, own = [np.abs(part) for part in columns], slice(front.first, front.first + front.own)
+            carried = root[own] @ sizes[0] + root[front.border] @ sizes[1]
+            total[own] += sizes[0] @ carried
+            total[front.border] += sizes[1] @ carried
         return float((root * total).max(initial=0.0)) * UP
 
     def dependent(self, least: float) -> np.ndarray:
@@ -193,12 +211,21 @@ def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
         raise RuntimeError("the order of elimination leaves something out")
 
 
-def _add_at(whole: np.ndarray, places: np.ndarray, part: np.ndarray) -> None:
-    """Add `part` (k, k) to the entries of `whole` at rows and columns `places` (k,), in place. It is done by whole
-    rows, which takes a third of the time."""
-    rows = np.zeros((len(part), len(whole)))
-    rows[:, places] = part
-    whole[places] += rows
+def _add_at(whole: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: np.ndarray) -> None:
+    """Add `part` (p, q) to the entries of `whole` in `rows` (p,), ascending, and `columns` (q,), in place; both are in
+    Fortran order. Rows that follow each other are added together, as this takes a third of the time."""
+    if not part.size:
+        return
+    ends = np.append(np.flatnonzero(np.diff(rows) > 1) + 1, len(rows)).tolist()
+    if len(ends) <= MOST_RUNS:
+        begin = 0
+        for end in ends:
+            whole.T[:, rows[begin] : rows[end - 1] + 1][columns] += part.T[:, begin:end]
+            begin = end
+        return
+    wide = np.zeros((len(columns), len(whole)))
+    wide[:, rows] = part.T
+    whole.T[columns] += wide
 
 
 @dataclass(frozen=True)
@@ -206,19 +233,19 @@ class Factor:
     """The factor L of an elimination: the columns of each front, and the order (n,) of elimination."""
 
     order: np.ndarray
-    columns: list[tuple[Front, np.ndarray]]
+    columns: list[tuple[Front, Columns]]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Return the solution of L L^T x = right, in the original order of unknowns. right : (n,), or (n, m) for m
         right-hand sides."""
         x, own = right.reshape(len(right), -1)[self.order], [slice(f.first, f.first + f.own) for f, _ in self.columns]
         # Forward with L, then backward with its transpose.
-        for (front, block), at in zip(self.columns, own, strict=True):
-            x[at] = dtrsm(1.0, block[: front.own], x[at], lower=1)
-            x[front.border] -= block[front.own :] @ x[at]
-        for (front, block), at in zip(reversed(self.columns), reversed(own), strict=True):
-            x[at] -= block[front.own :].T @ x[front.border]
-            x[at] = dtrsm(1.0, block[: front.own], x[at], lower=1, trans_a=1)
+        for (front, (pivots, below)), at in zip(self.columns, own, strict=True):
+            x[at] = dtrsm(1.0, pivots, x[at], lower=1)
+            x[front.border] -= below @ x[at]
+        for (front, (pivots, below)), at in zip(reversed(self.columns), reversed(own), strict=True):
+            x[at] -= below.T @ x[front.border]
+            x[at] = dtrsm(1.0, pivots, x[at], lower=1, trans_a=1)
         found = np.empty_like(x)
         found[self.order] = x
         return found.reshape(right.shape)

@@ -34,8 +34,8 @@ class Grid(Listed):
         """Take the samples whose contacts these are."""
         self.samples = samples
 
-    def some(self, pick: slice) -> Grid:
-        """Return the contacts of the samples in the slice `pick` alone."""
+    def some(self, pick: slice, count: int) -> Grid:
+        """Return the contacts of the samples in the slice `pick` alone. count : R, with which the slice is taken."""
         return Grid(self.samples.some(pick) if self.samples.count > 1 else self.samples)
 
     @cached_property

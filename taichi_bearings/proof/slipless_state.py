@@ -35,11 +35,10 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
     if network.graph.layered:
         return _of_layers(network)
     if not network.counts.any():
-        return np.ones(1, dtype=bool)
+        return np.ones(network.count, dtype=bool)
     if not imposed_exactly(network):
-        return np.zeros(1, dtype=bool)
-    found = _rolls_exactly(network) if network.mixes else not network.needed
-    return np.array([found])
+        return np.zeros(network.count, dtype=bool)
+    return _roll_exactly(network) if network.mixes else np.full(network.count, not network.needed)
 
 
 def _of_layers(network: JudgedNetwork) -> np.ndarray:
@@ -59,13 +58,19 @@ def imposed_exactly(network: JudgedNetwork) -> bool:
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
+def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
+    """(R,) mask of the samples for which case 3 is proven; tried only where the given spins are nearly such a state."""
+    nearly = ~network.counts | (network.slip.most <= NEARLY_NONE * network.box.max(initial=0.0))
+    found = nearly.reshape(network.count, -1).all(axis=1)
+    for number in np.flatnonzero(found).tolist():
+        found[number] = _rolls_exactly(network.some(slice(number, number + 1)))
+    return found
+
+
 def _rolls_exactly(network: JudgedNetwork) -> bool:
-    """True if case 3 is proven; tried only where the given spins are nearly such a state."""
+    """True if case 3 is proven for the one sample of a network."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
-    fastest = network.box.max(initial=0.0)
-    if not (network.slip.most[network.counts] <= NEARLY_NONE * fastest).all():
-        return False
     # Leave out spheres that can make any slips, then contacts that exact motions let roll; try the other parts in
     # fractions.
     left = replace(network, rolling=rolling(network))

@@ -35,12 +35,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.dissection import Part, dissected, restricted
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import Form, proven_floor
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
-from taichi_bearings.proof.rounded_elimination import EPS, Elimination
+from taichi_bearings.proof.rounded_elimination import EPS, REGION_UNKNOWNS, Elimination
 
 # How the springs are solved for; the torques that are left over are computed anew, so nothing depends on it.
 ROUNDS, SHIFT = 2, -1e-13  # number of solves; minus what is added to the diagonal, so that pivots stay positive
@@ -124,7 +125,8 @@ def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, 
     rows.eliminate_zeros()
     # Entries are rounded by the weight, its root and the products: some five times, with 16 allowed for.
     doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
-    return Form.of(rows, doubt, network.graph.place[np.nonzero(number >= 0)[0]].T)
+    sphere = np.nonzero(number >= 0)[0]
+    return Form.of(rows, doubt, network.graph.place[sphere].T, parts=network.parts_of(sphere))
 
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
@@ -180,9 +182,23 @@ def floor_of_slips(
     if columns.shape[1] > columns.shape[0] or (np.bincount(columns.indices, minlength=columns.shape[1]) == 0).any():
         return None
     place = network.graph.place[network.graph.contact[0, chosen % count]].T
-    elimination = Elimination.of((columns.T @ columns).tocsc(), place)
+    parts = _parts_of_slips(network, np.asarray((number >= 0).any(axis=1)), chosen % count)
+    elimination = Elimination.of((columns.T @ columns).tocsc(), place, parts)
     with np.errstate(all="ignore"):
         return proven_floor(columns, rounding_of(columns), elimination, sharp)
+
+
+def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarray) -> list[Part]:
+    """Return the parts in which slips are eliminated, by nested dissection of the contacts; moving spheres join these.
+
+    moves : (N,) mask of the spheres that move. contact : (n,), the contact of each slip.
+    """
+    own, node = np.unique(contact, return_inverse=True)
+    ends = network.graph.contact[:, own]
+    at = np.nonzero(moves[ends])
+    touches = sparse.csr_array((np.ones(len(at[0])), (ends[at], at[1])), shape=(len(moves), len(own)))
+    place = network.graph.place[ends[0]].T
+    return restricted(dissected(touches.T @ touches, place, REGION_UNKNOWNS // 2), node, REGION_UNKNOWNS)
 
 
 def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
@@ -194,20 +210,17 @@ def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
     """Return the matrix (3 E, n) that gives the slips (u_i + u_j) x n of E contacts from n unknown spins, exactly:
     first the x components of all contacts, then y, then z. Here u is spin times radius, n the normal. Rows of contacts
     that cannot dissipate are 0. number : (N, 3), column of each component of u, -1 for what is no unknown."""
-    count, turned = len(network.graph.normal), [(1, 2), (2, 0), (0, 1)]
-    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
-    for end in network.graph.contact:
-        for k, (a, b) in enumerate(turned):
-            for own, value in (
-                (number[end, a], network.graph.normal[:, b]),
-                (number[end, b], -network.graph.normal[:, a]),
-            ):
-                there = (own >= 0) & network.counts
-                rows.append(k * count + np.flatnonzero(there))
-                columns.append(own[there])
-                values.append(value[there])
-    at = np.concatenate(rows), np.concatenate(columns)
-    return sparse.csr_array((np.concatenate(values), at), shape=(3 * count, int(number.max(initial=-1)) + 1))
+    # Component k of u x n is u_a n_b - u_b n_a; four entries a row, for a and for b of either sphere.
+    a, b, normal = [1, 2, 0], [2, 0, 1], network.graph.normal
+    ends = number[network.graph.contact]
+    column = np.concatenate([ends[..., a], ends[..., b]]).transpose(2, 1, 0)
+    value = np.stack([normal[:, b], -normal[:, a]])[[0, 0, 1, 1]].transpose(2, 1, 0)
+    there = (column >= 0) & network.counts[:, None]
+    begin = np.append(0, np.cumsum(there.sum(axis=2)))
+    shape = (3 * len(normal), int(number.max(initial=-1)) + 1)
+    found = sparse.csr_array((value[there], column[there], begin), shape=shape)
+    found.sort_indices()
+    return found
 
 
 def turning_freely(network: JudgedNetwork) -> np.ndarray:

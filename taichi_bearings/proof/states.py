@@ -88,10 +88,12 @@ class States:
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
     """Contact states at every minimum, sample by sample, from the bounds on the power."""
+    if bounds.alone:
+        return [states for one in bounds.alone for states in proven_states(one)]
     network, layered = bounds.network, bounds.network.graph.layered
     # Contacts that do not count, or are in samples without any potential, rest.
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
-    if bounds.proof != PROVEN:
+    if (bounds.proof != PROVEN).any():
         found = _nothing(network, "the bound is proven of some spins alone")
     # Which theorem applies depends on damping, on whether components mix, and on how many are needed.
     elif network.law.flows:
@@ -100,7 +102,7 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
         near = _enclosed_minimum(bounds) if network.mixes and network.law.holds else None
         found = _with_damping(bounds, found) if near is None else _enclosed(network, near)
-        found = found if layered else [_with_parts_at_rest(bounds, far, *found)]
+        found = found if layered else _with_parts_at_rest(bounds, far, found)
     elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
         found = _enclosed(network, near)
     elif network.mixes:
@@ -266,12 +268,7 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
     be ties."""
     count = network.count
     if not network.graph.layered:
-        slip, fastest = network.slip.value, network.box.max()
-        still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
-        known = _by_domains(network, still)  # first as if spins were known in twice the precision
-        if isinstance(known, str) and (nearly != still).any():
-            known = _by_domains(network, nearly)
-        return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
+        return _by_tiny_slips(network)
     if count == 1:
         return [_with_ties(network)]
     if _repeats(network):
@@ -281,8 +278,26 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
             _near(network.motion, Slipping.of(network.motion)), tuple
         ):
             return _samples(network, _as_stored(network.motion), "", True)
-        parts = [network.some(slice(None, count // 2)), network.some(slice(count // 2, None))]
+        parts = _halves(network)
     return [states for part in parts for states in _by_curvature(part)]
+
+
+def _halves(network: JudgedNetwork) -> list[JudgedNetwork]:
+    """The first and the second half of the samples of a network."""
+    return [network.some(slice(None, network.count // 2)), network.some(slice(network.count // 2, None))]
+
+
+def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
+    """States of samples of a packing by steps 1 to 3 of the module docstring, where contacts that hardly slip are taken
+    to rest. Samples are proven all at once, or else half by half."""
+    slip, fastest = network.slip.value, network.box.max()
+    still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
+    known = _by_domains(network, still)  # first as if spins were known in twice the precision
+    if isinstance(known, str) and network.count > 1:
+        return [states for half in _halves(network) for states in _by_tiny_slips(half)]
+    if isinstance(known, str) and (nearly != still).any():
+        known = _by_domains(network, nearly)
+    return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
 
 
 def _with_ties(network: JudgedNetwork) -> States:
@@ -310,22 +325,21 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     told = []
     for number, (own, states) in enumerate(zip(rests.reshape(count, -1), known, strict=True)):
         found: np.ndarray | str = ""
-        if count == 1 and not unclear.any():
-            found = _by_domains(network, own)
-        elif network.graph.layered and not unclear.reshape(count, -1)[number].any():
+        if not unclear.reshape(count, -1)[number].any():
             found = _by_domains(network.some(slice(number, number + 1)), own)
         told.append(states if isinstance(found, str) else States(found, True))
     return told
 
 
-def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: States) -> States:
-    """The states `told` of a packing, with the contacts that resting.py or borne.py proves to rest. far : (E,), bound
-    on how far slips of minima are from the given ones."""
-    network = bounds.network
-    if not network.law.holds or not (network.counts & (told.known == UNDECIDED)).any():
+def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> list[States]:
+    """The states `told` of samples of a packing, with the contacts that resting.py or borne.py proves to rest. far :
+    (m,), bound on how far slips of minima are from the given ones."""
+    network, known = bounds.network, np.concatenate([states.known for states in told])
+    if not network.law.holds or not (network.counts & (known == UNDECIDED)).any():
         return told
     rests = _beside_loops(bounds, far) if network.mixes else at_rest(bounds, far)
-    return replace(told, known=np.where(rests, SLIPLESS, told.known))
+    known = np.where(rests, SLIPLESS, known).reshape(network.count, -1)
+    return [replace(states, known=own) for states, own in zip(told, known, strict=True)]
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:

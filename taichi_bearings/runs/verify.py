@@ -146,8 +146,8 @@ class Anew:
         ended[ended == Status.CERTIFIED] = Status.STALLED  # unless the gap is within the tolerance
         proven = stored.proven & are_proven(stored.state, self.known)
         said = {
-            "proof": [one.proof for one in self.judgements],
-            "driven_power": [o.driven_power for o in self.judgements],
+            "proof": self.of("proof"),
+            "driven_power": self.of("driven_power"),
         }
         follows_motion = scene.network.lattice is not None and "time" in stored.history
         found = replace(
@@ -160,7 +160,7 @@ class Anew:
             gap=self.of("gap"),
             proven=proven,
             largest_balance_residual=stored.largest_balance_residual if follows_motion else self.of("largest_torque"),
-            findings={**stored.findings, **{name: np.array(v) for name, v in said.items() if name in stored.findings}},
+            findings={**stored.findings, **{name: v for name, v in said.items() if name in stored.findings}},
             own={**stored.own, "status": ended},
         )
         with_torque = self.run.asked.torque
@@ -174,7 +174,7 @@ class Anew:
         """What is proven, by name; lists if there are several samples."""
         several = self.run.solution.scene.replicas > 1
         found = self._of_samples if self.judgements else self._nothing
-        proof = " ".join(dict.fromkeys(one.proof for one in self.judgements)) or None
+        proof = " ".join(dict.fromkeys(self.of("proof").tolist())) or None
         return {name: list(v) if several else v[0] for name, v in found.items()} | {"proof": proof}
 
     @property

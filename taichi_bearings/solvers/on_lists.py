@@ -281,7 +281,7 @@ class OnLists(Contacts):
             found = Found(
                 np.zeros(system.unknowns), proof[:, 0, bounds.of_system], row.name, everywhere=last.staggered[:, 0].T
             )
-            result = judged(system, bounds.packing, found, stop.tolerance, row.is_dynamics)
+            (result,) = judged(system, [bounds.packing], [found], stop.tolerance, row.is_dynamics)
         force, observed, slip = result.force.copy(), result.state.copy(), result.slip[0]
         force[:, acting] = vector_length(last.force)
         loose = np.setdiff1d(acting, system.numbers)

@@ -87,13 +87,11 @@ def _solved(samples: Sequence[Packing], tolerance: float, method: str) -> list[S
     with one_thread():
         system = _system_of(samples[0])
         ends = _found(system, samples, method)
-        answers = []
-        for sample, end in zip(samples, ends, strict=True):
-            with stage("proving"):
-                found = judged(system, sample, end, tolerance)
+        with stage("proving"):
+            answers = judged(system, samples, ends, tolerance)
+        for number, (sample, found) in enumerate(zip(samples, answers, strict=True)):
             if found.method == "interior-point" and sample.law.is_rate_independent:
-                found = _without_contrast(system, sample, found, tolerance)
-            answers.append(found)
+                answers[number] = _without_contrast(system, sample, found, tolerance)
     seconds = (perf_counter() - begun) / len(samples)
     return [replace(found, seconds=seconds) for found in answers]
 
@@ -121,7 +119,7 @@ def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, 
         (end,) = _found(system, [packing], "interior-point", [(np.minimum(held, most),)])
         start = end.spins, np.zeros(system.unknowns) if end.rest is None else np.asarray(end.rest)
         spins, rounding = rolled(system, packing, start, capped)
-        other = judged(system, packing, replace(end, spins=spins, rest=rounding), tolerance)
+        (other,) = judged(system, [packing], [replace(end, spins=spins, rest=rounding)], tolerance)
         if not (other.gap[0] < found.gap[0] or other.power[0] < LESS_POWER * found.power[0]):
             break
         found = replace(other, iterations=found.iterations + other.iterations)
@@ -194,65 +192,92 @@ def _found(
     return [found[number] for number in range(len(samples))]
 
 
-def judged(system: ContactSystem, packing: Packing, found: Found, tolerance: float, moves: bool = False) -> Solution:
-    """Return what was found as an answer, with all that is proven of it.
+def judged(
+    system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found], tolerance: float, moves: bool = False
+) -> list[Solution]:
+    """Return what was found of each sample as an answer, with all that is proven of it.
 
     system : the contacts that take part.
-    packing : one sample.
-    found : spins and forces.
-    tolerance : relative gap at which the answer is certified.
-    moves : True if the spins are those of a motion and are kept. Otherwise they are replaced by the slipless state if
-        one is proven to exist.
+    samples : samples of one network, of which the same contacts take part; they are judged together.
+    found : spins and forces of each sample.
+    tolerance : relative gap at which an answer is certified.
+    moves : True if the spins are those of a motion and are kept. Otherwise they are replaced by the slipless state
+        where one is proven to exist.
     """
-    law, judgement = packing.law, judgement_of(system, packing, found)
-    if judgement.can_be_judged and judgement.slipless[0] and not moves and (judgement.network.slip.most > 0).any():
-        found = _without_slip(system, packing, found)
-        judgement = judgement_of(system, packing, found)
+    judgement = judgement_of(system, samples, found)
+    if judgement.can_be_judged and not moves and judgement.slipless.any():
+        slips = (judgement.network.slip.most > 0).reshape(len(samples), -1).any(axis=1)
+        if (replaced := judgement.slipless & slips).any():
+            pairs = zip(samples, found, replaced.tolist(), strict=True)
+            found = [_without_slip(system, one, of) if rests else of for one, of, rests in pairs]
+            judgement = judgement_of(system, samples, found)
     if not judgement.can_be_judged:
         raise InputError(
             "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
         )
-    spin, rounding = judgement.spin, judgement.spin_rounding
+    values = {name: getattr(judgement, name) for name in JUDGED}
+    return [
+        _answer(system, sample, of, {name: v[number : number + 1] for name, v in values.items()}, tolerance)
+        for number, (sample, of) in enumerate(zip(samples, found, strict=True))
+    ]
+
+
+JUDGED = (
+    "spin", "spin_rounding", "slip", "acts", "known", "power", "objective", "lower_bound", "gap", "largest_torque",
+    "proof", "driven_power",
+)  # fmt: skip
+"""What an answer takes from a judgement: arrays with one row for each sample."""
+
+
+def _answer(
+    system: ContactSystem, packing: Packing, found: Found, of: dict[str, np.ndarray], tolerance: float
+) -> Solution:
+    """Return the answer of one sample. of : the rows of the sample, by the names in JUDGED."""
+    law, slip = packing.law, of["slip"]
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
-    slip, observed = judgement.slip, np.where(judgement.acts, _states(system, packing, found, judgement), DRIVEN)
-    state, proven = decided(observed, judgement.known)
+    observed = np.where(of["acts"], _states(system, packing, found, slip[0], of["known"][0]), DRIVEN)
+    state, proven = decided(observed, of["known"])
     return Solution(
         scene=packing,
         method=found.method,
-        status=Status.CERTIFIED if judgement.gap[0] <= tolerance else Status.STALLED,
+        status=Status.CERTIFIED if of["gap"][0] <= tolerance else Status.STALLED,
         iterations=found.steps,
-        spin=spin[None],
-        spin_rounding=rounding[None],
+        spin=of["spin"],
+        spin_rounding=of["spin_rounding"],
         slip=slip,
         power_per_contact=law.power(packing.material, slip),
         force=force[None],
         friction=friction[None],
         state=state,
         proven=proven,
-        power=judgement.power,
-        objective=judgement.objective,
-        lower_bound=judgement.lower_bound,
-        gap=judgement.gap,
-        largest_balance_residual=judgement.largest_torque,
+        power=of["power"],
+        objective=of["objective"],
+        lower_bound=of["lower_bound"],
+        gap=of["gap"],
+        largest_balance_residual=of["largest_torque"],
         findings={
-            "proof": np.array([judgement.proof]),
-            "driven_power": np.array([judgement.driven_power]),
+            "proof": of["proof"],
+            "driven_power": of["driven_power"],
             "slipless_motions": np.array([system.motions], dtype=object),
         },
     )
 
 
-def judgement_of(system: ContactSystem, packing: Packing, found: Found) -> Judgement:
+def judgement_of(system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found]) -> Judgement:
     """Return what the spins and the forces that were found prove; numbers that are not finite count as 0.
 
     system : the contacts that take part.
-    packing : one sample.
+    samples : samples of one network, of which the same contacts take part.
+    found : spins and forces of each sample.
     """
-    u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
-    rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
-    spin, rounding = packing.spins_of((np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
-    friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))[1]
-    return Judgement(packing, spin, rounding, friction)
+    spins, friction = [], []
+    for packing, of in zip(samples, found, strict=True):
+        u = system.all_spins(of.spins) if of.everywhere is None else of.everywhere
+        rest = np.append(np.zeros(system.unknowns) if of.rest is None else of.rest, 0.0)[system.moved]
+        spins.append(packing.spins_of((np.nan_to_num(u, posinf=0.0, neginf=0.0), rest)))
+        friction.append(forces_of(system, np.nan_to_num(of.force, posinf=0.0, neginf=0.0))[1])
+    spin, rounding = (np.stack(parts) for parts in zip(*spins, strict=True))
+    return Judgement(Packing.together(samples), spin, rounding, np.stack(friction))
 
 
 def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:
@@ -279,9 +304,11 @@ def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.
     return size, vectors[:, 0] if network.dimension == 2 else np.cross(vectors, network.normal)
 
 
-def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Judgement) -> np.ndarray:
+def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the contact states (E contacts,) that slips and friction margins show, for contacts without a proven
     state.
+
+    slip : (E,), slip speeds. known : (E,), proven states, UNDECIDED where nothing is proven.
 
     A contact slips if it is fast and its friction is at the limit, is slipless if neither, and is undecided otherwise.
     Where the method has settled the states these are taken instead, if slip or margin (1 - force over friction limit)
@@ -294,7 +321,7 @@ def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Ju
     """
     law = packing.law
     fastest = float(np.abs(packing.driven_speed).max(initial=0.0))
-    held, slip = law.holding_force(system.of_contacts(packing)), judgement.slip[0]
+    held = law.holding_force(system.of_contacts(packing))
     if held is None or not held.any():
         return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)
     limit = np.asarray(law.holding_force(packing.material))[0]
@@ -307,7 +334,7 @@ def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Ju
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
     if found.open is not None:
         own[found.open] = UNDECIDED
-    unproven = judgement.known[0, system.contact] == UNDECIDED
+    unproven = known[system.contact] == UNDECIDED
     if not law.flows and (unproven & (own == SLIPPING)).any():
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own

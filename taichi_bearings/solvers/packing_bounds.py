@@ -45,7 +45,7 @@ class PackingBounds:
         spins, rest = rolled(
             system, self.packing, exactly(np.zeros(system.unknowns)), np.ones(len(system.numbers), dtype=bool)
         )
-        judgement = judgement_of(system, self.packing, Found(spins, np.zeros_like(system.offset), "", rest=rest))
+        judgement = judgement_of(system, [self.packing], [Found(spins, np.zeros_like(system.offset), "", rest=rest)])
         return judgement.slipless if judgement.can_be_judged else np.zeros(1, dtype=bool)
 
     def of(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:

@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 
 from taichi_bearings import dissection
-from taichi_bearings.dissection import dissected
+from taichi_bearings.dissection import dissected, restricted
 from taichi_bearings.proof import rounded_elimination as elimination
 from taichi_bearings.proof.rounded_elimination import Elimination
 
@@ -69,6 +69,23 @@ def test_what_is_dissected_is_joined_only_through_the_parts_above(seed):
         assert owner[a] in above[owner[b]] or owner[b] in above[owner[a]]
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_the_parts_of_some_nodes_of_a_divided_graph_are_a_division(seed):
+    """Some nodes are left out, and some stand for several; what parts keep apart is joined through parts above."""
+    matrix, place = scattered(seed)
+    node = np.sort(np.random.default_rng(seed).integers(0, 90, 110))
+    joined, of = matrix[node][:, node].tocsc(), restricted(dissected(matrix, place, 4), node, 6)
+    assert sorted(np.concatenate([part.nodes for part in of])) == list(range(len(node)))
+    assert all(len(part.nodes) for part in of)
+    size = [len(part.nodes) for part in of]
+    for number, part in enumerate(of):
+        size[number] += sum(size[child] for child in part.children)
+        assert size[number] > 6 or not part.children
+    whole = joined.toarray() + 0.1 * np.eye(len(node))  # copies of one node are alike
+    elimination, right = Elimination.of(sparse.csc_array(whole), place[:, node], of), np.arange(float(len(node)))
+    np.testing.assert_allclose(elimination.factorised().solve(right), np.linalg.solve(whole, right), atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_the_nodes_between_two_halves_are_as_many_as_edges_without_a_common_node(seed):
     """König's theorem; some edges are given twice, and some nodes have none."""
@@ -89,7 +106,7 @@ def test_the_factor_is_that_of_the_shifted_matrix(seed):
     factor = elimination.factorised(0.05)
     whole = np.zeros(shifted.shape)
     for front, columns in factor.columns:
-        whole[front.places, front.first : front.first + front.own] = columns
+        whole[front.places, front.first : front.first + front.own] = np.concatenate(columns)
     ordered = shifted[np.ix_(factor.order, factor.order)]
     np.testing.assert_allclose(np.tril(whole), np.linalg.cholesky(ordered), atol=1e-13)
     right = np.random.default_rng(seed).standard_normal(len(shifted))
