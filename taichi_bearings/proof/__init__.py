@@ -1,5 +1,9 @@
 """What is rigorously true of spins and friction: the problem, the theorems and their symbols, and where each is proven.
 
+The head of each file says what is proven there, with which symbols, in which steps, most with a small example. To begin
+with: bounds.py, then resting.py (a proof of one page), curvature.py, states.py. Proofs for normals in any direction are
+in oblique.py, exact_motions.py, loops.py and borne.py, those for many minima in tied_minima.py.
+
 The problem
 -----------
 Spheres at fixed places touch at contacts (i, j) with unit normals n from i to j. With u = R omega the surface of j
@@ -42,8 +46,9 @@ The theorems
    curvatures by rounded_elimination.py, with Higham's bound on the error of a factorisation]
 8. Parts at rest. Contacts that can all rest at once, and can bear what optimal friction elsewhere leaves to them, rest
    at every minimum. [resting.py; loops.py and borne.py where loops beside them cannot roll as normals are rounded]
-9. Ties. Where frictions cancel exactly, the minima are a polyhedron of motions y with t + y_b - y_a >= 0; its shortest
-   paths say which slips are 0 at some minima but not at all: such contacts are *tied*. [tied_minima.py]
+9. Ties. Where frictions cancel exactly, spheres a and b can move by y_a and y_b at no cost, as long as no slip t
+   between them turns backwards: t + y_b - y_a >= 0. Shortest paths say which slips are 0 at some minima but not at all:
+   such contacts are *tied*. [tied_minima.py]
 
 The entry point is Judgement(scene, spin, spin_rounding, friction) in judgement.py: it has the power, both bounds, their
 gap, and what is proven of the state of each contact at every minimum. certificate.py has theorem 1 in plain doubles
@@ -52,22 +57,27 @@ users have written.
 
 The words
 ---------
-===========  ===========================================================================================
-word         meaning
-===========  ===========================================================================================
-acts         a contact that has a coefficient and a free end
-part         spheres that contacts between free spheres join
-reached      a free sphere whose part touches driven spheres
-counts       a contact that acts at a reached sphere; no other contact dissipates at any minimum
-feels        a contact that counts and slips with a component of the spins
-rests        a contact that does not slip at any minimum, or is assumed not to
-still        a contact whose slip is exactly 0 in the stored spins
-domain       spheres that resting contacts join in a component, so that they turn as one
-room         what a contact has left of its friction: mu F_n less the size of F
-odd loop     a loop of an odd number of contacts: no signs differ across all of them
-components   do not mix if each contact slips with each component of the spins separately
-mix
-===========  ===========================================================================================
+===============  ============================================================================================
+word             meaning
+===============  ============================================================================================
+acts             a contact that has a coefficient and a free end
+part             spheres that contacts between free spheres join
+reached          a free sphere whose part touches driven spheres
+counts           a contact that acts at a reached sphere; no other contact dissipates at any minimum
+feels            a contact that counts and slips with a component of the spins
+rests            a contact that does not slip at any minimum, or is assumed not to
+still            a contact whose slip is exactly 0 in the stored spins
+at hand          the spins and the friction that are given, from which everything is proven
+law              says the friction of a contact from its slip y: mu F_n y / |y| + eta y
+lattice          spheres on sites; its normals are along the axes
+packing          spheres anywhere; its normals may have any direction (oblique)
+domain           spheres that resting contacts join in a component, so that they turn as one
+floor            a proven lower bound of eigenvalues or singular values
+margin, room     what a contact has left of its friction: mu F_n less the size of F
+signed spin      spin times +1 or -1, different for neighbours: where signed spins are equal nothing slips
+odd loop         a loop of an odd number of contacts: no signs differ across all of them
+components mix   they do not if each contact slips with each component of the spins separately
+===============  ============================================================================================
 
 The symbols
 -----------
