@@ -81,7 +81,7 @@ class ListSweeps(Sweeps):
         """Do one part of a sweep for one block: of contacts (part 0) or of spheres (part 1).
 
         values, blocks : all fields, flat, and the same memory in blocks.
-        tables, size : lists of the network, and lengths of rows, see the class.
+        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         number : number of the block.
         numbers : not used, as each copy of the network has constants of its own among `values`.
         sweep : number of the sweep.
@@ -91,7 +91,7 @@ class ListSweeps(Sweeps):
         place = self.sphere_rows * size[0] + self.contact_rows * size[1] + first // size[3 - part] * self.block
         own = [values[in_range(place + k * size[4])] for k in ti.static(range(COPY_NUMBERS))]
         if ti.static(part == 0):
-            across = load_each(values, self.on("across", size, first), self.block)
+            across = load_each(values, self.contact_places("across", size, first), self.block)
             self.at_contacts(values, blocks, tables, first, size, across, own)
         else:
             for c in ti.static(range(self.components)):
@@ -100,11 +100,11 @@ class ListSweeps(Sweeps):
                 self.at_spheres(values, blocks, c, pull, first, size, own, sweep)
 
     @ti.func
-    def on(self, name: ti.template(), size: ti.template(), first):
+    def contact_places(self, name: ti.template(), size: ti.template(), first):
         """Return a list of the indices at which the rows of a field of contacts hold the first number of a block.
 
         name : of the field.
-        size : lengths of rows, see the class.
+        size : lengths of the rows of numbers of spheres and of contacts.
         first : number of the block's first contact.
         """
         return places(self.rows[name], size[1], self.sphere_rows * size[0] + first)
@@ -119,7 +119,7 @@ class ListSweeps(Sweeps):
         values : all fields, flat.
         name : name of the field of spheres that holds u.
         across : unit tangents T, a list of the 6 components of both; not used for discs.
-        tables, size : lists of the network, and lengths of rows, see the class.
+        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first contact.
         """
         both = [zero(self.block) for _ in self.rows[name]]
@@ -170,7 +170,7 @@ class ListSweeps(Sweeps):
 
         values : all fields, flat.
         row : index at which the row of that component of T f begins.
-        tables, size : lists of the network, and lengths of rows, see the class.
+        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first sphere.
         """
         if ti.static(self.block == 1):
@@ -186,7 +186,7 @@ class ListSweeps(Sweeps):
 
         values : all fields, flat.
         row : index at which the row of that component of T f begins.
-        tables, size : lists of the network, and lengths of rows, see the class.
+        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         sphere : number of the sphere.
         """
         total, start = 0.0, self.measures + 2 * size[1]
@@ -218,26 +218,26 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         sum.
 
         values, blocks : all fields, flat, and the same memory in blocks.
-        tables, size : lists of the network, and lengths of rows, see `ListSweeps`.
+        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
         numbers : constants of the step, see `SpringsAndSpins.spring`.
         """
-        force = self.on("force", size, first)
+        force = self.contact_places("force", size, first)
         if ti.static(self.tally):
             speed = self.slip(values, "gear_0", across, tables, size, first)
             before = load_each(values, force, self.block)
-            work = self.on("work", size, first)
+            work = self.contact_places("work", size, first)
             total = load(values, work[0], self.block)
             if ti.static(self.components == 1):
                 total += before[0] * speed[0]
             else:
                 total += dot(across[:3], before) * speed[0] + dot(across[3:], before) * speed[1]
             store(values, blocks, work[0], self.block, total)
-        own = load_each(values, self.on("coefficients", size, first), self.block)
+        own = load_each(values, self.contact_places("coefficients", size, first), self.block)
         speed = self.slip(values, "predicted", across, tables, size, first)
         if ti.static(self.holds):
-            at = self.on("elongation", size, first)
+            at = self.contact_places("elongation", size, first)
             moved = self.slip(values, "integral", across, tables, size, first)
             new = self.spring(moved, speed, load_each(values, at, self.block), own, numbers)
             store_each(values, blocks, at, self.block, new[: self.tangents])
@@ -256,7 +256,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         c : number of the spin component.
         pull : force on each sphere by its contacts, this component.
         first : number of the block's first sphere.
-        size : lengths of rows, see `ListSweeps`.
+        size : lengths of the rows of numbers of spheres and of contacts.
         numbers : constants of the step, of which the one at place 7 is the response, time step * radius / inertia.
         sweep : not used.
         """
@@ -288,17 +288,17 @@ class DescentLists(ListSweeps):
         They are also added to the field `force_sum` if there is one and the constant numbers[8] is above 0.
 
         values, blocks : all fields, flat, and the same memory in blocks.
-        tables, size : lists of the network, and lengths of rows, see `ListSweeps`.
+        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
         numbers : constants of the sweep, of which the one at place 1 is the sharpness, see `DescentSweeps`.
         """
-        own = load_each(values, self.on("coefficients", size, first), self.block)
+        own = load_each(values, self.contact_places("coefficients", size, first), self.block)
         force = self.force_law(self.slip(values, "point", across, tables, size, first), own, numbers[1])
-        self.store_force(values, blocks, self.on("force", size, first), across, force)
+        self.store_force(values, blocks, self.contact_places("force", size, first), across, force)
         if ti.static(self.averages):  # noqa: SIM102 (Taichi needs the statement to drop the branch)
             if numbers[8] > 0.0:
-                self.sum_up(values, blocks, self.on("force_sum", size, first), force)
+                self.sum_up(values, blocks, self.contact_places("force_sum", size, first), force)
 
     @ti.func
     def at_spheres(
@@ -311,7 +311,7 @@ class DescentLists(ListSweeps):
         c : number of the spin component.
         pull : force on each sphere by its contacts, this component.
         first : number of the block's first sphere.
-        size : lengths of rows, see `ListSweeps`.
+        size : lengths of the rows of numbers of spheres and of contacts.
         numbers : constants of the sweep: the step at place 0, 1 at place 8 to add the spins to their sums, and at place
             9 how many sweeps were made before this launch since the momentum was last set to zero.
         sweep : number of the sweep within the launch.

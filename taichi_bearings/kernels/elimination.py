@@ -60,9 +60,11 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 
 @ti.func
 def sheets_before(tables: ti.template(), at, column):
-    """Return how many columns of the update stand in the panels before the one that holds a column.
+    """Return how many columns of the update of a front stand in the panels before the one that holds a column.
 
-    tables, at : integers of the layout, and where the row of the front begins among them.
+    The update is what the elimination leaves for later unknowns; its columns are stored in panels.
+
+    tables, at : integers that say where all entries stand, and where those of this front begin among them.
     column : number of a column of the front; below that of the first column of the update the result is 0.
     """
     before, width = 0, tables[SHEET]
@@ -73,10 +75,12 @@ def sheets_before(tables: ti.template(), at, column):
 
 @ti.func
 def column_of(tables: ti.template(), at, column):
-    """Return the index at which row 0 of a column of a front would stand; columns of the update are stored from the
-    diagonal.
+    """Return the index at which row 0 of a column of a front would stand; its update is stored from the diagonal on.
 
-    tables, at : integers of the layout, and where the row of the front begins among them.
+    A front is the dense matrix of some unknowns that are eliminated together; the update is what is left for later
+    ones.
+
+    tables, at : integers that say where all entries stand, and where those of this front begin among them.
     column : number of the column within the front, own columns first.
     """
     own, start = tables[at + OWN], tables[at + OWN_COLUMNS] + column * tables[at + HEIGHT]
@@ -95,9 +99,11 @@ def gather(
 ):  # fmt: skip
     """Fill some columns of a front with the entries of the matrix, and add the updates that its children leave.
 
+    A front is the dense matrix of some unknowns that are eliminated together; an update is what is left for later ones.
+
     alone : True for one matrix, False for LANES of them.
     unit : rows that make a vector; columns are cleared from a multiple of it on.
-    tables, at : integers of the layout, and where the row of the front begins among them.
+    tables, at : integers that say where all entries stand, and where those of this front begin among them.
     first, end : the columns first ... end-1 are filled.
     entries : entries of the matrix.
     numbers : entries of all fronts, which are read and written.
@@ -214,10 +220,13 @@ def panel(
     tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template(), j,
     wide: ti.template(),
 ):  # fmt: skip
-    """Eliminate `wide` columns of a front from j on if they are own columns, or subtract from them what the own columns
-    contribute if they belong to the update (what is left for the border). Either all are own, or none.
+    """Eliminate `wide` columns of a front from j on if they are own columns, else subtract from them what those
+    contribute.
 
-    tables, at : integers of the layout, and where the row of the front begins among them.
+    Own columns are those of unknowns that are eliminated in this front; the others belong to its update, which is left
+    for later unknowns. Either all `wide` columns are own, or none.
+
+    tables, at : integers that say where all entries stand, and where those of this front begin among them.
     numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
     j : number of the first of the columns.
     """
@@ -241,10 +250,10 @@ def panel(
 
 @ti.func
 def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
-    """Eliminate the own unknowns of a front, PANEL columns at a time, and compute its update, which is left for the
-    border.
+    """Eliminate the own unknowns of a front, PANEL columns at a time, and compute its update, which is left for later
+    ones.
 
-    tables, at : integers of the layout, and where the row of the front begins among them.
+    tables, at : integers that say where all entries stand, and where those of this front begin among them.
     numbers, vectors : entries of all fronts, one by one, and as vectors: the same array if each is a vector of LANES
         matrices; else `unit` rows of one matrix make a vector. What stands above the diagonal has no meaning.
     """
@@ -291,17 +300,21 @@ def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vector
 
 
 def _assembly(serial: bool) -> Callable:
-    """Return a kernel that fills fronts of one matrix. serial : on one thread, else on several."""
+    """Return a kernel that fills fronts (dense matrices of unknowns that are eliminated together) of one matrix.
+
+    serial : True to do so on one thread, False on several.
+    """
     chunk = 1 if serial else LEAST_CHUNK
 
     @ti.kernel
     def run(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, begin: int, end: int):
-        """Fill the columns of fronts that the items begin ... end-1 of the table of work name; each is a front, its
-        first column, and the end of its columns.
+        """Fill columns of fronts with entries of the matrix and with what their children leave.
 
-        tables : integers of the layout.
+        tables : integers that say where all entries stand. A table in it has items of work: front, first column, end of
+            columns.
         entries : entries of the matrix.
         numbers : entries of all fronts, which are written.
+        begin, end : the items begin ... end-1 are done.
         """
         if ti.static(serial):
             ti.loop_config(serialize=True)

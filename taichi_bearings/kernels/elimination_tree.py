@@ -33,13 +33,14 @@ def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, ma
 
 @ti.func
 def price(own, border, part, column, update):
-    """Return what the elimination of a front costs, in operations.
+    """Return what the elimination of a front costs, in operations. A front is a group of columns that are eliminated
+    together.
 
     It is the arithmetic, plus costs of handling that numerics/cholesky/tuning.py has measured.
 
     own, border : columns of the front, and rows below its diagonal block.
     part, column, update : cost in operations of a front, of each entry of its own columns, and of each entry of its
-        update.
+        update, which is what it leaves for later columns.
     """
     m, b = ti.cast(own, ti.f64), ti.cast(border, ti.f64)
     return m * (b * (b + m) + m * m / 3.0) + part + column * m * (m + b) + update * b * b / 2.0
@@ -50,10 +51,14 @@ def join(
     part: ti.f64, column: ti.f64, update: ti.f64, parent: INTEGERS, count: INTEGERS,
     home: INTEGERS, own: INTEGERS, child: INTEGERS, sibling: INTEGERS,
 ):  # fmt: skip
-    """Join each column with fronts below it in the tree, one after the other, where that makes the elimination cheaper.
+    """Join each column with fronts below it in the elimination tree, one by one, where that makes the elimination
+    cheaper.
 
-    part, column, update : costs, see :func:`price`.
-    parent, count : (n,), the tree and the lengths of the columns, see :func:`grow`.
+    A front is a group of columns that are eliminated together, as one dense matrix.
+
+    part, column, update : cost in operations of a front, of an entry of its columns, and of an entry that it leaves for
+        later columns, as :func:`price` takes them.
+    parent, count : (n,), the parent in the tree and the length of each column of the factor, from :func:`grow`.
     home : (n,) result: the last column of the front that each column is in.
     own, child, sibling : (n,) results, of use for last columns of fronts: columns in the front; last column of its
         first child; last column of the next child of its parent. -1 for none.

@@ -40,7 +40,10 @@ from taichi_bearings.kernels.team import LEAST_CHUNK
 def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
     """Solve for `wide` own unknowns of a front, and subtract their contribution from its later unknowns and its border.
 
-    numbers : the factor.
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
+    border.
+
+    numbers : the Cholesky factor.
     vector : right-hand sides, replaced by the solution.
     where : list of indices: in `numbers`, the first pivot, and the distance from one column to the next; in `vector`,
         the first of these unknowns, the end of the front's own ones, and the begin of what is left for the border; the
@@ -75,7 +78,10 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
 def backward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
     """Solve for `wide` own unknowns of a front, once its later unknowns and its border are known.
 
-    numbers : the factor.
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
+    border.
+
+    numbers : the Cholesky factor.
     vector : what the forward solve has left, replaced by the solution.
     where : indices as for `forward`.
     """
@@ -108,11 +114,14 @@ def down(
     alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template(),
     wide: ti.template(),
 ):  # fmt: skip
-    """Solve forward for one front, once its children are done.
+    """Solve forward for one front, once its children in the elimination tree are done.
+
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
+    border.
 
     alone : True for one matrix, False for LANES of them.
-    tables, at : integers of the layout, and where the row of the front begins among them.
-    numbers : the factor.
+    tables, at : integers that say where all entries stand, and where those of this front begin among them.
+    numbers : the Cholesky factor.
     vector : right-hand sides, replaced by the solution.
     wide : unknowns that are solved for at a time, which changes no bit of the result.
     """
@@ -143,10 +152,13 @@ def down(
 
 @ti.func
 def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
-    """Solve backward for one front, once its parent is done.
+    """Solve backward for one front, once its parent in the elimination tree is done.
 
-    tables, at : integers of the layout, and where the row of the front begins among them.
-    numbers : the factor.
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
+    border.
+
+    tables, at : integers that say where all entries stand, and where those of this front begin among them.
+    numbers : the Cholesky factor.
     vector : what the forward solve has left, replaced by the solution.
     """
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
@@ -170,18 +182,18 @@ def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template())
 
 
 def _substitution(together: bool) -> Callable:
-    """Return a kernel that solves in place, forward and backward, on one thread.
+    """Return a kernel that solves linear systems with a Cholesky factor, in place, on one thread.
 
-    together : for LANES matrices of one pattern; else for one matrix.
+    together : True for LANES matrices of one pattern at a time; False for one matrix.
     """
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel
     def run(tables: INTEGERS, numbers: kind, vector: kind):
-        """Solve in place.
+        """Solve forward for all fronts (groups of unknowns that are eliminated together), then backward, in place.
 
-        tables : integers of the layout.
-        numbers : the factor.
+        tables : integers that say where all entries stand.
+        numbers : the Cholesky factor.
         vector : right-hand sides, then solutions.
         """
         ti.loop_config(serialize=True)
@@ -199,10 +211,15 @@ substitute, substitute_alone = _substitution(True), _substitution(False)
 
 @ti.kernel
 def substitute_branches(tables: INTEGERS, numbers: NUMBERS, vector: NUMBERS, forth: int, begin: int, end: int):
-    """Solve forward (`forth` is 1) or backward (0) for one matrix, in some branches of the tree, each on a thread.
+    """Solve forward (`forth` is 1) or backward (0) for one matrix, in some branches of the elimination tree, each on a
+    thread.
 
-    tables : integers of the layout; its table of branches holds for each the first front and the end of its fronts.
-    numbers : the factor.
+    A branch is a sequence of fronts (groups of unknowns that are eliminated together); those of a call do not depend on
+    each other.
+
+    tables : integers that say where all entries stand; its table of branches holds for each the first front and the
+        end.
+    numbers : the Cholesky factor.
     vector : right-hand sides, replaced by the solution.
     begin, end : the branches begin ... end-1 are solved.
     """

@@ -163,9 +163,12 @@ class Contacts(ABC):
 
     @abstractmethod
     def common_inertia(self, inertia: Any) -> float:
-        """Return the moment of inertia by which the kernels divide torques where the field `is_free` is 1.
+        """Return the moment of inertia in the constants of the kernel, by which it divides torques where the field
+        `is_free` is 1.
 
-        A sphere of another moment I has this one over I in `is_free`. inertia : as from `inertias`.
+        A sphere of another moment I has this one over I in `is_free`.
+
+        inertia : as from `inertias`.
         """
 
     @abstractmethod
@@ -202,8 +205,10 @@ class Contacts(ABC):
         return False
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
-        """Return the best lower bound (R samples,) so far, given the one of this moment; on a lattice that is
-        this one.
+        """Return the best lower bound so far, (R samples,): on a lattice the present one, in a packing perhaps an
+        earlier one.
+
+        bound : (R,), the present one.
         """
         return bound
 

@@ -205,7 +205,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         )
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """Yield the launches of the kernel that make `steps` steps, and count the time.
+        """Yield the launches (calls of the kernel with the same constants) that make `steps` steps, and count the time.
 
         The step that reaches the end of the run is shortened so that it ends there.
         """

@@ -497,7 +497,11 @@ class _Best:
         return self.keeps_best and iteration > max(STALL_PATIENCE, 5 * self._improved_at)
 
     def take(self, new: Progress) -> None:
-        """Keep what is better in a new progress than in the best so far: its bound with its forces, and its state."""
+        """Keep what is better in a new state of the method than in the best so far: its bound with its forces, and its
+        spins.
+
+        new : the progress of the method.
+        """
         first, proof = len(self.bound) == 0, new.force if new.proof is None else new.proof
         if first and self.proof.size:  # restored: what was proven before is proven anew
             self.bound = self.method.proven_by(self.proof)

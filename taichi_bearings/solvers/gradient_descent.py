@@ -165,7 +165,7 @@ class GradientDescentMethod(Swept):
         return iteration + 2 * (16 + iteration // 16)
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """Yield one launch of the kernel with `steps` sweeps; one more if the number is odd, since they come in
+        """Yield one launch (call of the kernel) with `steps` sweeps; one more if the number is odd, since they come in
         pairs.
         """
         pairs = -(-steps // 2)

@@ -178,8 +178,8 @@ class OnLists(Contacts):
         return self.scene.inertias(options.mass, options.inertia, density)
 
     def common_inertia(self, inertia: Any) -> float:
-        """Return 1: the field `is_free` of a packing holds the inverse moment of inertia of each sphere, relative to
-        nothing.
+        """Return 1, the moment of inertia in the constants of the kernel: in a packing each sphere has one of its own,
+        in the field `is_free`.
 
         inertia : not used.
         """

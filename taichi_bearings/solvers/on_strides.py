@@ -154,9 +154,9 @@ class OnStrides(Contacts):
         return inertia_of(self.scene, options)
 
     def common_inertia(self, inertia: Any) -> float:
-        """Return the moment of inertia that the kernel divides by; other spheres would have theirs relative to it.
+        """Return the moment of inertia of all spheres as a number, which the kernel takes as one of its constants.
 
-        On a lattice it is the one that all spheres have. inertia : as from `inertias`, mass * length^2.
+        inertia : as from `inertias`, mass * length^2.
         """
         return float(inertia)
 

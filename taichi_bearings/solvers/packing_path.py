@@ -213,10 +213,14 @@ def _power(point: Iterate, spins: np.ndarray) -> float:
 
 
 def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:
-    """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those of the path.
+    """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those of the central
+    path.
 
-    system, contacts : the contacts of the packing, and those of the path.
-    forces : forces in the rows of the path.
+    On a path with signs of the spins its contacts have other components than along the tangents; otherwise the forces
+    are returned as they are.
+
+    system, contacts : the A contacts of the packing, and those of the path.
+    forces : forces as the path has them, one row for each component.
     """
     if contacts is system or contacts.sign is None:
         return forces
