@@ -80,7 +80,7 @@ class ListSweeps(Sweeps):
     ):  # fmt: skip
         """Do one part of a sweep for one block: of contacts (part 0) or of spheres (part 1).
 
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         number : number of the block.
         numbers : not used, as each copy of the network has constants of its own among `values`.
@@ -152,7 +152,7 @@ class ListSweeps(Sweeps):
     ):  # fmt: skip
         """Write the friction forces of a block of contacts as vectors, T f.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         rows : list of the indices where the components of the force stand.
         across : unit tangents T, a list of the 6 components of both; not used for discs.
         force : f, a list with an entry for each tangent.
@@ -169,7 +169,7 @@ class ListSweeps(Sweeps):
         vector.
 
         values : all fields, flat.
-        row : index at which the row of that component of T f begins.
+        row : index at which the row of that component of T f begins, the friction forces of the contacts.
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first sphere.
         """
@@ -185,7 +185,7 @@ class ListSweeps(Sweeps):
         """Return one component of the force on a sphere, minus the sum of T f over its contacts.
 
         values : all fields, flat.
-        row : index at which the row of that component of T f begins.
+        row : index at which the row of that component of T f begins, the friction forces of the contacts.
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         sphere : number of the sphere.
         """
@@ -217,7 +217,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         """Stretch the springs and write the forces of a block of contacts; before, add the work of the last step to its
         sum.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
@@ -252,7 +252,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
     ):  # fmt: skip
         """Make Gear's step of one spin component for a block of spheres.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         c : number of the spin component.
         pull : force on each sphere by its contacts, this component.
         first : number of the block's first sphere.
@@ -287,7 +287,7 @@ class DescentLists(ListSweeps):
 
         They are also added to the field `force_sum` if there is one and the constant numbers[8] is above 0.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
@@ -307,7 +307,7 @@ class DescentLists(ListSweeps):
     ):  # fmt: skip
         """Move one spin component of a block of spheres down the gradient, and on by its momentum.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         c : number of the spin component.
         pull : force on each sphere by its contacts, this component.
         first : number of the block's first sphere.

@@ -167,7 +167,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
         values : all fields, flat.
         rows : numbers of the rows.
-        row, first : length of a row, and index of the first site of the block.
+        row, first : length of a row (one number of every site), and index of the first site of the block.
         side : stride of the axis and, with periodic axes, its ring; see `load_neighbours`.
         """
         up = load_neighbours(values, rows, row, first, side, 1, self.block)
@@ -185,8 +185,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     ):
         """Stretch the springs and write the forces of the contacts above the block of sites from `first` on.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
-        row : length of a row.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
         numbers : constants of the step, see the class.
         """
@@ -211,8 +211,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         """Add force times spin difference at the end of the last step to the field `work`, for the contacts above a
         block of spheres.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
-        row, first : length of a row, and index of the first site of the block.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        row, first : length of a row (one number of every site), and index of the first site of the block.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
         """
         work = in_range(self.slot["work"] * row + first)
@@ -230,8 +230,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
         The loop over the spin components is one at run time, so that its body is compiled once.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
-        row : length of a row.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
         response : time step * radius / inertia.
         """
@@ -258,8 +258,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     ):  # fmt: skip
         """Do one part of a step for a block of sites: 0, the contacts above them; 1, their spheres.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
-        row, first : length of a row, and index of the first site of the block.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        row, first : length of a row (one number of every site), and index of the first site of the block.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
         numbers : constants of the step, see the class.
         sweep, carried : not used; `walk` takes the same arguments in all sweeps.

@@ -128,8 +128,8 @@ class DescentSweeps(Sweeps):
         """Make one sweep for the block of sites from `first` on.
 
         part : not used, as a sweep has one part.
-        values, blocks : all fields, flat, and the same memory in blocks.
-        row : length of a row.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
         numbers : constants of the sweep, see the class.
         sweep : number of the sweep since the momentum was last set to zero.

@@ -126,7 +126,7 @@ def load_neighbours(
 
     values : the flat array.
     rows : numbers of the rows that are read.
-    row : length of a row.
+    row : length of a row, which has one number of every site.
     first : index of the first site of the block within a row.
     side : list with the stride of the axis; on lattices with periodic axes also with the sites of a ring, and with the
         position of `first` in its ring.

@@ -88,8 +88,8 @@ class ContactStep(Sweeps):
     ):
         """Write new trial and spring forces of the contacts above the block of sites from `first` on.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
-        row : length of a row.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
         numbers : constants, see the class.
         """
@@ -107,8 +107,8 @@ class ContactStep(Sweeps):
     def gather_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
         """Write the sum of the spring forces on each sphere of the block from `first` on into the field `pull`.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
-        row : length of a row.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
         """
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
@@ -127,8 +127,8 @@ class ContactStep(Sweeps):
         """Do the first part of the pass, at the contacts above a block of sites, or the second, at its spheres.
 
         part : 0 for the contacts, 1 for the spheres.
-        values, blocks : all fields, flat, and the same memory in blocks.
-        row, first : length of a row, and index of the first site of the block.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        row, first : length of a row (one number of every site), and index of the first site of the block.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
         numbers : constants, see the class.
         sweep, carried : not used; `walk` takes the same arguments in all sweeps.

@@ -212,7 +212,7 @@ class Sweeps:
         """Do one part of a sweep for one block: find its sites, and call `walk`, which subclasses define.
 
         part : number of the part.
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         tables : integers of the layout, not used here.
         size : the first of them, which say where the sites are, see `Layout.measures`.
         number : number of the block.
@@ -232,7 +232,7 @@ class Sweeps:
     def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
         """Add numbers of a block of sites to sums that the fields hold.
 
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         sums : list of indices at which the sums of the block's first site stand.
         new : list of what is added, a vector for each.
         """

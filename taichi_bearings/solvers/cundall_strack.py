@@ -257,8 +257,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the staggered spins (C components, R samples, *N spheres), the contact forces (C, R, E contacts) and
-        the elongations of the springs (C, R, E) now.
+        """Return the spins, staggered (with alternating signs), (C components, R samples, *N spheres), the contact
+        forces (C, R, E contacts) and the elongations of the springs (C, R, E) now.
         """
         staggered = self.spins()
         force = self.contacts.read_forces("force") if self.iteration else self.damping_force(staggered)
@@ -286,7 +286,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         """Return the power (R samples,) that the contacts take from the spins, divided by the radius.
 
         force : (C components, R, E contacts), contact forces.
-        staggered : (C, R, *N spheres), spins as methods carry them.
+        staggered : (C, R, *N spheres), spins with alternating signs as methods carry them.
         """
         return replica_sum(force * self.differences(staggered))
 
@@ -296,7 +296,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         The powers of contacts and drive are integrated over time by the trapezoidal rule, so that the residual of the
         balance is the error of Gear's method and of this rule.
 
-        staggered : (C components, R samples, *N spheres), spins as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them.
         force : (C, R, E contacts), contact forces.
         spring : (R,), energy in the springs.
         """

@@ -213,14 +213,14 @@ class Dynamics(Method):
     def kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
         """Return the kinetic energy (R samples,) of the free spheres.
 
-        staggered : (C components, R, *N spheres), spins as methods carry them, 1/time.
+        staggered : (C components, R, *N spheres), spins with alternating signs as methods carry them, 1/time.
         """
         return replica_sum(self.inertia / 2 * ~self.scene.is_driven * self.absolute(staggered) ** 2)
 
     def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
         """Return the energy balance now: kinetic, spring, injected and dissipated energy.
 
-        staggered : (C components, R samples, *N spheres), spins as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them.
         spring : (R,), energy stored in the springs.
         """
         return Energy(self.kinetic_energy(staggered), spring, self.injected, self.work - spring, self.energy_at_start)
@@ -257,8 +257,8 @@ class SpringDynamics(Dynamics):
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the staggered spins (C components, R samples, *N spheres), the contact forces (C, R, E contacts) and
-        the elongations of the springs (C, R, E) now.
+        """Return the spins, staggered (with alternating signs), (C components, R samples, *N spheres), the contact
+        forces (C, R, E contacts) and the elongations of the springs (C, R, E) now.
         """
         raise NotImplementedError
 
@@ -267,7 +267,7 @@ class SpringDynamics(Dynamics):
 
         They are that of the damper, cut off at the friction limit, and that of the viscosity.
 
-        staggered : (C, R, *N spheres), spins as methods carry them, 1/time.
+        staggered : (C, R, *N spheres), spins with alternating signs as methods carry them, 1/time.
         """
         scene, difference = self.scene, self.differences(staggered)
         force = self.options.damping * scene.slip_radius * difference
@@ -279,7 +279,7 @@ class SpringDynamics(Dynamics):
     def energy_balance(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """Return the energy balance now; a subclass may return None if none is kept.
 
-        staggered : (C components, R samples, *N spheres), spins as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them.
         force : (C, R, E contacts), contact forces.
         spring : (R,), energy stored in the springs.
         """
