@@ -1,16 +1,20 @@
 """Rigorous bounds on the least potential (dissipation) of any network, from its spins and its friction: theorem 1.
 
-Letters: R samples, n free and driven spheres and m contacts of all samples; F friction, r the torques over the radius
+Letters: R samples; n spheres, free and driven, and m contacts of all samples; F friction, r the torques over the radius
 that it leaves over on free spheres, u* spins at which the potential is least, s a factor of at most 1.
 
-For any friction F of which s F stays inside the discs of contacts without viscosity,
+For any friction F of which s F stays below mu F_n at contacts without viscosity,
 
     least potential >= s (work of the driven spheres + sum r . u*) - sum max(s |F| - mu F_n, 0)^2 / (2 eta)
 
-Where components do not mix (discs; normals along the axes) clipping every component of the spins to the largest size
-imposed lengthens no slip. On lattices they may be clipped to what is between the planes, layer by layer. So some u*
-lies within that box, and the least value of r . u* in the box counts. On other networks springs take r away
-(springs.py).
+u* is not known, so r . u* is replaced by the least value that it may have. Where components do not mix (discs; normals
+along the axes) clipping every component of the spins to the largest size imposed lengthens no slip. On lattices they
+may be clipped to what is between the planes, layer by layer. So some u* lies within that box. On other networks springs
+take r away (springs.py).
+
+Example. A free disc between a still disc (mu F_n = 3) and one that turns with u = 1 (mu F_n = 1). Spins with the free
+disc still have the power 1. Friction 1 on both contacts is in balance, r = 0, and does the work 1. So 1 is the least
+power. Friction 2 on both has s = 1/2, as the second contact bears no more than 1, and proves the same.
 """
 
 from __future__ import annotations
@@ -32,19 +36,19 @@ PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} ti
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds on the least potential of each sample, in units of power, and what they rest on.
+    """Bounds on the least potential of each sample, in units of power of the network, and what they rest on.
 
     upper, lower : (R,), the potential of the stored spins, rounded up, and what the friction proves, rounded down.
     excess : (R,), bound E on the potential of the stored spins less what the friction proves, 0 or more.
     size : (m,), s |F|.
     worst : (R,), 1 / s.
     proof : (R,), PROVEN, or the words that restrict `lower` to slower spins.
-    largest_torque : (R,), largest torque over the radius that the stored friction leaves over.
+    largest_torque : (R,), largest torque over radius that the stored friction leaves over.
     price : (R,), what these torques may cost at spins within the box.
-    springs : those that take torques away, where components mix; None elsewhere, or if there are none.
+    springs : the springs that took torques away, where components mix; None elsewhere, or if none could be made.
     friction : F by component after springs have balanced it, where components mix; else empty.
-    alone : the bounds of each sample, of several in which components mix; else empty. The fields `springs` and
-        `friction` are then those of the samples.
+    alone : of several samples in which components mix, the bounds of each sample by itself; else empty. The fields
+        `springs` and `friction` are then found in these alone.
     """
 
     network: JudgedNetwork
@@ -62,7 +66,7 @@ class Bounds:
 
     @classmethod
     def joined(cls, network: JudgedNetwork, samples: list[Bounds]) -> Bounds:
-        """The bounds of a network from those of its samples."""
+        """Return the bounds of a network of several samples, made from `samples`, those of each by itself."""
         of_samples = ("upper", "lower", "excess", "worst", "proof", "largest_torque", "price")
         found = {name: np.concatenate([getattr(one, name) for one in samples]) for name in of_samples}
         size = joined([one.size for one in samples])
@@ -70,7 +74,7 @@ class Bounds:
 
     @classmethod
     def of(cls, network: JudgedNetwork) -> Bounds:
-        """Find the bounds of a network by theorem 1."""
+        """Compute the bounds of a network by theorem 1."""
         if network.mixes and network.count > 1:  # springs are those of one sample
             alone = [network.some(slice(number, number + 1)) for number in range(network.count)]
             return cls.joined(network, list(map(cls.of, alone)))
@@ -126,15 +130,16 @@ class Bounds:
 
 
 def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
-    """(R,), largest size of a torque among free spheres that are reached. torque : one component, (n,)."""
+    """Return the largest size (R,) of a torque on a free sphere that is connected to driven ones. torque : one
+    component, (n,)."""
     if not torque.high.any():
         return np.zeros(network.count)
     return np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)
 
 
 def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
-    """(R,), bound on how much torques on free spheres reduce the work at spins within the box. torques : by component,
-    (n,)."""
+    """Return a bound (R,) on how much torques on free spheres may reduce the work, at spins within the box. torques :
+    by component, C enclosures (n,)."""
     total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken_between if network.graph.layered else _taken
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
         if size and (torque.high.any() or torque.error.any()):
@@ -145,22 +150,22 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
 
 @in_cache
 def _taken(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """(n,), size of a torque times `reach`, the largest spin, for the spheres of the mask `some` (n,), 0 for others:
-    what it may take from the work at spins between reach and its negative."""
+    """Return the size of a torque times the largest spin `reach`, (n,), for the spheres of the mask `some` (n,), 0 for
+    others: what it may take from the work at spins between reach and its negative."""
     return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
 
 
 @in_cache
 def _taken_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """(n,), what a torque may take from the work at spins between 0 and reach: nothing where spin and torque surely
-    have one sign. some : (n,) mask of spheres that are charged."""
+    """Return what a torque may take from the work at spins between 0 and reach, (n,): nothing where spin and torque
+    surely have the same sign. some : (n,) mask of the spheres that are charged, 0 for others."""
     gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
     return _taken(torque, reach, some & ~gives)
 
 
 def _worst(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:
-    """(R,), the largest ratio size / holding over the contacts `hard` (numbers), at least 1, rounded up. Only contacts
-    whose ratio in doubles is about the largest are computed with enclosures."""
+    """Return the largest ratio (R,) of size / friction limit over the contacts `hard` (indices), at least 1, rounded
+    up. Only contacts whose ratio in doubles is about the largest are computed with enclosures. size : (m,), |F|."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
     about[hard] = size.high[hard] / network.holding.high[hard]
     most = about.reshape(network.count, -1).max(axis=1, initial=1.0)

@@ -1,7 +1,7 @@
 """Bounds on what the stationary state minimises, from any spins and any contact forces: theorem 1 in float64.
 
-Letters: R samples (also called replicas), N spheres, E contacts, C spin components. The radius of the spheres is
-written a in the formula.
+Letters: R samples (also called replicas), N spheres, E contacts, C spin components; a the radius of the spheres, Omega
+their spins.
 
 The problem is convex and has a dual. With t_i the sum of the contact forces that pull on sphere i, and phi* the
 conjugate of the potential of a contact (scene/law.py), for any forces f that the law admits
@@ -12,11 +12,14 @@ Here c and w are the middle and the half width of the interval that the two driv
 the imposed states differ in their dilation, in each layer x_k = const of component k. A minimiser lies in that box. So
 a torque that is left over on a free sphere is paid for, never ignored.
 
-Candidates are made from the given forces and the best bound is kept. With friction there are three: the forces capped
-contact by contact; the forces after a Poisson solve has removed the leftover torque, scaled into the friction discs as
-a whole; and the same capped. Where the force grows with the slip all forces are admissible: as they are, and without
-the leftover torque. Rounding is paid for as well: torques are summed in twice the precision, so what is paid is
-proportional to the leftover torques and the power, not to the much larger sum of all forces times the imposed jump.
+Candidates are made from the given forces and the best bound is kept. With friction there are three:
+1. the forces capped at the friction limit, contact by contact;
+2. the forces after a Poisson solve has removed the leftover torque, divided by one number so that all are within
+   limits;
+3. these balanced forces capped contact by contact.
+Where the force grows with the slip all forces are admissible: as they are, and without the leftover torque. Rounding is
+paid for as well: torques are summed in twice the precision, so what is paid is proportional to the leftover torques and
+the power, not to the much larger sum of all forces times the imposed jump.
 """
 
 from collections.abc import Callable
@@ -39,17 +42,15 @@ CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # for certifying_forces: relativ
 
 
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Proven lower bound (R,) on the least objective of each replica, energy/time; never below 0.
-
-    force : (C, R, E), any values; not-finite ones prove nothing.
-    """
+    """Return a proven lower bound (R,) on the least objective of each replica, energy/time; never below 0. force : (C,
+    R, E), any values; those that are not finite prove nothing. spin_axes : the axes of the C components."""
     candidates = _candidates(scene, _finite(scene, force), spin_axes)
     best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
     return np.maximum(best, 0.0)
 
 
 def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list[Forces]:
-    """Admissible forces made from the given ones; each of them may prove the most."""
+    """Return admissible forces (C, R, E) made from the given ones; any of them may prove the most."""
     balanced = balance(scene, force, spin_axes)
     found = [force, balanced] if scene.law.flows else []  # every force is admissible
     if scene.law.holds:
@@ -77,11 +78,11 @@ def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
 def certifying_forces(
     scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray, excess: np.ndarray | None = None
 ) -> Forces:
-    """Forces (C, R, E) near the given ones that prove a bound by themselves.
+    """Return forces (C, R, E) near the given ones that prove a bound by themselves.
 
-    They leave no torque on any free sphere but rounding, and with Coulomb friction none is longer than its disc: the
-    bound is the work of the driven planes against them less the conjugates. Where such forces prove less than `bound`,
-    forces that pay for leftover torques are returned.
+    They leave no torque on any free sphere but rounding, and with Coulomb friction none is above its limit: the bound
+    is the work of the driven planes against them less the conjugates. Where such forces prove less than `bound`, forces
+    that pay for leftover torques are returned.
 
     bound : (R,), lower bound on the objective that these forces should prove.
     excess : (R,), objective less bound, if known: where it can prove no contact state, forces that pay for leftover
@@ -129,7 +130,8 @@ def certifying_forces(
 
 
 def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Work (R,) of the driven planes against balanced forces of contacts that only hold, without an allowance."""
+    """Return the work (R,) of the driven planes against balanced forces, for laws with friction alone; no rounding is
+    allowed for."""
     top, work = scene.top_spin(spin_axes), np.zeros(scene.replicas)
     upward = scene.lattice.by_axis(force)[-1]
     for slot in tangential(scene.lattice.height_axis, spin_axes):
@@ -141,7 +143,8 @@ def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 def _as_a_whole(
     scene: Scene, force: Forces, worst: np.ndarray, spin_axes: tuple[int, ...]
 ) -> tuple[Forces, np.ndarray]:
-    """Forces divided by their worst saturation `worst` (R,), and the bound (R,) that they prove."""
+    """Return the forces divided by their worst saturation `worst` (R,), largest |f| / (mu F_n), and the bound (R,) that
+    they prove."""
     whole = _divided(force, worst)
     return whole, dual_value(scene, whole, spin_axes)
 
@@ -149,8 +152,8 @@ def _as_a_whole(
 def _most_proving(
     scene: Scene, best: Forces, reached: np.ndarray, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray
 ) -> Forces:
-    """The forces `best`, which prove `reached` (R,); or, where that misses `bound` (R,), the candidate that
-    :func:`lower_bound` makes of `force`, if it proves more."""
+    """Return the forces `best`, which prove `reached` (R,); in replicas where that misses `bound` (R,), the candidate
+    that :func:`lower_bound` makes of `force`, if it proves more."""
     if (reached >= bound * (1 - CERTIFIED_ERROR)).all():
         return best
     for candidate in _candidates(scene, force, spin_axes):
@@ -161,25 +164,25 @@ def _most_proving(
 
 
 def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
-    """The forces `force` in the `chosen` (R,) replicas, and `other` in the rest."""
+    """Return the forces `force` in the replicas of the mask `chosen` (R,), and `other` in the rest; (C, R, E) each."""
     if chosen.all() or not chosen.any():
         return force if chosen.all() else other
     return np.where(chosen[:, None], force, other)
 
 
 def _finite(scene: Scene, force: Forces) -> Forces:
-    """The forces in float64, 0 between driven spheres, all 0 in a replica that has one that is not finite."""
+    """Return the forces in float64, 0 between driven spheres, all 0 in a replica that has one that is not finite."""
     force = _without_driven_contacts(scene, np.asarray(force, dtype=np.float64))
     finite = np.isfinite(force).all(axis=(0, 2))
     return force if finite.all() else np.where(finite[:, None], force, 0.0)
 
 
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Work (R,) of the driven planes against Coulomb forces as they are, and the lower bound (R,) that the forces prove
-    when they are capped or scaled.
+    """Return the work (R,) of the driven planes against Coulomb forces as they are, and the lower bound (R,) that the
+    forces prove when they are capped or scaled.
 
     For forces that leave practically no torque, and methods that check often: the Poisson solve of :func:`lower_bound`
-    is left out, and roundings are counted in the bound alone, which holds for any finite forces.
+    is left out, and roundings are allowed for in the bound alone, which holds for any finite forces.
     """
     ratio = saturation(scene, balanced)
     work = _work_of_planes(scene, balanced, spin_axes)
@@ -191,11 +194,12 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
 
 
 def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """(objective - lower bound) / objective, (R,); NaN where either is not a number, so that nothing follows from it.
+    """Return (objective - lower bound) / objective, (R,); NaN where either is not a number, so that nothing follows
+    from it.
 
     Without a jump, or where absent contacts cut the bottom from the top, the least objective is 0 and a relative gap
-    says nothing. It is then taken relative to the natural objective, if that is larger: that of all contacts slipping
-    by the imposed jump, or, without one, by the imposed spin.
+    says nothing. It is then taken relative to a natural objective, if that is larger: that of all contacts slipping by
+    the imposed jump, or, without one, by the imposed spin.
     """
     unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
     if idle.any():
@@ -207,17 +211,18 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
 
 
 def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """(R,), largest torque that the forces leave on a free sphere, force * length."""
+    """Return the largest torque (R,) that the forces leave on a free sphere, force * length."""
     pull = np.abs(torques(force, scene.lattice, spin_axes)[..., 1:-1])
     return scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
 
 
 def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """(R,), the lower bound that admissible forces prove, balanced or not: the dual objective minus an allowance for
-    rounding."""
+    """Return the lower bound (R,) that admissible forces (C, R, E) prove, balanced or not, energy/time: the dual
+    objective minus an allowance for rounding."""
     pull = precise_torques(scene, force, spin_axes)
     work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
     for slot, half_width in enumerate(scene.top_spin(spin_axes) / 2):
+        # Work of both planes, and the price of torques that are left over on free spheres.
         planes = (half_width * (pull[slot][..., -1] - pull[slot][..., 0])).reshape(scene.replicas, -1)
         left_over = np.abs(half_width) * np.abs(pull[slot][..., 1:-1]).sum(axis=-1)
         left_over = left_over.reshape(scene.replicas, -1).sum(axis=1)
@@ -233,7 +238,7 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
 
 
 def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Sum of the contact forces that pull on each sphere, (C, R, *N), as if summed in twice the precision.
+    """Return the sum of the contact forces that pull on each sphere, (C, R, *N), as if summed in twice the precision.
 
     Forces in balance cancel, so a plain sum has an error as large as the torque itself. Here each addition keeps what
     it rounds away (Knuth's two-sum): the relative error is that of one rounding, plus about 1e-32 of the forces.
@@ -256,7 +261,7 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
 
 def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
-    """Index pairs that cut arrays (R, n, ...) into parts that fit the caches of a processor."""
+    """Return pairs of slices that cut arrays (R, n, ...) into parts which fit the caches of a processor."""
     several = max(1, CACHED_PULLS // max(values[0].size, 1))
     size = max(1, CACHED_PULLS * values.shape[1] // max(values[0].size, 1))
     return [
@@ -267,19 +272,21 @@ def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
 
 
 def capped(force: Forces, ratio: np.ndarray) -> Forces:
-    """The forces, with each one that is longer than its friction disc shortened to it. ratio : their saturation, (R,
-    E)."""
+    """Return the forces (C, R, E), with each one that is longer than its friction limit shortened to it. ratio : (R,
+    E), |force| over friction limit."""
     return _changed(force, ratio, lambda f, share: f * share)
 
 
 def _over_relaxed(force: Forces, ratio: np.ndarray) -> Forces:
-    """The forces, changed by one and a half times what :func:`capped` changes. ratio : their saturation, (R, E)."""
+    """Return the forces (C, R, E), changed by one and a half times what :func:`capped` changes. ratio : (R, E), |force|
+    over friction limit."""
     return _changed(force, ratio, lambda f, share: f + 1.5 * (f * share - f))
 
 
 def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Forces:
-    """The result of `change` for the forces and the share of each that is inside its disc, 1 at most, and 0 for a
-    force of 0; computed in parts that fit the caches. ratio : their saturation, (R, E)."""
+    """Return change(force, share) for all forces, computed in parts that fit the caches. share : the factor, at most 1,
+    that brings a force back to its friction limit; 0 for a force of 0. ratio : (R, E), |force| over friction limit.
+    Forces and result : (C, R, E)."""
     found = np.empty(force.shape)
     for part in _in_cache(ratio):
         share = inverse(ratio[part])
@@ -290,20 +297,20 @@ def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.
 
 
 def scaled(scene: Scene, force: Forces) -> Forces:
-    """All forces of a replica divided by the worst saturation, which keeps their torque balance."""
+    """Return all forces of a replica divided by the worst saturation, which keeps their torque balance."""
     return _divided(force, saturation(scene, force).max(axis=1))
 
 
 def _divided(force: Forces, worst: np.ndarray) -> Forces:
-    """The forces divided by the worst saturation `worst` (R,) of each replica, where that exceeds 1."""
+    """Return the forces divided by the worst saturation `worst` (R,) of each replica, where that exceeds 1."""
     if (worst <= 1.0).all():
         return force
     return force * (1.0 / np.maximum(worst, 1.0))[:, None]
 
 
 def saturation(scene: Bearing, force: Forces) -> np.ndarray:
-    """f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at an absent
-    contact."""
+    """Return |f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at an
+    absent contact."""
     size, absent = vector_length(force), scene.coefficient == 0
     ratio = size * (1 + 4 * np.finfo(np.float64).eps)
     ratio *= scene.inverse_limit
@@ -313,7 +320,8 @@ def saturation(scene: Bearing, force: Forces) -> np.ndarray:
 
 
 def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
-    """The forces plus the smallest correction (in the sum of squares) that leaves no torque on any free sphere.
+    """Return the forces (C, R, E) plus the smallest correction (in the sum of squares) that leaves no torque on any
+    free sphere.
 
     The correction is the gradient of a potential u with -Laplace u = leftover torque on the free spheres and u = 0 on
     the driven ones: one constant-coefficient Poisson problem for each component, solved by cosine and sine transforms.
@@ -331,5 +339,5 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
 
 
 def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
-    """The forces, 0 at contacts that take no part."""
+    """Return the forces, 0 at contacts that take no part."""
     return np.where(scene.idle, 0.0, force)

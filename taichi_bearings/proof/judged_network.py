@@ -1,22 +1,26 @@
-"""Contact networks of any kind whose spins and friction are to be judged: samples of a lattice side by side, or one
-packing.
+"""Contact networks of any kind whose spins and friction are to be judged: samples of a lattice or of a packing, side by
+side.
 
 Letters: R samples of N spheres and E contacts each, n = R N and m = R E in all; D = 2 or 3 dimensions, C = 1 (discs) or
-3 components, each with a number k; i and j the first and the second sphere of a contact, n its unit normal from i to j.
+3 components of the spins, each with a number k; i and j the first and the second sphere of a contact, n (as a vector)
+its unit normal from i to j.
 
 With u = R omega (here R is the radius) the surface of sphere j slips past that of i with v = -(u_i + u_j) x n. Friction
-F on j turns both spheres with n x F, its moment. What it takes from the motion is (u_i + u_j) . (n x F) = -F . v, at
-most |F| |v|. A disc has one component, u and v about z, F along z x n. Normals of packings are taken bit by bit as they
-are stored: they say what slips, even where their length is not quite 1.
+F on j turns both spheres with n x F, its *moment*. It takes the power (u_i + u_j) . (n x F) = -F . v from the motion,
+at most |F| |v|. A disc has one component: u about z, v and F along z x n. Normals of packings are taken bit by bit as
+they are stored: they say what slips, even where their length is not quite 1.
 
 On a lattice u = s U, with the sign s = 1 or -1 of the sublattice, and U is measured from the state of the bottom, in
 which nothing slips.
 
-Words: a contact *acts* if it has a coefficient and a free end. A *part* is what contacts between free spheres join;
-where it touches nothing that is driven, it rests at some minimum. Spheres are *reached* if their part touches driven
-ones, and contacts *count* if they act at a reached sphere: only these can dissipate at a minimum. A contact *feels* a
-component if it counts and that component of the spins makes it slip. It is *still* if its slip is exactly 0. A *domain*
-of a component is a set of spheres that resting contacts make turn as one.
+Words that are names here
+    acts : a contact that has a coefficient and a free end.
+    reached : a free sphere that is connected to a driven one by contacts that act, through free spheres.
+    counts : a contact that acts at a reached sphere. Only these can dissipate at a minimum; other spheres can rest.
+    feels k : a contact counts, and component k of the spins makes it slip.
+    still : a contact whose slip is exactly 0 in the stored spins.
+    domain : spheres that resting contacts join in one component, so that they turn as one.
+    components mix : a component of some slip depends on more than one component of the spins.
 """
 
 from __future__ import annotations
@@ -41,17 +45,18 @@ class JudgedNetwork:
     """Spins, friction and contacts of R samples, as enclosures in the units `speed_unit` and `force_unit`.
 
     law : the contact law.
-    count : R.
+    count : R, the number of samples.
     free : (n,) mask of the spheres that are not driven.
-    speed_unit : a power of two; on lattices one times the radius.
+    speed_unit : a power of two; on lattices a power of two times the radius.
     force_unit : (R,), powers of two.
     spin : u by component, C enclosures (n,), on lattices with the sign s.
-    moment : n x F by component, C enclosures (m,), 0 where nothing acts.
-    holding, slope : mu F_n and eta, enclosures (m,), 0 where a law has none.
-    imposed : by component, (n,), u of driven spheres, 0 for free ones; on lattices measured from the bottom.
+    moment : n x F by component, C enclosures (m,), 0 where a contact does not act.
+    holding, slope : friction limits mu F_n and damping eta, enclosures (m,), 0 where a law has none.
+    imposed : by component, C enclosures (n,), u of driven spheres, 0 for free ones; on lattices measured from the
+        bottom.
     graph : where the contacts are, and the friction that they bear.
     rolling : (n,) mask of free spheres whose contacts can all roll, whatever the other spheres do; None for none.
-    factors : arrays (m,) whose products are in the proportions of mu F_n, exactly.
+    factors : arrays (m,) whose product is in exact proportion to mu F_n within a sample, to compare friction exactly.
     """
 
     law: Law
@@ -70,26 +75,29 @@ class JudgedNetwork:
 
     @property
     def power_unit(self) -> np.ndarray:
-        """(R,), the unit of power of each sample."""
+        """(R,), the unit of power of each sample: speed_unit times force_unit."""
         return self.speed_unit * self.force_unit
 
     @property
     def components(self) -> range:
+        """The numbers k of the components of the spins, 0 to C - 1."""
         return range(len(self.spin))
 
     @cached_property
     def acts(self) -> np.ndarray:
-        """(m,) mask of contacts with a coefficient and a free end."""
+        """(m,) mask of the contacts with a coefficient and a free end."""
         return ((self.holding.high > 0) | (self.slope.high > 0)) & self.graph.any_end(self.free)
 
     @cached_property
     def is_whole(self) -> bool:
-        """True for lattices all of whose contacts with a free end act: every column reaches from bottom to top."""
+        """True for lattices all of whose contacts with a free end act: every column of spheres connects bottom and
+        top."""
         return self.graph.layered and bool(self.free.any() and (self.acts == self.graph.any_end(self.free)).all())
 
     @cached_property
     def reached(self) -> np.ndarray:
-        """(n,) mask of free spheres in parts that touch driven spheres, without `rolling` ones."""
+        """(n,) mask of the free spheres that contacts connect to driven ones through free spheres, without those in
+        `rolling`."""
         if self.is_whole:
             return self.free
         first, second = self.graph.contact[:, self._holding]
@@ -117,30 +125,31 @@ class JudgedNetwork:
 
     @property
     def reach(self) -> list[Enclosure]:
-        """Bound (n,) by component: where components do not mix, some minimum has u of each free sphere between 0 and
-        this bound, on lattices, or between the bound and its negative."""
+        """Bound by component, C enclosures (n,), where components do not mix: some minimum has u of each free sphere
+        between 0 and this bound on lattices, and between the bound and its negative elsewhere."""
         return self.graph.reach(self.box, self.sign)
 
     @cached_property
     def mixes(self) -> bool:
-        """Whether slips mix the components of spins. They do not for discs, nor where unit normals are along the
-        axes."""
+        """True if a component of some slip depends on more than one component of the spins; False for discs, and where
+        unit normals are along the axes."""
         return self.graph.mixes(self.counts)
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, true where component k of the spins makes a contact slip; only where components do not mix."""
+        """(C, m) mask, True where component k of the spins makes a contact slip; only where components do not mix."""
         return self.graph.slips_with
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """(C, m) mask, true where a contact counts and component k of the spins makes it slip; only where components do
-        not mix."""
+        """(C, m) mask, True where a contact can dissipate at a minimum (`counts`) and component k of the spins makes it
+        slip; only where components do not mix."""
         return self.counts & self.slips_with
 
     @cached_property
     def division(self) -> list[Part]:
-        """The spheres in parts, by nested dissection of the contacts that act between free ones."""
+        """The spheres divided into parts, in the order in which they are eliminated: by nested dissection of the
+        contacts that act between free ones."""
         first, second = self.graph.contact[:, self.acts]
         inner, count = self.free[first] & self.free[second], len(self.free)
         ends = np.append(first[inner], second[inner]), np.append(second[inner], first[inner])
@@ -148,19 +157,22 @@ class JudgedNetwork:
         return dissected(graph, self.graph.place.T, REGION_UNKNOWNS // len(self.spin))
 
     def parts_of(self, sphere: np.ndarray) -> list[Part]:
-        """The parts in which n unknowns are eliminated that only contacts couple. sphere : (n,), that of each one."""
+        """Return the parts in which n unknowns are eliminated that only contacts couple. sphere : (n,), the sphere of
+        each."""
         return restricted(self.division, sphere, REGION_UNKNOWNS)
 
     def some(self, pick: slice) -> JudgedNetwork:
-        """The network of the samples in the slice `pick` alone."""
+        """Return the network of the samples in the slice `pick` alone."""
 
         if len(range(*pick.indices(self.count))) == self.count:
             return self
 
         def of(values: np.ndarray) -> np.ndarray:
+            """Return the entries of the chosen samples of an array (n,) or (m,)."""
             return values.reshape(self.count, -1)[pick].reshape(-1)
 
         def part(values: Enclosure) -> Enclosure:
+            """Return the entries of the chosen samples of an enclosure (n,) or (m,)."""
             return Enclosure(*map(of, values.parts))
 
         return replace(
@@ -179,11 +191,11 @@ class JudgedNetwork:
         )
 
     def sample_of(self, contacts: np.ndarray) -> np.ndarray:
-        """Number of the sample of each of the contacts whose numbers are given."""
+        """Return for contacts, given by their indices (q,), the number (q,) of the sample that each belongs to."""
         return contacts // (len(self.acts) // self.count)
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """(m,), the number of its sample repeated for each contact. values : (R,)."""
+        """Return for each contact (m,) the number of its sample. values : (R,)."""
         return (
             np.broadcast_to(values, len(self.acts))
             if self.count == 1
@@ -191,7 +203,8 @@ class JudgedNetwork:
         )
 
     def by_sample(self, values: Enclosure, contacts: np.ndarray) -> Enclosure:
-        """(R,), sums of `values` (q,) of the contacts with the numbers `contacts` (q,), sample by sample."""
+        """Return the sums (R,) of the `values` (q,) of some contacts, sample by sample. contacts : (q,), their
+        indices."""
         if not len(contacts):
             return nothing(self.count)
         whole = nothing(len(self.acts))
@@ -199,18 +212,19 @@ class JudgedNetwork:
         return row_sum(whole.reshaped((self.count, -1)))
 
     def slips(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """(u_i + u_j) x n by component, (m,) each: the slip v but for its sign. spin : u by component, (n,) each."""
+        """Return (u_i + u_j) x n by component, C enclosures (m,): the slip v but for its sign. spin : u by component, C
+        enclosures (n,)."""
         first, second = self.graph.contact
         return across([part.at(first) + part.at(second) for part in spin], self.graph.normal)
 
     @cached_property
     def slip(self) -> Enclosure:
-        """(m,), slip speeds of the stored spins."""
+        """(m,), slip speeds of the stored spins, in `speed_unit`."""
         return self.motion.slip if self.graph.layered else length(self.slips(self.spin))
 
     @cached_property
     def still(self) -> np.ndarray:
-        """(m,) mask of the contacts whose slip is exactly 0."""
+        """(m,) mask of the contacts whose slip is exactly 0 in the stored spins."""
         return self.graph.still(self.spin)
 
     @cached_property
@@ -220,77 +234,80 @@ class JudgedNetwork:
 
     @cached_property
     def own_torques(self) -> list[Enclosure]:
-        """Torques over the radius that the stored friction leaves over: sums of `own_moment` at each sphere, (n,) by
-        component."""
+        """Torques over radius that the stored friction leaves over: sums of `own_moment` at each sphere, by component,
+        C enclosures (n,)."""
         return self.torques(self.own_moment)
 
     @cached_property
     def own_moment(self) -> list[Enclosure]:
-        """Moments n x F by component, (m,) each, of the contacts that count; 0 in components in which no moment does
-        work."""
+        """Moments n x F of the stored friction by component, C enclosures (m,), of the contacts that can dissipate; 0
+        in components in which no moment does any work."""
         own, all_count = self.graph.working(self.box), bool((self.counts == self.acts).all())
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
         return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
 
     @property
     def own_friction(self) -> list[Enclosure]:
-        """Friction F by component, (m,) each, of the contacts that count; on lattices its moments, which are as
-        long."""
+        """Stored friction F by component, C enclosures (m,), of the contacts that can dissipate; on lattices its
+        moments, which are as long."""
         return self.graph.borne(self.moment, self.counts)
 
     @property
     def joins(self) -> np.ndarray:
-        """(R,) mask, true if contacts lead from the bottom of a lattice to its top in a component in which both are
+        """(R,) mask, True if contacts lead from the bottom of a lattice to its top in a component in which both are
         driven differently."""
         if self.is_whole:
             return np.full(self.count, bool(self.needed))
         return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Sums at each sphere, (n,) by component, of moments given by component, (m,) each."""
+        """Return the sums at each sphere, by component, C enclosures (n,), of moments. moment : by component, C
+        enclosures (m,)."""
         return self.graph.torques(moment)
 
     @cached_property
     def needed(self) -> list[int]:
-        """Numbers of the components in which some minimum may slip: along the others no contact slips at any minimum.
-        On a lattice the component about the height is never needed, as each layer may turn freely about it."""
+        """Numbers k of the components along which some minimum may slip; along all others no contact slips at any
+        minimum. On a lattice the component about the height is never among them, as each layer may turn freely about
+        it."""
         return self.graph.needed(self.box, self._is_needed)
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Parts that contacts join in component k, as label (n,), mask (n,) of spheres in parts with odd loops, and
-        signs s (n,) by which neighbours differ in all other parts."""
+        """Return for component k, with the connected parts that its contacts make of the spheres, three arrays (n,):
+        the label of the part, True for spheres in parts with a loop of an odd number of contacts, and in all other
+        parts signs s that differ between neighbours, +1 or -1."""
         return signs(self.graph.contact[:, self.feels[k]], len(self.free))
 
     @cached_property
     def sign(self) -> list[np.ndarray]:
-        """Signs s by component, (n,) each, by which neighbours differ, except in parts with odd loops."""
+        """Signs s by component, C arrays (n,): +1 or -1, different for neighbours, except in parts with odd loops."""
         return self.graph.signs(self.feels)
 
     def _is_needed(self, k: int) -> bool:
-        """False if the imposed spins allow component k to be such that nothing slips along it; then nothing does so at
-        any minimum."""
+        """Return False if the imposed spins allow component k to be such that nothing slips along it; then nothing does
+        at any minimum."""
         label, odd, sign = self.signs(k)
         held = np.flatnonzero(~self.free)
-        # Driven spheres of one part must be driven alike but for the signs, and not at all where loops are odd.
+        # Then driven spheres of one part are driven alike but for the signs, and not at all where loops are odd.
         own = self.imposed[k].signed(sign).at(held)
         first, part = np.unique(label[held], return_index=True, return_inverse=True)[1:]
         several = any((values != values[first][part]).any() for values in own.parts[:2])
         return bool(several or (odd[held] & (own.high != 0)).any())
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
-        """(R,), the sum over contacts of friction times slip plus `of_slope`, a power of two, times damping times the
-        squared slip. some : mask (m,) of contacts; all that act if not given."""
+        """Return the sums (R,) over contacts of mu F_n slip + `of_slope` eta slip^2: with 1 the power, with 1/2 the
+        potential. of_slope : a power of two. some : (m,) mask of contacts; None for all that act."""
         held, flows = self._dissipated if some is None else self._sums(some)
         return held + flows.signed(of_slope)
 
     @cached_property
     def _dissipated(self) -> tuple[Enclosure, Enclosure]:
-        """The sums of :meth:`_sums` over all contacts that act."""
+        """Both sums of :meth:`_sums` over all contacts that act."""
         return self._sums(self.acts)
 
     def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
-        """Two sums by sample, (R,) each, over the contacts of the mask `some` (m,): friction times slip, and damping
-        times its square."""
+        """Return two sums by sample, (R,) each, over the contacts of the mask `some` (m,): mu F_n slip, and eta
+        slip^2."""
         slips, slip = some & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         held, flowing = nothing(self.count), nothing(self.count)
         if self.law.holds:
@@ -302,14 +319,14 @@ class JudgedNetwork:
 
 @dataclass(frozen=True)
 class Motion:
-    """The spins of a network whose components do not mix, by domains: spheres that resting contacts join turn as one of
-    them does, where their stored spins are not quite equal.
+    """The spins of a network whose components do not mix, by domains. Spheres that resting contacts join turn exactly
+    as one of them does, where their stored spins are not quite equal.
 
-    network : what moves.
+    network : the network that moves.
     rests : (m,) mask of the contacts that are taken to rest.
 
     On a lattice driven spheres of one plane and layer are of one domain. Stored spins are exact there, but what is
-    imposed on the top differs a little from what is stored; this `shift` is far below the rounding of spins, yet not
+    imposed on the top differs a little from what is stored; this *shift* is far below the rounding of spins, yet not
     below the smallest slips.
     """
 
@@ -318,15 +335,15 @@ class Motion:
 
     @cached_property
     def domain(self) -> Domains:
-        """By component, the number (n,) of the domain of each sphere; found when it is asked for."""
+        """By component k, the number (n,) of the domain of each sphere; computed on first use."""
         return Domains(self)
 
     def joins(self, k: int) -> bool:
-        """True if any resting contact joins spheres in component k."""
+        """Return True if any resting contact joins spheres in component k."""
         return bool((self.rests & self.network.slips_with[k]).any())
 
     def domains(self, k: int) -> np.ndarray:
-        """Number (n,) of the domain of each sphere in component k."""
+        """Return the number (n,) of the domain of each sphere in component k."""
         network, size = self.network, len(self.network.free)
         own = network.graph.anchor(k)
         if not self.joins(k):
@@ -336,8 +353,8 @@ class Motion:
         return pieces(size, np.append(first, held), np.append(second, own[held]))
 
     def _models(self, k: int) -> np.ndarray:
-        """(n,), the sphere whose spin each sphere takes in component k: a driven one of its domain if there is any,
-        else the first."""
+        """Return for each sphere (n,) the index of the sphere whose spin it takes in component k: a driven one of its
+        domain if there is any, else the first of the domain."""
         domain = self.domain[k]
         model = np.empty(domain.max(initial=-1) + 1, dtype=np.intp)
         for spheres in (np.arange(len(domain))[::-1], np.flatnonzero(~self.network.free)):
@@ -346,8 +363,8 @@ class Motion:
 
     @cached_property
     def torn(self) -> np.ndarray:
-        """(R,) mask of samples in which resting contacts join driven spheres that are driven differently, which is
-        impossible."""
+        """(R,) mask of samples in which resting contacts join spheres that are driven differently, so that such a
+        motion cannot exist."""
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         held = np.flatnonzero(~network.free)
         for k in (k for k in network.components if network.imposed[k].high.any() and self.joins(k)):
@@ -362,8 +379,8 @@ class Motion:
         return {}
 
     def _signed_spin(self, k: int) -> tuple[Enclosure, Enclosure | None]:
-        """Signed spins (n,) of component k, and what the stored spins of spheres that turn with the top of a lattice
-        lack of the imposed ones, (n,); None if nothing."""
+        """Return the signed spins (n,) in component k, and for spheres that turn with the top of a lattice the imposed
+        spin less the stored one, (n,); None instead of the latter if it is 0."""
         if k not in self._signed_spins:
             self._signed_spins[k] = self._find_signed_spin(k)
         return self._signed_spins[k]
@@ -387,8 +404,8 @@ class Motion:
         return slices(network.graph).slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
 
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
-        """Signed spin of the second sphere less that of the first, in component k, for contacts with the numbers `some`
-        (q,) that feel it; exactly 0 within a domain."""
+        """Return the signed spin of the second sphere less that of the first in component k, (q,), for the contacts
+        with the indices `some` (q,), which that component makes slip. Exactly 0 within a domain."""
         first, second = self.network.graph.contact[:, some]
         own, shift = self._signed_spin(k)
         domain, found = self.domain[k], nothing(len(some))
@@ -401,11 +418,14 @@ class Motion:
 
 
 class Domains(dict[int, np.ndarray]):
-    """Numbers (n,) of the domains of spheres by component, found when they are asked for."""
+    """Numbers (n,) of the domains of spheres, by component k; each is computed on first use. motion : whose domains
+    these are."""
 
     def __init__(self, motion: Motion) -> None:
+        """Take the motion whose domains these are."""
         self.motion = motion
 
     def __missing__(self, k: int) -> np.ndarray:
+        """Compute the domains of component k, and keep them."""
         self[k] = found = self.motion.domains(k)
         return found

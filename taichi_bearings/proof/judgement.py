@@ -25,7 +25,8 @@ class Judgement:
     spin, spin_rounding : in the laboratory frame, (R, *N, 3), of discs (R, *N), 1/time; the spin is the sum of the two.
     friction : on the second sphere of each contact, (R, E, 3); of discs (R, E), the component along z x n.
 
-    Arrays of a single sample of a packing may come without the axis R.
+    Arrays of a single sample of a packing may come without the axis R. In all results E is the number of contacts of a
+    sample.
     """
 
     scene: Bearing
@@ -35,10 +36,11 @@ class Judgement:
 
     @property
     def law(self) -> Law:
+        """The contact law of the scene."""
         return self.scene.law
 
     def one(self, number: int) -> Judgement:
-        """The judgement of the sample with this number alone."""
+        """Return the judgement of the sample with this number alone."""
         if self.scene.replicas == 1:
             return self
         pick = slice(number, number + 1)
@@ -47,7 +49,8 @@ class Judgement:
 
     @property
     def can_be_judged(self) -> bool:
-        """False for numbers that are not finite, or whose scales are too large or small for products."""
+        """False for numbers that are not finite, or whose scales are so large or small that products might overflow or
+        underflow."""
         return self._network is not None
 
     @cached_property
@@ -57,7 +60,7 @@ class Judgement:
 
     @property
     def network(self) -> JudgedNetwork:
-        """The network to be judged, where it can be."""
+        """The network to be judged; to be asked for only where it can be."""
         assert self._network is not None
         return self._network
 
@@ -67,17 +70,17 @@ class Judgement:
         return Bounds.of(self.network)
 
     def _by_sample(self, of_contacts: np.ndarray) -> np.ndarray:
-        """Values (R * E,) of contacts as (R, E)."""
+        """Return the values (R * E,) of contacts as an array (R, E)."""
         return of_contacts.reshape(self.network.count, -1)
 
     @property
     def acts(self) -> np.ndarray:
-        """(R, E) mask of the contacts that take part: with a coefficient and a free end."""
+        """(R, E) mask of the contacts that take part: they have a coefficient and a free end."""
         return self._by_sample(self.network.acts)
 
     @property
     def limit(self) -> np.ndarray:
-        """(R, E), the largest friction of each contact, force; for laws without friction its damping, force * time /
+        """(R, E), friction limit mu F_n of each contact, force; for laws without friction the damping, force * time /
         length."""
         if not self.law.holds:
             return self.damping
@@ -85,7 +88,7 @@ class Judgement:
 
     @property
     def damping(self) -> np.ndarray:
-        """(R, E), damping of each contact, force * time / length; 0 for friction alone."""
+        """(R, E), damping eta of each contact, force * time / length; 0 for friction alone."""
         return self._by_sample(self.network.slope.value) * (self.force_unit / self.network.speed_unit)[:, None]
 
     @property
@@ -95,7 +98,7 @@ class Judgement:
 
     @property
     def friction_along(self) -> np.ndarray:
-        """(R, E) mask of the contacts whose friction has a component along the normal, on packings by more than
+        """(R, E) mask of the contacts whose stored friction has a component along the normal; on packings by more than
         rounding."""
         friction, normal = self.network.graph.friction, self.network.graph.normal
         if friction.shape != normal.shape:
@@ -111,13 +114,13 @@ class Judgement:
 
     @cached_property
     def slipless(self) -> np.ndarray:
-        """(R,) mask of the samples for which a state without any slip is proven to exist: their least objective is
-        0."""
+        """(R,) mask of the samples for which it is proven that a state without any slip exists: their least objective
+        is 0."""
         return exists_without_slip(self.network)
 
     @cached_property
     def at_rest(self) -> np.ndarray:
-        """(R,) mask of those samples whose spins are such a state, as far as doubles can tell."""
+        """(R,) mask of the samples whose stored spins are such a state without slip, as far as doubles can tell."""
         found = self.slipless.copy()
         if found.any():
             network = self.network
@@ -128,13 +131,14 @@ class Judgement:
 
     @cached_property
     def slip(self) -> np.ndarray:
-        """(R, E), slip speeds of these spins, to the nearest doubles; 0 where the sample is at rest."""
+        """(R, E), slip speeds of the stored spins, to the nearest doubles, length/time; 0 where the sample is at
+        rest."""
         slip = self._by_sample(self.network.slip.value * self.network.speed_unit)
         return np.where(self.at_rest[:, None] & self.acts, 0.0, slip) if self.at_rest.any() else slip
 
     @cached_property
     def states(self) -> list[States]:
-        """Contact states at every minimum, sample by sample; all slipless where a state without slip exists."""
+        """Contact states at every minimum, one object a sample; all slipless where a state without slip exists."""
         none, slipless = (
             States(np.full(self.acts.shape[1], SLIPLESS), self.network.graph.layered or None),
             self.slipless,
@@ -146,18 +150,21 @@ class Judgement:
 
     @property
     def known(self) -> np.ndarray:
-        """(R, E), the states that are proven of all minima, UNDECIDED where nothing is."""
+        """(R, E), the states that are proven of all minima, UNDECIDED where nothing is proven."""
         return np.stack([of.known for of in self.states])
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
-        """Bounds (R,) of the potential converted to the objective in energy/time, rounded towards `towards`, an
-        infinity."""
+        """Return bounds (R,) of the potential converted to the objective in energy/time, rounded towards `towards`,
+        which is plus or minus infinity."""
         return rounded_out(values, self.network.power_unit * self.law.share, towards)
 
     @property
     def lower_bound(self) -> np.ndarray:
-        """(R,), not above the least objective. It is lowered in proportion where the reported objective is rounded
-        down, so that the gap of the reported numbers is not below the one before any rounding."""
+        """(R,), a number not above the least objective, energy/time.
+
+        If the reported objective is rounded down from the upper bound, this bound is scaled down by the same ratio. So
+        the gap of the reported numbers never looks smaller than the proven one.
+        """
         lower = np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
         upper, objective = self.upper_bound, self.objective
         share = np.divide(objective, upper, out=np.ones_like(upper), where=np.isfinite(upper) & (upper > objective))
@@ -166,29 +173,31 @@ class Judgement:
 
     @property
     def upper_bound(self) -> np.ndarray:
-        """(R,), not below the least objective: the objective of these spins, rounded up; 0 at rest."""
+        """(R,), a number not below the least objective: the objective of the stored spins, rounded up; 0 at rest."""
         return np.where(self.at_rest, 0.0, self._reported(self.bounds.upper, np.inf))
 
     @property
     def power(self) -> np.ndarray:
-        """(R,), the power that these spins dissipate, to the nearest doubles; 0 at rest."""
+        """(R,), the power that the stored spins dissipate, to the nearest doubles, energy/time; 0 at rest."""
         return self._of_spins(1.0, self.network.power_unit)
 
     @property
     def objective(self) -> np.ndarray:
-        """(R,), the quantity that the stationary state minimises, at these spins: the power, or with friction and
-        viscosity the potential; to the nearest doubles."""
+        """(R,), the quantity that the stationary state minimises, for the stored spins, to the nearest doubles: the
+        power, or with friction and viscosity the potential, energy/time."""
         return self._of_spins(0.5, self.network.power_unit * self.law.share)
 
     def _of_spins(self, of_slope: float, unit: np.ndarray) -> np.ndarray:
-        """(R,), friction times slip plus `of_slope` times damping times the squared slip, in units (R,); infinite for
-        spins that are impossible, 0 at rest."""
+        """Return (R,), the sum of mu F_n slip + `of_slope` eta slip^2 of the stored spins, times `unit` (R,); infinite
+        for spins that are impossible, 0 at rest."""
         taken = np.where(np.isinf(self.bounds.upper), np.inf, self.network.dissipated(of_slope).value * unit)
         return np.where(self.at_rest, 0.0, taken)
 
     @property
     def price(self) -> np.ndarray:
-        """(R,), what torques left over on free spheres cost the lower bound, over the objective."""
+        """(R,), the part of the relative gap that is due to unbalanced torques on free spheres: what they lower the
+        lower bound by, over the upper bound. Infinite where the upper bound is 0 but the price is not; 0 for slipless
+        samples."""
         price, upper = np.where(self.slipless, 0.0, self.bounds.price), self.bounds.upper
         return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
 
@@ -204,7 +213,7 @@ class Judgement:
 
     @property
     def proof(self) -> np.ndarray:
-        """(R,), the words that say for which spins the lower bound is proven."""
+        """(R,), the words that say for which spins the lower bound of each sample is proven."""
         return np.where(self.slipless, PROVEN, PROVEN if self.slipless.all() else self.bounds.proof)
 
     @property
@@ -216,14 +225,16 @@ class Judgement:
 
     @property
     def driven_power(self) -> np.ndarray:
-        """(R,), the power that contacts between driven spheres of a packing dissipate, energy/time."""
+        """(R,), the power that contacts between driven spheres of a packing dissipate, energy/time. They are no part of
+        the problem."""
         between = ~self.network.free[self.network.graph.contact].any(axis=0)
         return np.asarray(self.network.dissipated(1.0, between).value * self.network.power_unit)
 
 
 def rounded_out(values: np.ndarray, unit: np.ndarray, towards: float) -> np.ndarray:
-    """Values (R,) times their units (R,), rounded towards `towards`, an infinity: by two units in the last place, as
-    the unit and the product are each rounded once. 0 stays 0, and a power of two rounds only tiny numbers."""
+    """Return the values (R,) times their units (R,), rounded towards `towards`, plus or minus infinity: by two units in
+    the last place, as the unit and the product are each rounded once. 0 stays 0, and a power of two rounds only tiny
+    numbers."""
     found = values * unit
     for _ in range(2):
         inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)

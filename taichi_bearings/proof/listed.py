@@ -1,8 +1,9 @@
-"""The contacts of a network that is judged, in lists: where they are, which components they slip with, and what the
+"""The contacts of a network that is judged, in lists: where they are, which components make them slip, and what the
 proofs ask of them. `Grid` (slices.py) answers the same questions by slices where the contacts are those of a lattice.
 
-Letters: R samples beside each other, with n spheres and m contacts in all; D = 2 or 3 dimensions, C = 1 or 3
-components, each with a number k; n in products such as n x F is the unit normal from the first to the second sphere.
+Letters: R samples beside each other, with n spheres and m contacts in all; D = 2 or 3 dimensions, C = 1 or 3 components
+of the spins, each with a number k; n in products such as n x F is the unit normal from the first to the second sphere;
+u is spin times radius.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from taichi_bearings.scene.network import Network
 
 
 class Listed:
-    """Contacts given by the numbers of their spheres. Nothing in it changes once it is made."""
+    """Contacts given by the indices of their spheres. Nothing in it changes once it is made."""
 
     layered = False
     """True where spins are signed by sublattice and measured from the bottom of a lattice, whose two driven planes hold
@@ -26,12 +27,14 @@ class Listed:
     """Share of its friction that may act along the normal of a contact by rounding alone."""
 
     def __init__(self, place: np.ndarray, contact: np.ndarray, normal: np.ndarray, friction: np.ndarray) -> None:
-        """Take place (n, D), and of the contacts their spheres (2, m), normals (m, D) and friction F (m, C)."""
+        """Take the places of the spheres (n, D), and of the contacts their spheres (2, m), normals (m, D) and friction
+        F (m, C)."""
         self._arrays = place, contact, normal, friction
 
     @classmethod
     def of_samples(cls, network: Network, friction: np.ndarray) -> Listed:
-        """The contacts of R samples on one network of N spheres. friction : (R, E, C)."""
+        """Return the contacts of R samples on one network of N spheres and E contacts, side by side. friction : (R, E,
+        C), on the second sphere of each contact."""
         count, contacts, components = friction.shape
         if count == 1:
             return cls(network.center, network.contact, network.normal, friction[0])
@@ -50,7 +53,7 @@ class Listed:
 
     @property
     def contact(self) -> np.ndarray:
-        """(2, m), numbers of the first and the second sphere of each contact."""
+        """(2, m), indices of the first and the second sphere of each contact."""
         return self._arrays[1]
 
     @property
@@ -64,7 +67,7 @@ class Listed:
         return self._arrays[3]
 
     def some(self, pick: slice, count: int) -> Listed:
-        """The contacts of the samples in the slice `pick` alone. count : R, with which the slice is taken."""
+        """Return the contacts of the samples in the slice `pick` alone. count : R, with which the slice is taken."""
         begin, end, _ = pick.indices(count)
         if (begin, end) == (0, count):
             return self
@@ -74,68 +77,72 @@ class Listed:
         return Listed(self.place[of_spheres], ends, self.normal[of_contacts], self.friction[of_contacts])
 
     def any_end(self, mask: np.ndarray) -> np.ndarray:
-        """(m,) mask, true where the mask (n,) is true of either sphere."""
+        """Return the mask (m,) of contacts of which either sphere is in the mask (n,)."""
         return np.asarray(mask[self.contact].any(axis=0))
 
     @property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, true where a component of the spins makes a contact slip; only where components do not mix."""
+        """(C, m) mask, True where a component of the spins makes a contact slip; only where components do not mix."""
         return self.normal.T == 0 if self.normal.shape[1] == 3 else np.ones((1, len(self.normal)), dtype=bool)
 
     def mixes(self, counts: np.ndarray) -> bool:
-        """Whether slips mix components of the spins at the contacts of the mask `counts` (m,). They do not for discs,
-        nor where unit normals are along the axes."""
+        """Return True if a component of a slip depends on several components of the spins, at the contacts of the mask
+        `counts` (m,). It does not for discs, nor where unit normals are along the axes."""
         normal = self.normal
         return normal.shape[1] == 3 and not bool((np.sort(np.abs(normal[counts])) == (0, 0, 1)).all())
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """(m,), lengths of vectors given by component, (m,) each."""
+        """Return the lengths (m,) of vectors given by component, C enclosures (m,)."""
         return length(parts)
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Sums at each sphere, (n,) by component, of moments given by component, (m,) each."""
+        """Return the sums at each sphere, by component, C enclosures (n,), of moments given by component, C enclosures
+        (m,)."""
         return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
-        """Signs by component, (n,) each, by which neighbours differ, except in parts with odd loops. feels : (C, m)
-        mask of the contacts that join spheres in each component."""
+        """Return signs by component, C arrays (n,) of +1 and -1, which differ between neighbours, except in parts with
+        a loop of an odd number of contacts, where that cannot be. feels : (C, m) mask of the contacts that join spheres
+        in each component."""
         return [signs(self.contact[:, own], len(self.place))[2] for own in feels]
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
-        """Bound (n,) by component on the size of u of each sphere at some minimum, where components do not mix; with
-        `layered` u lies between 0 and the bound. box : (C,), the largest imposed size. sign : by component, (n,) each.
-        """
+        """Return by component a bound (n,) on the size of u of each sphere at some minimum, where components do not
+        mix; with `layered` u lies between 0 and the bound. box : (C,), the largest imposed size. sign : signs by
+        component, C arrays (n,)."""
         return [Enclosure.exact(np.full(len(self.place), size)) for size in box]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
-        """Numbers of the components that some minimum needs. box : (C,), the largest imposed size. differs : says of a
-        component whether the imposed spins cannot go together without slip."""
+        """Return the numbers k of the components along which some minimum may slip. box : (C,), the largest imposed
+        size. differs : function of k, True if the imposed spins cannot go together without slip."""
         return [k for k in range(len(box)) if differs(k)]
 
     def working(self, box: np.ndarray) -> list[bool]:
-        """By component, False if its moments do no work whatever they are. box : (C,), the largest imposed size."""
+        """Return by component False if its moments do no work whatever they are. box : (C,), the largest imposed
+        size."""
         return [True] * len(box)
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
-        """Vectors as long as the friction of the contacts in the mask `counts` (m,), by component, (m,) each; 0 for
-        others. moment : n x F by component."""
+        """Return the friction of the contacts in the mask `counts` (m,) by component, C enclosures (m,); 0 for others.
+        moment : n x F by component; used on lattices only."""
         return [Enclosure.exact(np.where(counts, part, 0.0)) for part in self.friction.T]
 
     def anchor(self, k: int) -> np.ndarray:
-        """(n,), the sphere whose spin each sphere shares in component k, whatever the contacts do: itself."""
+        """Return for each sphere (n,) the index of the sphere that has the same spin in component k, whatever the
+        contacts do: its own."""
         return np.arange(len(self.place))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """Spins (n,) times their signs (n,): then neighbours without slip have equal ones."""
+        """Return the spins (n,) times their signs (n,): neighbours that do not slip have equal signed spins."""
         return spin.signed(sign)
 
     def shift(self, k: int) -> Enclosure | None:
-        """(n,), what stored spins of driven spheres lack of the imposed ones in component k; None, as they lack
-        nothing."""
+        """Return None: stored spins of driven spheres are the imposed ones. (On lattices: (n,), imposed less stored
+        spins.)"""
         return None
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
-        """(m,) mask of contacts whose slip is exactly 0. spin : u by component, (n,) each."""
+        """Return the mask (m,) of contacts whose slip is exactly 0. spin : u by component, C enclosures (n,)."""
         (first, second), found = self.contact, np.ones(len(self.normal), dtype=bool)
         for part, feels in zip(spin, self.slips_with, strict=True):
             for of in part.parts[:2]:
@@ -143,19 +150,19 @@ class Listed:
         return found
 
     def middle(self, some: np.ndarray) -> np.ndarray:
-        """(q, D), places of the middles of the contacts with numbers `some` (q,)."""
+        """Return the positions (q, D) of the middles of the contacts with the indices `some` (q,)."""
         begin, end = self.place[self.contact[:, some]]
         return np.asarray(begin + (end - begin) / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """A speed by which contacts might slip, in units of `speed_unit`: the largest in `box` (C,), the imposed
+        """Return a speed by which contacts might slip, in units of `speed_unit`: the largest in `box` (C,), the imposed
         sizes."""
         return float(box.max(initial=0.0))
 
 
 def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """Cross products with the normals (m, D), by component, of vectors (m,) by component; for discs the vectors as they
-    are."""
+    """Return the cross products of vectors with the normals (m, D), by component; for discs the vectors as they are.
+    vectors : by component, C enclosures (m,)."""
     if len(vectors) == 1:
         return vectors
     n = normal.T
@@ -164,13 +171,18 @@ def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
 
 
 def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """n x F by component, (m,) each, of friction given by component."""
+    """Return n x F by component, C enclosures (m,). friction : F by component, C enclosures (m,)."""
     return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
 
 
 def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parts that edges (2, q) make of nodes 0 to size - 1, as label (size,), mask (size,) of nodes in parts with odd
-    loops, and signs s (size,) by which neighbours differ in all other parts."""
+    """Return three arrays (size,) about the connected parts that edges make of nodes: the label of the part; True for
+    nodes in parts with a loop of an odd number of edges; and in all other parts signs +1 and -1 that differ between
+    neighbours. ends : (2, q), nodes 0 to size - 1 that each edge joins.
+
+    The nodes are doubled, u+ and u-, and each edge joins u+ with v- and u- with v+. In a part without odd loops both
+    copies stay apart, which gives the signs; with an odd loop u+ is connected with u-.
+    """
     first, second = ends
     copy = pieces(2 * size, np.append(first, second), np.append(second, first) + size).reshape(2, -1)
     return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)

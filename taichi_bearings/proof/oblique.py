@@ -214,7 +214,7 @@ class Near:
 
     @cached_property
     def parts(self) -> list[Part]:
-        """The parts in which the unknowns are eliminated."""
+        """The parts in which the unknowns are eliminated, one after the other."""
         return self.network.parts_of(np.nonzero(self.number >= 0)[0])
 
     def curvature(self, firmness: float = 1.0) -> Form | None:

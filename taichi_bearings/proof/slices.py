@@ -35,7 +35,8 @@ class Grid(Listed):
         self.samples = samples
 
     def some(self, pick: slice, count: int) -> Grid:
-        """Return the contacts of the samples in the slice `pick` alone. count : R, with which the slice is taken."""
+        """Return the contacts of the samples in the slice `pick` alone. count : R, the number of samples with which the
+        slice is taken."""
         return Grid(self.samples.some(pick) if self.samples.count > 1 else self.samples)
 
     @cached_property

@@ -1,13 +1,15 @@
-"""Does a state exist in which no contact slips? By structure, never by how little some spins dissipate: theorem 3.
+"""Proof that a state exists in which no contact slips, by structure, never by how little some spins dissipate: theorem
+3.
 
 Samples of a lattice have one where nothing joins the two planes in a component in which they differ. Packings have one
-in three cases, which may meet in one packing:
+in three cases, which may meet in one packing. A *part* is what contacts join through free spheres.
 
-1. nothing that is driven touches the part: it is at rest;
-2. components do not mix (discs, normals along the axes), and in no component contacts join driven spheres that ask for
-   different spins, or a driven sphere that turns to an odd loop;
-3. components mix, and each sphere either belongs to a part in which spins can make any slips whatever (rows of K are
-   independent, by a proven floor), or to one in which spins are found, in fractions, that roll exactly.
+1. Nothing that is driven touches the part: it can be at rest.
+2. Components do not mix (discs, normals along the axes), and in no component contacts join driven spheres that ask for
+   different spins, or a driven sphere that turns to a loop of an odd number of contacts.
+3. Components mix, and each sphere either belongs to a part in which spins can make any slips whatever (the rows of the
+   matrix of slips are independent, by a proven floor), or to one in which spins are found, in fractions, that roll
+   exactly.
 
 Normals and imposed spins are the stored doubles. Where normals are rounded that have to agree, none of this holds.
 """
@@ -30,8 +32,8 @@ IMPOSED = -1  # the key for the constant term of an equation, from imposed spins
 
 
 def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
-    """(R,) mask of the samples for which it is proven that some spins of the free spheres leave all contacts without
-    slip. False means that nothing is proven."""
+    """Return the mask (R,) of the samples for which it is proven that some spins of the free spheres leave all contacts
+    without slip. False means that nothing is proven."""
     if network.graph.layered:
         return _of_layers(network)
     if not network.counts.any():
@@ -42,7 +44,8 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
 
 
 def _of_layers(network: JudgedNetwork) -> np.ndarray:
-    """(R,) mask of the samples of a lattice in which nothing joins the planes in a component in which they differ."""
+    """Return the mask (R,) of the samples of a lattice in which nothing joins the planes in a component in which they
+    differ."""
     if not network.needed:
         return np.ones(network.count, dtype=bool)
     absent = network.graph.any_end(network.free) & ~network.acts
@@ -52,7 +55,8 @@ def _of_layers(network: JudgedNetwork) -> np.ndarray:
 
 
 def imposed_exactly(network: JudgedNetwork) -> bool:
-    """True where all imposed R omega are exact sums of two doubles."""
+    """Return True where all imposed spins times radius are exact sums of two doubles, as they are unless products
+    underflow."""
     sizes = [np.abs(part.high[part.high != 0]) for part in network.imposed]
     return all((size > LEAST_IMPOSED).all() for size in sizes)
 
@@ -68,11 +72,12 @@ def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
 
 
 def _rolls_exactly(network: JudgedNetwork) -> bool:
-    """True if case 3 is proven for the one sample of a network."""
+    """Return True if case 3 is proven for one packing; it is tried only where the given spins are nearly such a
+    state."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
-    # Leave out spheres that can make any slips, then contacts that exact motions let roll; try the other parts in
-    # fractions.
+    # Leave out spheres that can make any slips, then contacts that exact motions let roll. Parts with other contacts
+    # are tried in fractions.
     left = replace(network, rolling=rolling(network))
     if not left.counts.any():
         return True
@@ -89,8 +94,8 @@ def _rolls_exactly(network: JudgedNetwork) -> bool:
 
 
 def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
-    """True if spins exist at which the contacts (E,) of one part roll, by Gaussian elimination in fractions, without
-    any rounding; False for parts too large for that."""
+    """Return True if spins exist at which the contacts in the mask (E,), those of one part, roll exactly: by Gaussian
+    elimination in fractions, without any rounding. False for parts that are too large for it."""
     spheres = np.unique(network.graph.contact[:, contacts])
     spheres = spheres[network.free[spheres]]
     if len(spheres) > MOST_IN_FRACTIONS:
@@ -113,8 +118,9 @@ def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
 
 
 def _equations(network: JudgedNetwork, contact: int, unknown: dict[int, int]) -> list[dict[int, Fraction]]:
-    """The three equations (u_i + u_j) x n = 0 of a contact, exactly: for each a table of coefficients by unknown, and
-    under IMPOSED the constant term. unknown : number of the first of the three unknowns of each free sphere."""
+    """Return the three equations (u_i + u_j) x n = 0 of a contact, exactly: each a dictionary of coefficients by
+    unknown, with the constant term under IMPOSED. unknown : for each free sphere the number of the first of its three
+    unknowns."""
     normal = [Fraction(float(value)) for value in network.graph.normal[contact]]
     rows = list[dict[int, Fraction]]()
     for a, b in ((1, 2), (2, 0), (0, 1)):

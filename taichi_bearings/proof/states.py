@@ -77,7 +77,7 @@ class States:
 
     known : (E,), the states that hold at all minima, UNDECIDED where nothing is proven.
     unique : True if there is only one minimum, False if there are more, None if that is not known.
-    reason : why not all is proven, or "".
+    reason : words that say why not all states are proven, or "".
     """
 
     known: np.ndarray
@@ -87,7 +87,7 @@ class States:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
-    """Contact states at every minimum, sample by sample, from the bounds on the power."""
+    """Return the contact states at every minimum, one object a sample, from the bounds on the power."""
     if bounds.alone:
         return [states for one in bounds.alone for states in proven_states(one)]
     network, layered = bounds.network, bounds.network.graph.layered
@@ -122,26 +122,28 @@ def proven_states(bounds: Bounds) -> list[States]:
 
 
 def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
-    """The states (m,) of all samples as one object a sample, with the same reason and uniqueness."""
+    """Return the states (m,) of all samples as one object a sample, with the same reason and uniqueness."""
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
 
 
 def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
-    """The result of :func:`oblique.enclosed_minimum`, whose module is loaded for packings alone."""
+    """Return the result of :func:`oblique.enclosed_minimum`, whose module is loaded for packings alone."""
     from taichi_bearings.proof.oblique import enclosed_minimum
 
     return enclosed_minimum(bounds)
 
 
 def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """The result of :func:`borne.at_rest_beside_loops`, whose module is loaded for packings alone."""
+    """Return the result of :func:`borne.at_rest_beside_loops`, whose module is loaded for packings alone."""
     from taichi_bearings.proof.borne import at_rest_beside_loops
 
     return at_rest_beside_loops(bounds, far)
 
 
 def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray]) -> list[States]:
-    """States that follow from the mask S and the distances `near` of :func:`oblique.enclosed_minimum`."""
+    """Return the states that follow from `near`, the mask S (E,) and the distances (E,) of
+    :func:`oblique.enclosed_minimum`: contacts outside S rest, those of S slip if they have friction or a slip above the
+    distance."""
     slides, far = near
     known = (network.holding.high > 0) | (network.slip.least > far)
     slips = np.where(known, SLIPPING, UNDECIDED)
@@ -149,21 +151,21 @@ def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray]) -> li
 
 
 def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
-    """Undecided states for all contacts of all samples, with this reason."""
+    """Return UNDECIDED for all contacts of all samples, with this reason."""
     return _samples(network, np.full(len(network.acts), UNDECIDED), reason, None)
 
 
 def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
-    """States (m,): SLIPPING where the given slip exceeds `far` (m,), a bound on how far slips of minima are from it;
-    SLIPLESS where a contact does not act, UNDECIDED elsewhere."""
+    """Return states (m,): SLIPPING where the given slip exceeds `far` (m,), a bound on |slip at any minimum - given
+    slip|; SLIPLESS where a contact does not act, UNDECIDED elsewhere."""
     slips = network.counts & (network.slip.least > far)
     return np.where(slips, SLIPPING, np.where(network.acts, UNDECIDED, SLIPLESS))
 
 
 def _by_cuts(bounds: Bounds, k: int) -> list[States]:
-    """States where component k alone is needed, by its lightest cuts, part by part and sample by sample. A contact
-    slips if it is between the sides of a lightest cut of any step of imposed values, and rests if it is on one side at
-    all steps."""
+    """Return the states where component k alone matters, by its lightest cuts, part by part and sample by sample. A
+    contact slips if it is between the sides of every lightest cut of some step of imposed values; it rests if it is on
+    one side of every lightest cut at all steps."""
     network, count = bounds.network, len(bounds.network.free)
     own = np.flatnonzero(network.feels[k])
     (first, second), sample = network.graph.contact[:, own], network.sample_of(own)
@@ -222,21 +224,21 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
 
 
 def _is_one(states: np.ndarray) -> bool | None:
-    """Whether there is only one minimum, by the states (E,) of all contacts; None if that is not known."""
+    """Return whether there is only one minimum, by the states (E,) of all contacts; None if that is not known."""
     return False if (states == TIED).any() else None if (states == UNDECIDED).any() else True
 
 
 def _in_whole_numbers(
     bounds: Bounds, own: np.ndarray, ends: np.ndarray, above: np.ndarray, below: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers (0 to m - 1) of the contacts that touch a sphere between cuts that (nearly) tie; and masks of these
-    contacts, in some lightest cut, and in all.
+    """Decide contacts near cuts that (nearly) tie in whole numbers. Returns their numbers (q,), 0 to m - 1, and masks
+    (q,): whether each is in some lightest cut, and in all of them.
 
-    own : (m,), the contacts by their numbers in the network.
+    own : (m,), indices of the contacts in the network.
     ends : (2, m), their spheres.
     above, below : masks of the spheres on either side of every lightest cut.
 
-    Samples far from their minimum, or with too many contacts to be counted, have none.
+    Samples far from their minimum, or with too many contacts to be counted, are left out.
     """
     network, between = bounds.network, ~(above | below)
     near = np.flatnonzero(between[ends].any(axis=0))
@@ -251,8 +253,8 @@ def _in_whole_numbers(
 
 
 def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
-    """Mask of the nodes that can be reached from any of the nodes `starts`, in the directed graph `follows` (nodes,
-    nodes)."""
+    """Return the mask (nodes,) of the nodes that can be reached from any of the nodes `starts` along the edges of the
+    directed graph `follows` (nodes, nodes)."""
     size = follows.shape[0]
     ends = (np.full(len(starts), size), starts)
     source = sparse.csr_array((np.ones(len(starts), dtype=np.int8), ends), shape=(size + 1, size + 1))
@@ -263,9 +265,9 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
 
 
 def _by_curvature(network: JudgedNetwork) -> list[States]:
-    """States where two components are needed, or more along the axes, by steps 1 to 3 of the module docstring. Samples
-    of a lattice are proven all at once, or else half by half; one by one where friction is repeated, so that there may
-    be ties."""
+    """Return the states where two components matter, or more along the axes, by steps 1 to 3 of the module docstring.
+    Samples of a lattice are proven all at once, or else half by half; one by one where friction is repeated, so that
+    there may be ties."""
     count = network.count
     if not network.graph.layered:
         return _by_tiny_slips(network)
@@ -301,7 +303,7 @@ def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
 
 
 def _with_ties(network: JudgedNetwork) -> States:
-    """States of one sample, in which minima may tie: ties are tried first where friction is repeated."""
+    """Return the states of one sample in which minima may tie; ties are tried first where friction is repeated."""
     contacts, repeats = Slipping.of(network.motion), _repeats(network)
     tied = tied_states(network.motion, contacts) if repeats else None
     if tied is None and isinstance(doubt := _near(network.motion, contacts), tuple):
@@ -313,8 +315,8 @@ def _with_ties(network: JudgedNetwork) -> States:
 
 
 def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
-    """States of friction with damping, `known` or better: contacts whose share of friction left exceeds their slip over
-    the jump are tried as resting."""
+    """Return the states of friction with damping, `known` or better. Contacts whose share of friction left, 1 - |F| /
+    (mu F_n), exceeds their slip over the jump are tried as resting."""
     network, count = bounds.network, bounds.network.count
     if not network.law.holds or network.mixes or not network.needed:
         return known
@@ -332,8 +334,8 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
 
 
 def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> list[States]:
-    """The states `told` of samples of a packing, with the contacts that resting.py or borne.py proves to rest. far :
-    (m,), bound on how far slips of minima are from the given ones."""
+    """Return the states `told` of a packing, with the contacts added that resting.py or borne.py proves to rest. far :
+    (E,), bound on |slip at any minimum - given slip|."""
     network, known = bounds.network, np.concatenate([states.known for states in told])
     if not network.law.holds or not (network.counts & (known == UNDECIDED)).any():
         return told
@@ -343,8 +345,8 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> 
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """States (m,) if at the minimum nothing slips except contacts between domains of those that `rests` (m,) marks; or
-    a text that says what is missing in the proof."""
+    """Return the states (m,) if at the minimum nothing slips except contacts between the domains of the contacts in the
+    mask `rests` (m,); or a text that says what is missing in the proof."""
     if not network.graph.layered and any(
         network.signs(k)[1][network.graph.contact[:, network.counts]].any() for k in network.needed
     ):
@@ -358,12 +360,12 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
 
 
 def _as_stored(motion: Motion) -> np.ndarray:
-    """States (m,) at the only minimum: the contacts that slip in the stored motion slip, and no others."""
+    """Return the states (m,) at the only minimum: the contacts that slip in the stored motion slip, and no others."""
     return np.where(motion.network.counts & ~motion.rests, SLIPPING, SLIPLESS)
 
 
 def _repeats(network: JudgedNetwork) -> bool:
-    """True if two slipping contacts of some sample have the same friction."""
+    """Return True if two slipping contacts of some sample have the same friction limit."""
     own = np.flatnonzero(network.counts & ~network.motion.rests)
     values, sample = network.holding.high[own], network.sample_of(own)
     order = np.lexsort((values, sample))
@@ -371,8 +373,8 @@ def _repeats(network: JudgedNetwork) -> bool:
 
 
 def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
-    """Contacts near the minimum, and the share (n,) by which each slip differs there at most; or a text that says what
-    is missing in the proof. Several samples are treated as parts of one that no contact joins."""
+    """Return the contacts near the minimum, and the share (n,) of its size by which each slip differs there at most; or
+    a text that says what is missing in the proof. Several samples are treated as parts of one that no contact joins."""
     if motion.torn.any():
         return "contacts without slip join driven spheres that turn otherwise"
     if not _saturated(motion.network, contacts):
@@ -386,8 +388,8 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
 
 
 def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
-    """True if the friction of all slipping contacts of a lattice is about at its limit, as it is near a minimum; True
-    for packings."""
+    """Return True if the friction of all slipping contacts of a lattice is about at its limit, as it is near a minimum;
+    True for packings."""
     if not network.graph.layered:
         return True
     parts = [part.high[contacts.own] for part in network.moment]
@@ -395,8 +397,8 @@ def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
 
 
 def _by_cones(bounds: Bounds) -> np.ndarray:
-    """(E,), bound on how far slips of minima are from the given ones, for a Coulomb network whose components mix;
-    infinite where nothing is proven."""
+    """Return a bound (E,) on |slip at any minimum - given slip|, for a Coulomb network whose components mix; infinite
+    where nothing is proven."""
     network, springs = bounds.network, bounds.springs
     if springs is None:
         return np.full(len(network.acts), np.inf)
