@@ -107,6 +107,8 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
     """Return the Nesterov-Todd scaling W of a contact times a point, or W^-1 times it: a list that begins with the
     head.
 
+    W brings the primal point (bound, slip) and the dual point (friction, minus force) together: W^-1 primal = W dual.
+
     values, at : all rows, and indices of the rows of the state, which hold W as a weight and a rotation.
     head, tail : the point; the tail is a list of one or two numbers.
     m : number of the contact within its block.
@@ -134,7 +136,8 @@ def jordan(a, b: ti.template(), c, e: ti.template()):
 def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
     """Return W^-1 x for the point x with (scaled point) o x = (head, tail): a list that begins with the head.
 
-    The scaled point is W^-1 primal = W dual; o is the Jordan product, which is inverted here.
+    W is the Nesterov-Todd scaling of the contact, by which its primal and its dual point become the same scaled point,
+    W^-1 primal = W dual. o is the Jordan product, which is inverted here.
 
     values, at : all rows, and indices of the rows of the state, which hold W and the scaled point.
     head, tail : the right-hand side; the tail is a list of one or two numbers.

@@ -118,7 +118,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     predicted, integral : the spin extrapolated to the end of the next step, and its mean over that step; the second
         only with friction.
     is_free : one number a sphere, 0 for driven ones and 1 for others.
-    coefficient, viscosity : normal force of each contact; viscosity only where it acts beside friction.
+    coefficient, viscosity : friction of each contact in a unit that all share; viscosity only where it acts beside it.
     elongation, force : stretch of the spring and tangential force of each contact, along the difference of the spins;
         the first only with friction. Spins in `gear_n` stand at the end of the last step; the force is that at its
         predicted end.

@@ -135,6 +135,7 @@ def _states_and_thresholds(
     if threshold is not None:
         state = _states(scene, slip, final, threshold, asked=True)
         return state, np.full(scene.replicas, threshold), threshold
+    # slips computed from rounded spins: smaller ones than this share of the imposed slip are rounding
     rounding = 1e-12 * scene.lattice.radius * scene.jump if final.slip is None else 0.0
     resolves = np.maximum(final.resolution, rounding) * np.ones(scene.replicas)
     state = _states(scene, slip, final, float(resolves.max()), asked=False)

@@ -305,7 +305,7 @@ class Course:
         self.scene, self.method, self.stop, self.recording = method.scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
         self.best, self.recorder = _Best(method), Recorder(method.scene, recording)
-        self.target, self.launch = 0, 64
+        self.target, self.launch = 0, 64  # so few iterations take far less than a second
         self.began = self.called = self.written_at = time.perf_counter()
         if isinstance(method, Dynamics):
             method.end_at(self.stop.duration, checkpoints is not None)

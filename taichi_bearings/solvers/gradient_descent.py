@@ -32,7 +32,7 @@ from taichi_bearings.solvers.contacts import CONSTANT, Launch
 from taichi_bearings.solvers.method import Swept
 from taichi_bearings.solvers.table import GradientDescent
 
-FIRST_EPOCH = 64
+FIRST_EPOCH = 64  # sweeps of the first epoch without momentum; each further one has twice as many
 FIRST_SPIN_STEP = 0.01  # of the imposed jump: length of the first steps without momentum
 FIRST_WIDTH = 0.1  # of the imposed jump: regularisation at the start with momentum
 LARGE_SLIP = 0.01  # of the imposed jump: faster contacts count as slipping from the first step on
@@ -99,7 +99,7 @@ class GradientDescentMethod(Swept):
         self.sweeps.compile(self.fields, self.team)
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
-        self.least_width = 1e2 * float(np.finfo(precision).eps) * jump
+        self.least_width = 1e2 * float(np.finfo(precision).eps) * jump  # a hundred roundings of a spin
         self.width = FIRST_WIDTH * jump if self.momentum else self.least_width
         self.step_length = FIRST_SPIN_STEP * jump
         self.iteration = self.age = 0

@@ -188,7 +188,7 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
     whole = np.ldexp(part, MANTISSA_BITS).astype(np.int64).astype(object)
     if not same:
         whole, power = whole * np.ldexp(more, MANTISSA_BITS).astype(np.int64), power + further
-    least = int(power[whole > 0].min(initial=2**16))
+    least = int(power[whole > 0].min(initial=2**16))  # which is above all exponents of doubles
     whole = whole << np.where(whole > 0, power - least, 0).astype(object)
     common = int(np.bitwise_or.reduce(whole, initial=0))
     zeros = (common & -common).bit_length() - 1 if common else 0
@@ -270,11 +270,12 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
 
 
 def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
-    """Return the flow (edges,) from low to high that saturates the nested cuts and is balanced at all free nodes.
+    """Return the flow (edges,) from low to high that is balanced at all free nodes and saturates the minimum cuts.
 
-    It is a whole number of `cover.unit` for each edge.
+    The cuts are nested: there is one between each two neighbouring driven values, and its edges join nodes on both
+    sides. The flow is a whole number of `cover.unit` for each edge.
 
-    place : (nodes,), level of each node.
+    place : (nodes,), the number of each node's value among the sorted driven values.
     """
     # edges between different levels are saturated; a maximum flow within each level balances what they bring
     fall = np.sign(place[cover.low] - place[cover.high])

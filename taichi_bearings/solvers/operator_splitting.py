@@ -288,6 +288,7 @@ class OperatorSplittingMethod(Method):
         """
         if not 0 < self.iteration < STEERED_ITERATIONS:
             return np.ones(len(power))
+        # neither part counts as less than a thousandth of the gap, so that their ratio stays finite
         least = np.maximum(1e-3 * (power - bound), np.finfo(np.float64).tiny)
         spins_late = np.maximum(power - balanced_power, least)
         forces_late = np.maximum(balanced_power - bound, least)

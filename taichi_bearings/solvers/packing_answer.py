@@ -323,7 +323,7 @@ def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndar
     fastest = float(np.abs(packing.driven_speed).max(initial=0.0))
     held = law.holding_force(system.of_contacts(packing))
     if held is None or not held.any():
-        return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)
+        return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)  # smaller slips are rounding
     limit = np.asarray(law.holding_force(packing.material))[0]
     fast, full = slip > AT_REST * fastest, forces_of(system, found.force)[0] >= SATURATED * limit
     state = np.where(fast & full, SLIPPING, np.where(fast | (full & (limit > 0)), UNDECIDED, SLIPLESS))

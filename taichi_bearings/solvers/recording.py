@@ -181,7 +181,8 @@ class Recorder:
 
         state : the arrays by name, as `state` returned them.
         """
-        self._columns = {name[8:]: list(values) for name, values in state.items() if name.startswith("history/")}
+        begin = "history/"
+        self._columns = {name[len(begin) :]: list(values) for name, values in state.items() if name.startswith(begin)}
         self._snapshot_times = [float(t) for t in state.get("snapshots/time", ())]
         self._snapshot_spins = list(state.get("snapshots/spin", ()))
         self._last_time = float(state["last_time"])

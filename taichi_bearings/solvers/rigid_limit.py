@@ -122,7 +122,7 @@ class RigidLimitMethod(Dynamics):
         least, most = LEAST_STEP * self.relaxation_time, MOST_STEP * self.relaxation_time
         chosen, length = self.options.time_step is not None, self.length
         while True:
-            aimed = self.time < self.aim <= self.time + length * (1 + 1e-9)
+            aimed = self.time < self.aim <= self.time + length * (1 + 1e-9)  # no tiny step is left over
             duration = self.aim - self.time if aimed else length
             step = self._trial_step(duration)
             error = self._error(step, duration) / self.options.error_tolerance
