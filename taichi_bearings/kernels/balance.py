@@ -146,7 +146,8 @@ class BalanceKernels:
 
         values : all fields, flat; `pull` is read and `potential` changed.
         modes : (C components, R samples, *N spheres) scratch for the amplitudes of the sines, flat.
-        sines, chains : matrix of the sines, and factors of the chains, see the class.
+        sines : (m, m) matrix of the sines along the height of m free spheres, flat.
+        chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies.
         row, margin : length of a row of the fields, and numbers of a row before the first sphere.
         count, sites : spheres of all replicas, and of one.
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
@@ -225,7 +226,7 @@ class BalanceKernels:
         is summed up on the way (`ring_closures` there), and its share is taken from each sphere on the way back.
 
         modes : (C components, R samples, *N spheres) pulls, flat, replaced by the solutions.
-        chains : factors, see the class.
+        chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies.
         slot : number of the spin component.
         group : number of the block of chains.
         count : sites of all replicas.
@@ -286,7 +287,7 @@ class BalanceKernels:
 
         workers : number of threads.
         modes : (C components, R samples, *N spheres) pulls in each mode, flat, replaced by the solutions.
-        chains : factors of the chains, see the class.
+        chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies.
         count, sites : spheres of all replicas, and of one.
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
         longest : spheres of the longest chain.

@@ -116,6 +116,8 @@ class ListSweeps(Sweeps):
     ):  # fmt: skip
         """Return the slips T (u_i + u_j) of a block of contacts: a list with an entry for each tangent.
 
+        u is radius times spin of the two spheres, T the unit tangents of the contact.
+
         values : all fields, flat.
         name : name of the field of spheres that holds u.
         across : unit tangents T, a list of the 6 components of both; not used for discs.
@@ -150,11 +152,12 @@ class ListSweeps(Sweeps):
         self, values: ti.template(), blocks: ti.template(), rows: ti.template(), across: ti.template(),
         force: ti.template(),
     ):  # fmt: skip
-        """Write the friction forces of a block of contacts as vectors, T f.
+        """Write the friction forces of a block of contacts as vectors, T f: the unit tangents T times the components f
+        along them.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        rows : list of the indices where the components of the force stand.
-        across : unit tangents T, a list of the 6 components of both; not used for discs.
+        rows : list of the indices where the components of the vectors stand.
+        across : T, a list of the 6 components of both tangents; not used for discs.
         force : f, a list with an entry for each tangent.
         """
         if ti.static(self.components == 1):
@@ -168,8 +171,10 @@ class ListSweeps(Sweeps):
         """Return one component of the force on each sphere of a block, minus the sum of T f over its contacts: a
         vector.
 
+        T f is the friction force of a contact as a vector, from its tangents T and the components f along them.
+
         values : all fields, flat.
-        row : index at which the row of that component of T f begins, the friction forces of the contacts.
+        row : index at which the row of that component of T f begins.
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first sphere.
         """
@@ -184,8 +189,10 @@ class ListSweeps(Sweeps):
     def pull_on(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), sphere):
         """Return one component of the force on a sphere, minus the sum of T f over its contacts.
 
+        T f is the friction force of a contact as a vector, from its tangents T and the components f along them.
+
         values : all fields, flat.
-        row : index at which the row of that component of T f begins, the friction forces of the contacts.
+        row : index at which the row of that component of T f begins.
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         sphere : number of the sphere.
         """
@@ -204,9 +211,11 @@ def dot(a: ti.template(), b: ti.template()):
 
 @ti.data_oriented
 class CundallStrackLists(SpringsAndSpins, ListSweeps):
-    """Cundall-Strack steps over lists: fields and constants as in `CundallStrackSteps`, with two differences.
+    """Cundall-Strack steps over lists: springs at the contacts, Gear's method for the spins.
 
-    `is_free` holds 1 / inertia of each sphere, 0 of driven ones. `work` is that of each contact.
+    Fields and constants are those of `CundallStrackSteps`, with two differences: `is_free` holds 1 / inertia of each
+    sphere, 0 of driven ones; `work` is that of each contact, not of the contacts of a sphere. The unknowns are u =
+    radius * spin.
     """
 
     @ti.func
@@ -271,9 +280,10 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
 
 @ti.data_oriented
 class DescentLists(ListSweeps):
-    """Sweeps of gradient descent over lists: fields and constants as in `DescentSweeps`.
+    """Sweeps of gradient descent over lists: each moves all free spins down the gradient of the dissipated power.
 
-    Spins are not kept within a box, which would be wrong where the normals of contacts are oblique.
+    Fields and constants are those of `DescentSweeps`; the unknowns are u = radius * spin, in the field `point`. They
+    are not kept within a box, which would be wrong where the normals of contacts are oblique.
     """
 
     repeats = 2
@@ -291,7 +301,7 @@ class DescentLists(ListSweeps):
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
-        numbers : constants of the sweep, of which the one at place 1 is the sharpness, see `DescentSweeps`.
+        numbers : constants of the sweep, of which the one at place 1 is 1 over the slip up to which friction grows.
         """
         own = load_each(values, self.contact_places("coefficients", size, first), self.block)
         force = self.force_law(self.slip(values, "point", across, tables, size, first), own, numbers[1])

@@ -188,7 +188,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        numbers : constants of the step, see the class.
+        numbers : seven constants of the law of the contacts, see `spring`.
         """
         if ti.static(self.tally):
             self.add_work(values, blocks, row, first, strides)
@@ -261,7 +261,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index of the first site of the block.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        numbers : constants of the step, see the class.
+        numbers : seven constants of the law of the contacts, see `spring`, and time step * radius / inertia.
         sweep, carried : not used; `walk` takes the same arguments in all sweeps.
         """
         if ti.static(part == 0):

@@ -80,9 +80,9 @@ class DescentSweeps(Sweeps):
         Along the height a block takes this force from the block before; the first block of a worker has none before it.
 
         values : all fields, flat.
-        size : row length and margin first, see `Layout.measures`.
+        size : length of a row, and numbers in it before the first site.
         low : number of the worker's first block.
-        numbers : constants of the sweep, see the class.
+        numbers : constants of the sweep; at place 1 is 1 over the spin difference up to which friction grows.
         sweep : number of the sweep, whose parity says which of the two fields of points is read.
         """
         height = ti.static(self.stencil.height)
@@ -131,7 +131,8 @@ class DescentSweeps(Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        numbers : constants of the sweep, see the class.
+        numbers : step; sharpness, 1 over the spin difference up to which friction grows; three lower and three upper
+            ends of the interval in which spins stay; 1 to add spins and forces to their sums, else 0.
         sweep : number of the sweep since the momentum was last set to zero.
         carried : force of the contact below the block along the height, see `add_along_the_height`.
         """

@@ -91,7 +91,7 @@ class ContactStep(Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        numbers : constants, see the class.
+        numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
         """
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
@@ -130,7 +130,7 @@ class ContactStep(Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index of the first site of the block.
         strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        numbers : constants, see the class.
+        numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
         sweep, carried : not used; `walk` takes the same arguments in all sweeps.
         """
         if ti.static(part == 0):
