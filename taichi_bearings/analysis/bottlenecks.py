@@ -49,11 +49,14 @@ LEAST_COUNT = 1e-200  # smallest number of paths that is kept, in units of the l
 
 @dataclass(frozen=True)
 class Betweenness:
-    """The loads of all links and spheres by the shortest paths of all pairs.
+    """The loads of all links and spheres: how many shortest paths of all pairs run through them. Links are slipless
+    contacts; a pair is a bottom and a top sphere that links connect; each pair counts 1, split evenly over its shortest
+    paths.
 
-    link : (E,), sphere : (sites,), loads in pairs; a sphere also carries the pairs whose end it is. pairs : number of
-    connected pairs. mean_distance : mean length of their shortest paths in links; 0 without pairs. is_exact : paths
-    were counted from all sources; else the loads are an unbiased estimate.
+    link : (links,), load of each link. sphere : (spheres,), load of each sphere, which includes the pairs whose end it
+        is.
+    pairs : number of connected pairs. mean_distance : mean length of their shortest paths in links; 0 without pairs.
+    is_exact : True if paths were counted from all sources; else the loads are an unbiased estimate from some.
     """
 
     link: np.ndarray
@@ -65,15 +68,22 @@ class Betweenness:
 
 @dataclass(frozen=True)
 class Bottlenecks:
-    """The loads, the backbone and the parting links of one sample. network : its slipless network."""
+    """Bottlenecks of one sample: the loads of its links, the backbone, and the links that alone separate bottom and
+    top.
+
+    Links are slipless contacts. network : the slipless network of the sample.
+    """
 
     network: SliplessNetwork
 
     @cached_property
     def backbone(self) -> np.ndarray:
-        """(E,) True for links on some path from bottom to top that visits no node twice; all False if there is none.
+        """(links,) mask: True for links on some path from bottom to top that visits no node twice; all False if there
+        is no path.
 
-        No other link is on a shortest path.
+        No other link is on a shortest path. The ends of the network outside are closed by extra links to one node; the
+        links then form blocks any two of whose links lie on a cycle, and the backbone are the blocks of the extra
+        links.
         """
         network, through = self.network, np.zeros(self.network.ends.shape[1], dtype=bool)
         if not network.spans:
@@ -89,7 +99,7 @@ class Bottlenecks:
 
     @cached_property
     def parting(self) -> np.ndarray:
-        """(E,) True for links of the backbone whose removal separates bottom from top: they are blocks of one link."""
+        """(links,) mask: True for links of the backbone whose removal alone separates bottom from top."""
         parting = np.zeros(len(self.backbone), dtype=bool)
         low, high = self.network.body[self.network.ends[:, self.backbone]]
         block = _blocks(low, high, self.network.bodies)
@@ -98,25 +108,28 @@ class Bottlenecks:
 
     @cached_property
     def betweenness(self) -> Betweenness:
-        """The loads of links and spheres; only links of the backbone are searched."""
+        """The loads of links and spheres by shortest paths, for which only links of the backbone have to be searched."""
         return betweenness(self.network, self.backbone)
 
     @property
     def share(self) -> np.ndarray:
-        """Share (E,) of the connected pairs that each link carries; 0 without pairs."""
+        """(links,) share of the connected pairs of a bottom and a top sphere whose shortest paths run through each
+        link; 0 without pairs.
+        """
         return self.betweenness.link / max(1, self.betweenness.pairs)
 
     @property
     def visits(self) -> np.ndarray:
-        """Share, shape N, of the connected pairs whose shortest paths visit each sphere."""
+        """Share of the connected pairs of a bottom and a top sphere whose shortest paths visit each sphere, in the
+        shape of the lattice or (spheres,).
+        """
         found = self.betweenness
         return found.sphere.reshape(self.network.shape) / max(1, found.pairs)
 
     @property
     def effective_links(self) -> float:
-        """Participation number (sum load)^2 / sum load^2 of the links; 0 without pairs.
-
-        That many links would have the same participation number if they shared the load equally and others had none.
+        """Number of links that would have the same participation number if they shared all load equally: (sum load)^2 /
+        sum load^2; 0 without pairs.
         """
         load = self.share
         return float(load.sum() ** 2 / (load**2).sum()) if load.any() else 0.0
@@ -124,8 +137,8 @@ class Bottlenecks:
     def most_loaded(self, number: int = 10) -> list[dict[str, Any]]:
         """Return the links of greatest load, the greatest first, each as a dictionary.
 
-        number : how many at most. The entries are the names of a link (contact, and axis or spheres), its `share`, and
-        whether it separates the planes alone (`parts_the_planes`).
+        number : how many links at most. Entries: what identifies the link (`contact`, and `axis` or `spheres`), its
+            `share` of the pairs, and `parts_the_planes`, True if its removal alone separates bottom and top.
         """
         columns = {**self.network.names, "share": self.share, "parts_the_planes": self.parting}
         rank = np.argsort(-self.share.round(12), kind="stable")
@@ -134,9 +147,10 @@ class Bottlenecks:
 
 
 def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
-    """Return the label (E,) of the biconnected block of each link; links between the same two nodes share it.
+    """Return the number (links,) of the biconnected block of each link: any two links of a block lie on a common cycle.
 
-    low, high : (E,), the nodes of each link. bodies : number of nodes.
+    low, high : (links,), the two nodes of each link. bodies : number of nodes. Links between the same two nodes are in
+        one block.
     """
     graph = rustworkx.PyGraph(multigraph=False)
     graph.add_nodes_from(range(bodies))
@@ -150,11 +164,13 @@ def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
 
 
 def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Betweenness:
-    """Return the loads of links and spheres of one sample.
+    """Return the loads of links and spheres of one sample by the shortest paths between its driven bodies.
 
-    links : (E,) mask of the links that can lie on a shortest path (the backbone), to save work; default all. Paths are
-    counted from the driven spheres of the body that has fewer in pairs. Where EXACT_WORK does not allow to count from
-    all of them, a random sample of them is taken.
+    network : the slipless network. links : (links,) mask of those that can lie on a shortest path (the backbone), to
+        save work; default all.
+
+    Paths are counted from the driven spheres of the body that has fewer spheres in pairs: from all of them, or from a
+    random sample where that would be more work than EXACT_WORK.
     """
     sites, edges = len(network.body), network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
@@ -170,10 +186,11 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
 def _between(
     neighbours: "_Neighbours", passed: np.ndarray, edges: int, starts: np.ndarray, targets: np.ndarray, pairs: int
 ) -> Betweenness:
-    """Return the loads by the pairs of two bodies.
+    """Return the loads by the shortest paths between two driven bodies.
 
-    passed : (sites,) mask of the spheres that paths may run through. edges : number of links of the network.
-    starts, targets : spheres of the one and of the other body. pairs : number of connected pairs of these.
+    neighbours : the neighbours of all spheres. passed : (spheres,) mask of those that paths may run through. edges :
+        number of links of the network. starts, targets : numbers of the spheres of the one and of the other body. pairs
+        : number of connected pairs of these.
     """
     sites = len(passed)
     is_target = np.zeros(sites, dtype=bool)
@@ -201,8 +218,8 @@ def _between(
 def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
     """Yield, for each driven body and all bodies of higher number, the spheres that belong to pairs between them.
 
-    Each item has the spheres of the side with fewer of them, those of the other side, both as indices, and the number
-    of pairs. Two driven spheres are a pair if they have links to the same connected piece of free spheres.
+    Each item has the numbers of the spheres on the side with fewer of them, those on the other side, and the number of
+    pairs. Two driven spheres are a pair if they have links to the same connected piece of free spheres.
     """
     touching = _pieces_beside(network)
     touched = [network.touched_of(body).tolist() for body in network.held]
@@ -222,7 +239,9 @@ def _all_of(sets: Iterable[frozenset[int]]) -> frozenset[int]:
 
 
 def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
-    """Return for each driven sphere the numbers of the connected pieces of free spheres that it has a link to."""
+    """Return, for each driven sphere by its number, the set of the connected pieces of free spheres to which it has a
+    link.
+    """
     sites, free = len(network.body), network.free.ravel()
     inner = free[network.ends].all(axis=0)
     ones = np.ones(int(inner.sum()), dtype=np.int8)
@@ -236,9 +255,12 @@ def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
 
 
 class _Neighbours(NamedTuple):
-    """The neighbours of all spheres, one sphere after the other.
+    """The neighbours of all spheres in one long list, sphere after sphere.
 
-    Those of sphere i are sphere[k] over the links link[k], with k from first[i] to first[i] + degree[i] - 1.
+    Those of sphere i are sphere[k], over the links link[k], with k from first[i] to first[i] + degree[i] - 1.
+
+    first, degree : (spheres,), where the neighbours of each sphere begin in the list, and how many they are.
+    sphere, link : (2 * links,), number of the neighbour, and of the link to it.
     """
 
     first: np.ndarray
@@ -248,7 +270,7 @@ class _Neighbours(NamedTuple):
 
 
 def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
-    """Return the neighbours of all spheres over some links, given by their numbers."""
+    """Return the neighbours of all spheres over some links. links : numbers of these links."""
     low, high = network.ends[:, links]
     here, there = np.concatenate([low, high]), np.concatenate([high, low])
     order = np.argsort(here, kind="stable")
@@ -257,11 +279,14 @@ def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
 
 
 class _Level(NamedTuple):
-    """The spheres at one distance from the sources of several searches, and the links that lead to them.
+    """The spheres at one distance from the sources of several searches that are made together, and the links that lead
+    to them.
 
-    sphere, search : (K,), each sphere found, and the number of the search that found it. Of each link that leads there:
-    tail, index of its nearer sphere in the level before; head, index of its farther sphere in this level; link, its
-    number; share, the fraction of the shortest paths to the head that come over it.
+    sphere, search : (K,), number of each sphere found, and of the search that found it.
+    tail : for each link that leads here, index in the level before of its nearer sphere.
+    head : for each such link, index in this level of its farther sphere.
+    link : number of each such link.
+    share : for each such link, fraction of the shortest paths to its farther sphere that come over it.
     """
 
     sphere: np.ndarray
@@ -273,9 +298,10 @@ class _Level(NamedTuple):
 
 
 def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarray) -> list[_Level]:
-    """Return the levels of breadth-first searches, nearest first; level 0 has the sources themselves.
+    """Return the levels of breadth-first searches, the nearest first; level 0 has the sources themselves.
 
-    passed : (sites,) mask of the spheres from which a search goes on. sources : spheres, one for each search.
+    neighbours : of all spheres. passed : (spheres,) mask of those from which a search goes on. sources : numbers of the
+        spheres where the searches begin, one for each search.
     """
     searches, sites = len(sources), len(neighbours.degree)
     place = np.full(searches * sites, -1, dtype=np.int32)  # index in the level of a sphere found; -1 if not found yet
@@ -308,10 +334,12 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
 
 
 def _send_home(levels: Sequence[_Level], is_target: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Send one unit from every target back to the source of each search, split over its shortest paths.
+    """Send one unit from every target back to the source of each search, split over its shortest paths, and return the
+    loads.
 
-    levels : of the searches. is_target : (sites,) mask. Returned are the loads of the spheres of each level, and those
-    of the links, from the farthest level to the nearest.
+    levels : of the searches, the nearest first. is_target : (spheres,) mask. Two things are returned: a list with the
+        loads of the spheres of each level, and one array with those of the links, from the farthest level to the
+        nearest.
     """
     arrived, flows = [is_target[level.sphere].astype(float) for level in levels], [np.empty(0)]
     for distance in range(len(levels) - 1, 0, -1):

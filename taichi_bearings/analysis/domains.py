@@ -31,7 +31,9 @@ from taichi_bearings.scene.interface import SAME_STATE
 
 
 class Lock(IntFlag):
-    """The driven planes to which a domain of one component is locked."""
+    """Driven planes to which a domain is locked (joined by slipless contacts), as bits: 1 for the bottom, 2 for the
+    top.
+    """
 
     NEITHER = 0
     BOTTOM = 1
@@ -47,17 +49,23 @@ INTERMEDIATE = LOCKS.index("mixed")  # the first of the kinds that are not locke
 
 @dataclass(frozen=True)
 class RigidDomains:
-    """The domains of one sample.
+    """The rigid domains of one sample: sets of spheres that slipless contacts force to roll on each other as one
+    bearing.
 
-    spin_axes : numbers of the C components. component_domain : (C, *N), label of the domain of each component.
-    domain : shape N, label of the rigid domain: 0, 1, ... by falling number of spheres.
-    spheres : (D,), spheres of each, driven ones included. staggered : (D, C), mean staggered spin, 1/time.
-    spread : largest difference between the spin of a sphere and the mean of its domain (the spin of the top where it is
-        locked to that) over all components: 0 but for rounding.
-    lock : (D, C), values of `Lock`, one bit for each body. jump : (D, C), staggered spin of the top in the layers of
-    each domain, 1/time. bodies : names of the driven bodies.
+    spin_axes : numbers of the C spin components that the driving needs.
+    component_domain : (C, *N), number of the domain of each sphere by component: there only that component has to
+        agree.
+    domain : (*N), number of the rigid domain of each sphere: 0, 1, ... by falling number of spheres.
+    spheres : (D,), spheres of each of the D rigid domains, driven ones included.
+    staggered : (D, C), mean spin of each, 1/time, with opposite signs for neighbours and measured from the bottom
+        plane.
+    spread : largest difference, over all components, between the spin of a sphere and the mean of its domain (or the
+        top's spin where it is locked to that): 0 but for rounding.
+    lock : (D, C), values of `Lock`: to which driven bodies slipless contacts join the domain, one bit for each.
+    jump : (D, C), spin of the top in the layers of each domain, as `staggered`.
+    bodies : names of the driven bodies.
 
-    For a packing the spins are s R omega, length/time, with signs s by which neighbours differ.
+    For a packing spins are sign * radius * spin, length/time, with signs by which neighbours differ.
     """
 
     spin_axes: tuple[int, ...]
@@ -75,11 +83,13 @@ class RigidDomains:
         cls, spin_axes: tuple[int, ...], labels: np.ndarray, tied: np.ndarray, spins: np.ndarray,
         jump: np.ndarray | None, shape: tuple[int, ...], bodies: tuple[str, ...] = ("bottom", "top"),
     ) -> "RigidDomains":  # fmt: skip
-        """Return the rigid domains from the domains of each component.
+        """Return the rigid domains, given the domains of each of the C components.
 
-        labels : (C, sites), label of the domain of each component. tied : (C, sites), what that domain is locked to, as
-        `Lock`. spins : (C, sites), spins measured from the bottom. jump : (C, sites), spin of the top measured from the
-        bottom; None where driven bodies are not in bearing states. shape : N. bodies : names of the driven bodies.
+        spin_axes : numbers of the components. labels : (C, spheres), number of the domain of each sphere by component.
+        tied : (C, spheres), driven bodies to which that domain is locked, as `Lock`.
+        spins : (C, spheres), spins with opposite signs for neighbours, measured from the bottom.
+        jump : (C, spheres), spin of the top, as `spins`; None where driven bodies are not in bearing states.
+        shape : of arrays over the spheres. bodies : names of the driven bodies.
         """
         domain = refined(labels)
         spheres, first = np.bincount(domain), np.unique(domain, return_index=True)[1]
@@ -94,7 +104,7 @@ class RigidDomains:
 
     @property
     def locks(self) -> tuple[str, ...]:
-        """Names of the kinds of rigid domain, like LOCKS, for these bodies."""
+        """Names of the kinds of rigid domain, in the order of LOCKS, for the driven bodies of this sample."""
         return (*self.bodies, "both" if len(self.bodies) == 2 else "several", *LOCKS[INTERMEDIATE:])
 
     @property
@@ -104,7 +114,9 @@ class RigidDomains:
 
     @cached_property
     def kind(self) -> np.ndarray:
-        """(D,) index into `locks`: what each rigid domain is locked to in all its components."""
+        """(domains D,) for each rigid domain the index in `locks` of its kind: to which driven bodies it is locked in
+        its components.
+        """
         own = [(self.lock >> body & 1 > 0).all(axis=1) for body in range(len(self.bodies))]
         held, several = self.lock != Lock.NEITHER, np.sum(own, axis=0) > 1
         answers = [several, *own, held.all(axis=1), held.any(axis=1)]
@@ -113,7 +125,8 @@ class RigidDomains:
 
     @property
     def turn(self) -> np.ndarray:
-        """(D, C), staggered spin of each domain as a fraction: 0 that of the bottom, 1 that of the top in its layers.
+        """(domains D, components C) spin of each rigid domain by component as a fraction: 0 is that of the bottom, 1
+        that of the top in its layers.
 
         It is 0 where bottom and top have the same spin.
         """
@@ -130,15 +143,18 @@ class RigidDomains:
         return dict(zip(self.locks, np.bincount(self.kind, minlength=len(self.locks)).tolist(), strict=True))
 
     def spheres_of_kind(self, counted: np.ndarray) -> dict[str, int]:
-        """Number of spheres in domains of each kind. counted : mask, shape N, of the spheres that are counted."""
+        """Return the number of spheres in domains of each kind, by name. counted : mask of the spheres that count, in
+        the shape of the lattice or (spheres,).
+        """
         each = np.bincount(self.kind[self.domain[counted]], minlength=len(self.locks))
         return dict(zip(self.locks, each.tolist(), strict=True))
 
 
 def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:
-    """Return the domains of a sample of a lattice, from the contacts that force spins to be equal.
+    """Return the rigid domains of a sample of a lattice: spheres whose spins slipless contacts force to be equal.
 
-    staggered : (C, *N), spins, 1/time. spin_axes : numbers of the C components.
+    network : its slipless contacts. staggered : (C, spheres *N), spins with opposite signs for neighbours, measured
+        from the bottom, 1/time. spin_axes : numbers of the C components.
     """
     top = staggered[..., -1].reshape(len(spin_axes), -1)
     uneven = bool((top != top[:, :1]).any())
@@ -150,14 +166,16 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
 def turning_domains(
     network: SliplessNetwork, turned: np.ndarray, states: np.ndarray | None, near: float, axes: tuple[int, ...]
 ) -> RigidDomains:
-    """Return the rigid domains of a sample of a packing, from its spins.
+    """Return the rigid domains of a sample of a packing, found from its spins.
 
-    A domain has spheres of one connected piece of slipless contacts with the same s R omega, where s are signs by which
-    neighbours differ. It is locked to a driven body that is among them.
+    A domain has the spheres of one connected piece of slipless contacts that have the same sign * radius * spin, with
+    signs by which neighbours differ. It is locked to a driven body that is among them.
 
-    turned : (N, C), s R omega, length/time. states : (2, N, C), s R omega if all spheres rotated with the first, or
-    with the second, of two bodies; None without two bearing states. near : difference of speeds within a domain that is
-    allowed for rounding, length/time. axes : numbers of the components that are compared.
+    network : the slipless contacts. turned : (spheres N, components C), sign * radius * spin, length/time.
+    states : (2, N, C), these numbers if all spheres rotated with the first, or with the second, of two driven bodies;
+        None if there are no two bodies in bearing states.
+    near : difference of speeds within a domain that rounding may cause, length/time. axes : numbers of the components
+        that are compared.
     """
     piece, whole, largest = network.component, network.whole, np.abs(turned).max(initial=0.0)
     low, high = np.zeros((2, *turned.shape)) if states is None else states
@@ -179,9 +197,10 @@ def turning_domains(
 
 
 def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
-    """Return labels (N,), equal for spheres of one piece whose sorted values have no gap above `near`.
+    """Return labels (spheres,) that are equal for spheres of one piece whose values, sorted, have no gap above `near`
+    between them.
 
-    piece : (N,), label of the connected piece of each sphere. values : (N,).
+    piece : (spheres,), number of the connected piece of each sphere. values : (spheres,).
     """
     order = np.lexsort([values, piece])
     new = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > near)
@@ -191,9 +210,10 @@ def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
 
 
 def refined(labels: np.ndarray) -> np.ndarray:
-    """Return labels (sites,) of the common refinement of C partitions, by falling number of spheres.
+    """Return labels (spheres,) that are equal for two spheres if all their labels in `labels` are equal; 0 is the
+    largest class.
 
-    labels : (C, sites). Two spheres are in one class if all their labels are equal.
+    labels : (components C, spheres).
     """
     together = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
     order = np.argsort(-np.bincount(together), kind="stable")
@@ -201,10 +221,12 @@ def refined(labels: np.ndarray) -> np.ndarray:
 
 
 def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each sphere the label (sites,) of its domain of one component, and what that is locked to, as `Lock`.
+    """Return for each sphere the number (spheres,) of its domain of one spin component, and the driven planes to which
+    that is locked (spheres,), as `Lock`.
 
-    uneven : the imposed spins vary along a driven plane, so that each layer across the component's axis has its own
-    bottom and top body.
+    network : the slipless contacts. component : number of the component. uneven : True if the imposed spins vary along
+        a driven plane, so that each layer across the component's axis counts as having a bottom and a top body of its
+        own.
     """
     chosen = network.axis != component
     if not uneven:

@@ -19,11 +19,12 @@ COUNTED_STATES = (ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UND
 
 @dataclass(frozen=True)
 class SampleCounts:
-    """Numbers of slipping contacts of S samples in B bins of power.
+    """Numbers of slipping contacts of S samples in B logarithmic bins of power.
 
-    first, bins_per_decade : bin b begins at the power 10^((first + b) / bins_per_decade), where the one before ends.
+    first, bins_per_decade : bin number b covers powers from 10^((first + b) / bins_per_decade) to the begin of bin b +
+        1.
     count : (S, B) slipping contacts in each bin.
-    contacts : (S, 4) contacts in each of COUNTED_STATES.
+    contacts : (S, 4) contacts in each of the states COUNTED_STATES.
     """
 
     first: int
@@ -38,7 +39,7 @@ class SampleCounts:
         return 10.0 ** ((self.first + np.arange(bins + 1 if bins else 0)) / self.bins_per_decade)
 
     def of(self, samples: np.ndarray) -> "SampleCounts":
-        """Return the counts of some of the samples, by number, in the same bins."""
+        """Return the counts of some of the samples, in the same bins. samples : their numbers."""
         return replace(self, count=self.count[samples], contacts=self.contacts[samples])
 
 
@@ -90,10 +91,10 @@ def count_powers(
     bins_per_decade: int = 5,
     unit: np.ndarray | None = None,
 ) -> SampleCounts:
-    """Return how many slipping contacts of each of R samples fall into each bin of power.
+    """Return how many slipping contacts of each of R samples fall into each logarithmic bin of power.
 
-    power : (R, E), energy/time. state : (R, E), contact states. unit : (R,), the unit of power in each sample; default
-    1. Slipping contacts that dissipate exactly nothing are in no bin.
+    power : (R, E) of the E contacts, energy/time. state : (R, E), contact states. unit : (R,), power that serves as
+        unit in each sample; default 1. Slipping contacts with a power of exactly 0 are in no bin.
     """
     replica, contact = np.nonzero((state == ContactState.SLIPPING) & (power > 0))
     scale = np.ones(len(power)) if unit is None else unit
@@ -107,11 +108,13 @@ MOST_POWER_BINS = 100_000  # no spread of floating-point numbers needs more
 
 
 def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> SampleCounts:
-    """Return counts in coarser bins and other units, from counts in fine bins alone.
+    """Return counts in coarser bins and other units, made from counts in fine bins alone.
 
-    fine : the counts. bins_per_decade : of the new bins; it must divide that of `fine`, which callers check. unit :
-    (S,), the new unit of power in each sample. Each sample is shifted by a whole number of fine bins, so that a power
-    may be off by half a fine bin; where the unit is 1 nothing is shifted.
+    fine : the counts of S samples. bins_per_decade : of the new bins; it must divide that of `fine`, which callers
+        check. unit : (S,), the new unit of power in each sample.
+
+    Each sample is shifted by a whole number of fine bins, so a power may be off by half a fine bin; where the unit is 1
+    nothing is shifted.
     """
     merged = fine.bins_per_decade // bins_per_decade
     move = np.rint(fine.bins_per_decade * np.log10(1 / unit)).astype(int)
@@ -151,11 +154,11 @@ def pool(
     disorder: np.ndarray | None = None,
     left_out: Mapping[str, int] | None = None,
 ) -> PowerHistogram:
-    """Return one histogram of all samples.
+    """Return one histogram of all samples, with standard errors.
 
-    of : counts of S samples. slip_threshold, units, left_out : as of :class:`PowerHistogram`.
-    disorder : (S,) equal numbers for samples that depend on each other, as they have the same coefficients; by default
-    all are independent.
+    of : counts of S samples. slip_threshold, units, left_out : as in :class:`PowerHistogram`.
+    disorder : (S,) equal numbers for samples with the same coefficients, which depend on each other; by default all are
+        independent.
     """
     # samples of one disorder are summed first; errors are those of sums, and of their ratios, over independent samples
     own = of.count if disorder is None else _by_disorder(of.count, disorder)
@@ -187,7 +190,9 @@ def pool(
 
 
 def _by_disorder(count: np.ndarray, disorder: np.ndarray) -> np.ndarray:
-    """Return counts (S, B) summed over the samples of each disorder (S,)."""
+    """Return counts (disorders, bins B), those of samples of one disorder added up. count : (samples S, B). disorder :
+    (S,), number of the disorder of each sample.
+    """
     values, which = np.unique(disorder, return_inverse=True)
     summed = np.zeros((len(values), count.shape[1]), dtype=count.dtype)
     np.add.at(summed, which, count)

@@ -25,10 +25,11 @@ MOST_BODIES = 50  # between which paths are looked for
 
 @dataclass(frozen=True)
 class SliplessNetwork:
-    """The spheres of one sample and the slipless contacts that join them.
+    """The slipless contacts of one sample as a graph. Nodes are free spheres and driven bodies (bottom and top of a
+    lattice); edges are slipless contacts that do not join two spheres of one body.
 
-    whole : the network of all spheres and contacts. slipless : (contacts,) mask of the slipless ones among all
-    contacts; False between two driven spheres.
+    whole : the network of all spheres and contacts.
+    slipless : (contacts,) mask of the slipless ones among all contacts; False between two driven spheres.
     """
 
     whole: Network
@@ -42,30 +43,37 @@ class SliplessNetwork:
 
     @cached_property
     def body(self) -> np.ndarray:
-        """(sites,), node of each sphere: 0 for the first driven body, then free spheres, then the other driven bodies.
+        """(spheres,), node of each sphere: 0 for spheres of the first driven body, then one for each free sphere, then
+        one for each further driven body.
 
-        For a lattice the first body is the bottom plane, and the last node is the top plane.
+        On a lattice the first body is the bottom plane, and the last node is the top plane.
         """
         return number_bodies(self.whole.body)
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """(2, E), indices of the first and the second sphere of each edge; on a lattice the lower and the upper one."""
+        """(2, edges), numbers of the first and the second sphere of each edge; on a lattice the lower and the upper
+        one.
+        """
         return np.asarray(self.whole.contact[:, self.slipless])
 
     @cached_property
     def axis(self) -> np.ndarray:
-        """(E,), axis of each edge of a lattice: all x-contacts first, then y (then z), each in C order."""
+        """(edges,), axis of each edge of a lattice: all contacts along x first, then y (then z)."""
         return np.asarray(self.lattice.axis[self.slipless])
 
     @cached_property
     def contact(self) -> np.ndarray:
-        """(E, dimension), lattice position of each edge's lower sphere, which with `axis` names the contact."""
+        """(edges, dimension), lattice position of each edge's lower sphere, which together with `axis` identifies the
+        contact.
+        """
         return self.places(self.ends[0])
 
     @property
     def names(self) -> dict[str, np.ndarray]:
-        """Columns (E, ...) that identify the edges in listings: place and axis on a lattice, else numbers."""
+        """Columns (edges, ...) that identify the edges in listings: position and axis on a lattice, else numbers of
+        contact and spheres.
+        """
         if self.whole.lattice is None:
             return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
         return {"contact": self.contact, "axis": self.axis}
@@ -76,17 +84,17 @@ class SliplessNetwork:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape N of arrays of spheres: that of the lattice, or (sites,)."""
+        """Shape of arrays over the spheres: that of the lattice, or (spheres,)."""
         return self.whole.shape
 
     @property
     def free(self) -> np.ndarray:
-        """True for free spheres, shape N."""
+        """Mask of the free spheres, in the shape of the lattice or (spheres,)."""
         return self.whole.free.reshape(self.shape)
 
     @cached_property
     def touched(self) -> np.ndarray:
-        """True for spheres that have a slipless contact, shape N."""
+        """Mask of the spheres that have a slipless contact, in the shape of the lattice or (spheres,)."""
         return (np.bincount(self.ends.ravel(), minlength=len(self.body)) > 0).reshape(self.shape)
 
     @property
@@ -96,17 +104,17 @@ class SliplessNetwork:
 
     @cached_property
     def held(self) -> np.ndarray:
-        """Nodes of the driven bodies."""
+        """Numbers of the nodes that are driven bodies, in rising order."""
         return np.unique(self.body[~self.free.ravel()])
 
     def touched_of(self, body: int) -> np.ndarray:
-        """Return the spheres of a driven body that have a slipless contact, as indices. body : its node."""
+        """Return the numbers of the spheres of a driven body that have a slipless contact. body : node of the body."""
         return np.flatnonzero(self.touched.ravel() & (self.body == body))
 
     def graph(self, chosen: np.ndarray | None = None) -> csr_array:
-        """Return the symmetric adjacency matrix (bodies, bodies) of ones.
+        """Return the symmetric adjacency matrix (nodes, nodes), with 1 where an edge joins two nodes.
 
-        chosen : (E,), mask of the edges that take part; default all.
+        chosen : (edges,), mask of the edges that take part; default all.
         """
         ends = self.body[self.ends if chosen is None else self.ends[:, chosen]]
         both = np.concatenate([ends, ends[::-1]], axis=1)
@@ -114,21 +122,23 @@ class SliplessNetwork:
         return csr_array((ones, (both[0], both[1])), shape=(self.bodies, self.bodies))
 
     def pieces(self, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Return the label (bodies,) of the piece of each node; 0 is that of the first driven body.
+        """Return the number (nodes,) of the connected piece of each node; 0 is the piece of the first driven body.
 
-        chosen : (E,), mask of the edges that take part; default all.
+        chosen : (edges,), mask of the edges that take part; default all.
         """
         label: np.ndarray = connected_components(self.graph(chosen), directed=False)[1]
         return label
 
     @cached_property
     def component(self) -> np.ndarray:
-        """Label of the piece of each sphere, shape N; 0 is the piece of the first driven body."""
+        """Number of the connected piece of each sphere, in the shape of the lattice or (spheres,); 0 is the piece of
+        the first driven body.
+        """
         return self.pieces()[self.body].reshape(self.shape)
 
     @property
     def components(self) -> int:
-        """Number of pieces that have a slipless contact."""
+        """Number of connected pieces that have a slipless contact."""
         return len(np.unique(self.component[self.touched]))
 
     @property
@@ -138,13 +148,15 @@ class SliplessNetwork:
 
     @cached_property
     def spanning(self) -> np.ndarray:
-        """True for the spheres of pieces that join driven bodies, shape N."""
+        """Mask of the spheres in connected pieces that join driven bodies, in the shape of the lattice or (spheres,)."""
         label = self.pieces()
         several = np.bincount(label[self.held], minlength=len(label)) > 1
         return np.asarray(several[self.component])
 
     def _share(self, chosen: np.ndarray) -> Any:
-        """Return the share of the free spheres that are in a mask, shape N; None without free spheres."""
+        """Return the share of the free spheres that a mask selects; None without free spheres. chosen : the mask, in
+        the shape of the lattice or (spheres,).
+        """
         return float(chosen[self.free].mean()) if self.free.any() else None
 
     @property
@@ -166,7 +178,7 @@ class SliplessNetwork:
         return int(maximum_flow(self.graph(), *self.held).flow_value) if len(self.held) == 2 else None
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return values (contacts,) of all contacts: those of the edges, (E,), and 0 elsewhere."""
+        """Return an array (contacts,) over all contacts: the values of the edges, and 0 elsewhere. values : (edges,)."""
         spread = np.zeros(self.slipless.shape, dtype=values.dtype)
         spread[self.slipless] = values
         return spread
@@ -192,7 +204,7 @@ class SliplessNetwork:
         return np.array([self._beside(inner[0], start), *inner, self._beside(inner[-1], stop)])
 
     def _beside(self, sphere: int, body: int) -> int:
-        """Return a sphere of a driven body that has an edge to a sphere. body : node of the body."""
+        """Return the number of a sphere of a driven body that has an edge to this sphere. body : node of the body."""
         first, second = self.ends
         others = np.concatenate([second[first == sphere], first[second == sphere]])
         return int(others[self.body[others] == body][0])
@@ -223,10 +235,11 @@ class SliplessNetwork:
         return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
 
     def winding(self, axis: int) -> np.ndarray:
-        """Return True, shape N, for spheres of pieces with a closed path that goes around a periodic axis of a lattice.
+        """Return a mask of the spheres in pieces with a closed path around a periodic axis of a lattice, in the shape
+        of the lattice.
 
-        axis : its number. Only slipless contacts make such paths; a driven plane, which would always go around, is not
-        one node here.
+        axis : its number. Only paths of slipless contacts count; a driven plane, which would always go around, is not
+            one node here.
         """
         over_the_side = (self.axis == axis) & (self.contact[:, axis] == self.shape[axis] - 1)
         return winding(len(self.body), self.ends, over_the_side.astype(int)).reshape(self.shape)
@@ -242,11 +255,13 @@ class SliplessNetwork:
 
 
 def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """Return True (nodes,) for nodes in pieces of a graph with a closed path that goes around.
+    """Return a mask (nodes,) of the nodes in pieces of a graph with a closed path that goes around a periodic axis.
 
-    nodes : their number. ends : (2, E), nodes of each edge. turns : (E,), whole numbers, how often an edge goes around
-    from its first end to the second. A closed path goes around if its turns do not add up to 0. A piece without such a
-    path can be unrolled: its nodes have whole numbers (places) whose differences are the turns of the edges.
+    nodes : their number. ends : (2, edges E), nodes of the E edges. turns : (E,), whole numbers, how often an edge goes
+        around from its first end to the second.
+
+    A closed path goes around if its turns do not add up to 0. A piece without such a path can be unrolled: its nodes
+    have whole numbers (places) whose differences are the turns of the edges.
     """
     # edges that do not go around join nodes into parts of one place; the others join these parts (union-find)
     still = turns == 0

@@ -29,7 +29,11 @@ MOST_AT_ONCE = 2**22  # random numbers held in memory at a time
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and the interval that holds it with confidence CONFIDENCE; its ends are NaN where there is none."""
+    """A number with its confidence interval, from `low` to `high`, which holds the true value with probability
+    CONFIDENCE.
+
+    Both ends are not-a-number where there is no interval, as with too few samples.
+    """
 
     value: float
     low: float
@@ -38,9 +42,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Census:
-    """How many samples were used and how many were not.
+    """Numbers of samples that were used and that were not.
 
-    left_out : for each reason, in words that follow a number, how many samples were left out.
+    used : how many were. left_out : for each reason, in words that follow a number ("failed"), how many were left out.
     """
 
     used: int
@@ -98,11 +102,12 @@ def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
 
 
 def _student(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
-    """Return the interval of a ratio of means of normally distributed pairs (E. C. Fieller, J. R. Stat. Soc. B 16, 175,
-    1954).
+    """Return the confidence interval (low, high) of mean(above) / mean(below), by Fieller's theorem (J. R. Stat. Soc. B
+    16, 175, 1954).
 
-    It holds all ratios r for which Student's t of the pairs' above - r below does not exclude 0. It is NaN where that
-    does not exclude that the mean below is 0. Where all numbers below are 1 it is Student's interval of a mean.
+    above, below : (samples,), numerators and denominators. The interval holds all ratios r for which Student's t of
+        above - r * below does not exclude 0. It is (NaN, NaN) where that does not exclude that mean(below) is 0. With
+        below = 1 it is Student's interval of a mean.
     """
     number, means = len(above), np.array([above.mean(), below.mean()])
     from scipy.special import stdtrit  # a tenth of a second that runs do not need
@@ -117,7 +122,10 @@ def _student(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
 
 
 def _bootstrap(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
-    """Return the BCa interval of a ratio of means; NaN where some draw divides by nothing."""
+    """Return the BCa bootstrap interval (low, high) of mean(above) / mean(below); NaN where some draw divides by 0.
+
+    above, below : (samples,), numerators and denominators.
+    """
     from scipy import stats
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -139,11 +147,11 @@ def independent(values: np.ndarray, disorder: np.ndarray) -> np.ndarray:
 
 
 def groups(columns: Mapping[str, np.ndarray], keys: Sequence[str]) -> dict[tuple[Any, ...], np.ndarray]:
-    """Group the rows of a table by the values of some of its columns.
+    """Return the rows of a table in groups of equal values in some of its columns.
 
     columns : arrays of equal lengths by name. keys : names of the columns to group by.
-    returns : for the values of the keys, as Python values, the numbers of the rows in rising order. Values are the same
-        if they are equal to the last bit; not-a-number is one value, None. Groups come in the order of their values:
+    returns : numbers of the rows of each group, rising, by the tuple of the values of the keys. Values are the same if
+        they are equal to the last bit; not-a-number is one value, None. Groups come in the order of their values:
         numbers rise, texts too, numbers within texts (8x8 before 10x10) by size.
     """
     rows: dict[tuple[Any, ...], list[int]] = {}
@@ -166,5 +174,5 @@ def sort_key(value: Any) -> tuple[Any, ...]:
 
 
 def _plain(value: Any) -> Any:
-    """Return None for not-a-number, and any other value as it is, so that equal values compare equal."""
+    """Return None for not-a-number, and any other value as it is, so that two equal values compare equal."""
     return None if value != value else value

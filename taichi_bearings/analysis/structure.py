@@ -47,14 +47,15 @@ MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "sp
 
 @dataclass(frozen=True)
 class TorqueFlow:
-    """The torque that drives a sample, and the power that goes through its network.
+    """The torque that drives a sample, and the power that it brings into the network of contacts.
 
     total : (C,), torque that drives the top plane, or the second of two bodies, and holds the other one, force *
-    length; with fewer or more than two bodies that of each, (bodies, C). The signs of the sublattices are taken away.
+        length, by spin component; with fewer or more than two bodies that of each, (bodies, C). The torque on each
+        sphere is counted with the sign of its sublattice.
     power : (bodies,), power that each body spends, energy/time; from certifying forces of the Coulomb law it is a lower
-    bound.
+        bound.
     slipless_share : fraction of the power between two bodies that slipless contacts carry; 0 without power, None where
-    the two bodies are not in bearing states.
+        the two bodies are not in bearing states.
     """
 
     total: np.ndarray
@@ -64,14 +65,34 @@ class TorqueFlow:
 
 @dataclass(frozen=True)
 class Structure:
-    """A solved sample and what its contacts form.
+    """A solved sample and what its contacts form: slipless network, rigid domains, minimum cut, bottlenecks and torque.
 
-    answer : the answer to this sample alone. spin : laboratory spins, 1/time; (*N) or (*N, 3) for a lattice, (N,) or
-    (N, 3) for a packing. slip : (E,), slip speeds, length/time. found : (E,), contact states of the answer. friction :
-    laboratory force on the second sphere of each contact, (E, 3), or (E,) in 2D. power_per_contact : (E,), energy/time.
-    power, lower_bound : energy/time.
-    threshold : slip speed, length/time, up to which contacts count as slipless, whatever the answer says; None to take
-    the states of the answer.
+    Attributes
+    ----------
+    answer : Solution
+        The answer to this sample alone.
+    spin : array
+        Laboratory spins, 1/time: for a lattice (nx, ny) or (nx, ny, nz, 3), for a packing (N,) or (N, 3).
+    slip : (E,) array
+        Slip speeds of the contacts, length/time.
+    found : (E,) array of int
+        Contact states of the answer.
+    friction : (E, 3) array, in 2D (E,)
+        Force on the second sphere of each contact, laboratory frame.
+    power_per_contact : (E,) array
+        Power of each contact, energy/time.
+    power, lower_bound : float
+        Power of the sample, and its proven bound, energy/time.
+    threshold : float or None
+        Slip speed, length/time, up to which contacts count as slipless, whatever the answer says; None to take the
+        states of the answer.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> structure = tb.analyse(tb.solve(tb.Scene.random((4, 5), seed=3), threads=1)).structure
+    >>> structure.contacts_in(1) + structure.contacts_in(0), structure.domain.shape
+    (25, (4, 5))
     """
 
     answer: Solution
@@ -86,7 +107,9 @@ class Structure:
 
     @cached_property
     def state(self) -> np.ndarray:
-        """(E,), contact states, by the threshold if there is one; contacts that take no part stay DRIVEN."""
+        """(contacts E,), contact states: those of the answer, or by `threshold` if there is one. Contacts that can
+        never slip stay DRIVEN.
+        """
         if self.threshold is None:
             return self.found
         return by_threshold(self.slip, self.found, self.threshold)
@@ -96,7 +119,7 @@ class Structure:
         return replace(self, threshold=threshold)
 
     def contacts_in(self, which: ContactState) -> int:
-        """Return the number of contacts in a state."""
+        """Return the number of contacts in a state. which : the state."""
         return int((self.state == which).sum())
 
     @property
@@ -106,7 +129,7 @@ class Structure:
 
     @cached_read_only
     def slipless(self) -> np.ndarray:
-        """(E,) True for slipless contacts."""
+        """(contacts E,) True for slipless contacts."""
         return np.asarray(self.state == ContactState.SLIPLESS)
 
     @property
@@ -155,16 +178,22 @@ class Structure:
 
     @property
     def snapshots(self) -> np.ndarray:
-        """Spins (S, ...) at the S snapshots of a dynamics; asked for only where there are some."""
+        """Laboratory spins (S, spheres *N) or (S, *N, 3) at the S snapshots of a dynamics, 1/time; asked for only where
+        there are some.
+        """
         assert self.answer.snapshots is not None
         return np.asarray(self.answer.snapshots.spin[:, 0])
 
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
-        """Return the slip speeds (E,), length/time, that other laboratory spins would make."""
+        """Return the slip speeds (contacts E,), length/time, of all contacts at other laboratory spins. spin : in the
+        shape of the attribute `spin`.
+        """
         return self.whole.slips(self.speeds(spin))
 
     def speeds(self, spin: np.ndarray) -> np.ndarray:
-        """Return R omega (N, C), length/time, of spins that have the shape of `spin`."""
+        """Return radius * spin of all spheres, (spheres N, components C), length/time. spin : laboratory spins, in the
+        shape of the attribute `spin`.
+        """
         return np.asarray(spin.reshape(self.whole.spheres, -1) * self.whole.radius[:, None])
 
     @cached_property
@@ -185,23 +214,28 @@ class Structure:
 
     @cached_read_only
     def signs(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mask (N,) of spheres in parts with odd loops, and signs (N,) by which neighbours differ in other parts."""
+        """Two arrays (spheres N,): a mask of the spheres in connected parts with odd loops, and signs, +1 or -1, by
+        which neighbours differ in the other parts.
+        """
         return self.whole.sublattices
 
     @cached_read_only
     def states(self) -> np.ndarray | None:
-        """(2, N, C), s R omega of all spheres if they rotated with the first, or with the second, of two driven bodies.
+        """(2, spheres N, components C), sign * radius * spin of all spheres, length/time, if they rotated with the
+        first, or with the second, of two driven bodies.
 
-        Length/time. None where these bodies are not in bearing states.
+        Signs differ between neighbours. None where these bodies are not in bearing states.
         """
         found = bearing_states(self.scene)
         return None if found is None else found[1]
 
     @cached_read_only
     def turned(self) -> np.ndarray:
-        """(N, C), s R omega, length/time, with signs s by which neighbours differ.
+        """(spheres N, components C), sign * radius * spin of all spheres, length/time, with signs by which neighbours
+        differ.
 
-        Parts with odd loops have no such signs; there the first component that is not 0 is made positive.
+        Parts with odd loops have no such signs; there the first component of each sphere that is not 0 is made
+        positive.
         """
         odd, sign = self.signs
         u = sign[:, None] * self.speeds(self.spin)
@@ -224,11 +258,13 @@ class Structure:
 
     @cached_read_only
     def domain(self) -> np.ndarray:
-        """Label of the rigid domain of each sphere, shape N; 0 is the largest one."""
+        """Label of the rigid domain of each sphere, in the shape of the lattice or (spheres,); 0 is the largest one."""
         return self.rigid_domains.domain
 
     def _slipping_components(self, near: float) -> tuple[int, ...]:
-        """Return the components in which some contact slips by more than `near`, length/time; all if none does."""
+        """Return the numbers of the spin components in which some contact slips by more than `near`, length/time; all
+        if none does.
+        """
         acts = self.state != ContactState.DRIVEN
         both, normal = self.speeds(self.spin)[self.whole.contact[:, acts]].sum(axis=0), self.whole.normal[acts]
         if self.whole.dimension == 3:
@@ -238,7 +274,7 @@ class Structure:
 
     @cached_read_only
     def height(self) -> np.ndarray:
-        """(N,), height of each sphere: 0 on the first driven body and 1 on the last one.
+        """(spheres N,), height of each sphere: 0 on the first driven body and 1 on the last one.
 
         On a lattice it is the number of the layer over that of the top. In a packing the height of a free sphere is the
         mean of those of its neighbours; it is 0 in parts that are not joined to either body.
@@ -301,7 +337,9 @@ class Structure:
 
     @cached_property
     def self_stress(self) -> int | None:
-        """Number of states of self-stress, by which slipless forces are not unique; None if rounding hides it."""
+        """Number of independent forces on slipless contacts that balance by themselves (states of self-stress), so that
+        contact forces are not unique; None if rounding hides it.
+        """
         with stage("counting states of self-stress"):
             chosen, axes = np.flatnonzero(self.slipless), self.rigid_domains.spin_axes
             if self.whole.lattice is not None:
@@ -318,7 +356,9 @@ class Structure:
         return of_run | {n: plain(v) for n, v in found.items() if v is not None or n not in MAY_BE_ABSENT}
 
     def _rows(self) -> Iterator[Quantity]:
-        """Yield the quantities that this sample has: all but bottlenecks where there are none."""
+        """Yield the quantities, rows of the table STRUCTURE, that this sample has: all but those of bottlenecks where
+        there are none.
+        """
         for section, rows in STRUCTURE.items():
             if section != "bottlenecks" or self.bottlenecks is not None:
                 yield from rows
@@ -327,8 +367,8 @@ class Structure:
 def structure_of(answer: Solution, number: int = 0, threshold: float | None = None) -> Structure:
     """Return the structure of one sample of an answer.
 
-    number : of the sample. threshold : slip speed, length/time, up to which contacts count as slipless; None for the
-    states of the answer.
+    number : of the sample, from 0. threshold : slip speed, length/time, up to which contacts count as slipless; None to
+        take the states of the answer.
     """
     one = answer.sample(number)
     power, lower_bound = float(one.power[0]), float(one.lower_bound[0])
@@ -337,13 +377,15 @@ def structure_of(answer: Solution, number: int = 0, threshold: float | None = No
 
 
 def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the number (C,) of states of self-stress of a lattice, for each spin component.
+    """Return the number (C,) of states of self-stress of a lattice, for each spin component: independent forces on
+    slipless contacts that balance by themselves.
 
-    network : of the slipless contacts. spin_axes : numbers of the C components. These states are the independent loops
-    of slipless contacts around which torque of a component can circulate. Let the forces of slipping contacts and the
-    total torque be given. Then each connected piece has one unknown for each slipless contact, and one equation of
-    balance for each node, one of which follows from the others. So the sum over the components is the number of free
-    parameters of the forces while no slipless contact is at its friction limit.
+    network : of the slipless contacts. spin_axes : numbers of the C components.
+
+    These states are the loops of slipless contacts around which torque of a component can circulate. Let the forces of
+    slipping contacts and the total torque be given. Then each connected piece has one unknown for each slipless
+    contact, and one equation of balance for each node, one of which follows from the others. So the sum over the
+    components is the number of free parameters of the forces while no slipless contact is at its friction limit.
     """
     states = []
     for component in spin_axes:

@@ -102,19 +102,21 @@ def smallest_odd_loop(network: Network) -> int | None:
 
 
 def slipless_number(network: Network, free: np.ndarray) -> tuple[int | None, str]:
-    """Return the number of independent slipless motions, and in words how it was found.
+    """Return the number of independent slipless motions (spins at which no contact slips), None if it stays open, and
+    words for how it was found.
 
-    free : (N,), mask of the spheres that may rotate; the others are at rest.
+    free : (spheres N,), mask of the spheres that may rotate; the others are at rest.
     """
     contact = np.flatnonzero(free[network.contact].any(axis=0))
     return _motions(network, free, contact, range(network.components))[1:]
 
 
 def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[int]) -> int | None:
-    """Return the number of states of self-stress: independent contact forces in balance on all free spheres.
+    """Return the number of states of self-stress: independent contact forces that balance on all free spheres by
+    themselves.
 
-    contact : (n,), numbers of the contacts that bear forces. components : spin components in which the torques are
-    balanced. None where rounding leaves the number open.
+    contact : (n,), numbers of the contacts that bear forces. components : numbers of the spin components in which
+        torques are balanced. None where rounding leaves the number open.
     """
     free = np.zeros(network.spheres, dtype=bool)
     free[network.contact[:, contact]] = True
@@ -127,10 +129,12 @@ def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[i
 def _motions(
     network: Network, free: np.ndarray, contact: np.ndarray, components: Sequence[int]
 ) -> tuple[sparse.csr_array, int | None, str]:
-    """Return the operator from spins to slips, the number of slipless motions (or None), and how it was found.
+    """Return the matrix that turns spins into slips, the number of slipless motions (None if it stays open), and words
+    for how it was found.
 
-    free : (N,), mask of the spheres that may rotate. contact : (n,), numbers of the contacts. components : numbers of
-    the spin components that may be other than 0.
+    free : (spheres N,), mask of the spheres that may rotate. contact : (n,), numbers of the contacts that must not
+    slip.
+        components : numbers of the spin components that may be other than 0.
     """
     # the motions are the kernel of the operator: by singular values if it is small, else by sparse elimination
     moved = np.full((network.spheres, network.components), -1)

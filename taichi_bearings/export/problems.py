@@ -40,9 +40,10 @@ PROBLEM_NAMES = {"cbf": "problem.cbf", "fclib": "problem.hdf5"}
 def export_problem(
     run: str | Path, form: str, out: str | Path | None, force: bool = False, replica: int = 0
 ) -> dict[str, Any]:
-    """Write the problem of one sample of a run, and return what the file holds.
+    """Write the minimisation problem of one sample of a run as a file for other solvers, and return what the file
+    holds.
 
-    run, out, force, replica : see :func:`taichi_bearings.export.vtkhdf.export`. form : "cbf" or "fclib".
+    run, out, force, replica : as for :func:`taichi_bearings.export.vtkhdf.export`. form : "cbf" or "fclib".
 
     Raises InputError for a problem that the format cannot express.
     """
@@ -55,8 +56,8 @@ def export_problem(
 
 
 def write_problem(bearing: Bearing, form: str, path: Path) -> dict[str, Any]:
-    """Write the problem of a bearing into a file, replacing it; returns the file and its numbers of unknowns and
-    contacts.
+    """Write the minimisation problem of a bearing into a file, replacing it; return its path and its numbers of
+    unknowns and contacts, by name.
 
     form : "cbf" or "fclib".
     """
@@ -75,11 +76,13 @@ def write_problem(bearing: Bearing, form: str, path: Path) -> dict[str, Any]:
 
 
 def cbf(system: ContactSystem, bearing: Bearing) -> str:
-    """Return the conic programme as text: unknowns u, t, s; cones (t, slip), and rotated ones (s, 1/2, slip), by
-    contact.
+    """Return the minimisation problem as text in the conic benchmark format.
 
-    system : the slips of the bearing. Components of a slip that are 0 whatever the spins are left out, and contacts
-        that have no others.
+    The unknowns are u (radius * spin), and for each contact t >= |slip| for friction and s >= |slip|^2 for viscosity: a
+    cone (t, slip), and a rotated cone (s, 1/2, slip).
+
+    system : matrix and constant part of the slips. bearing : what is solved. Components of slips that are 0 whatever
+        the spins are left out, and so are contacts without other components.
     """
     law, (d, count), unknowns = bearing.law, system.offset.shape, system.unknowns
     live = (np.diff(system.operator.indptr) > 0).reshape(d, count) | (system.offset != 0)
@@ -111,7 +114,11 @@ def cbf(system: ContactSystem, bearing: Bearing) -> str:
 
 
 def write_fclib(file: h5py.File, system: ContactSystem, bearing: Bearing) -> None:
-    """Write the problem in the layout of fclib_write_local; local frames are the normal and then the tangents."""
+    """Write the minimisation problem in the layout of fclib_write_local. The local frame of a contact is its normal,
+    then its tangents.
+
+    file : the opened file. system : matrix and constant part of the slips.
+    """
     d, count = system.offset.shape
     by_contact = np.arange((d + 1) * count).reshape(d + 1, count).T.ravel()  # all components of a contact together
     slips = sparse.block_array([[None, sparse.eye_array(count)], [system.operator, None]], format="csr")[by_contact]

@@ -38,13 +38,12 @@ IN_SNAPSHOTS = {
 
 @dataclass(frozen=True)
 class Geometry:
-    """Points and lines of the file.
+    """Points and lines of the file. A line across a periodic side leads to an *image*: its second sphere drawn once
+    more, on the other side.
 
-    A line across a periodic side leads to an *image*, its second sphere once more, on the other side.
-
-    sphere : (P,) sphere of each point: first all spheres, then one for each image.
+    sphere : (P,) number of the sphere of each point: first all spheres, then one for each image.
     place : (P, 3) length. The height is along z in 3D and along y in 2D.
-    ends : (L, 2) points of each line.
+    ends : (L, 2) the two points of each line.
     spheres : number of spheres.
     """
 
@@ -55,9 +54,7 @@ class Geometry:
 
     @classmethod
     def of(cls, network: Network) -> "Geometry":
-        """Return the points and lines of a network. Lines across periodic sides lead to images of their second
-        spheres.
-        """
+        """Return the points and lines of a network: spheres and their contacts."""
         place, ends = network.center, network.contact.T.copy()
         reach = network.radius[ends].sum(axis=1)
         step = network.normal * reach[:, None]
@@ -70,7 +67,9 @@ class Geometry:
         return cls(sphere, places, ends, len(place))
 
     def on_points(self, columns: Mapping[str, Finding]) -> dict[str, Finding]:
-        """Return columns of the spheres as point data; where there are images, a column says which points those are."""
+        """Return columns of the spheres as columns of the points. Where there are images, the column `image` marks
+        them.
+        """
         found = {name: replace(column, values=column.values[self.sphere]) for name, column in columns.items()}
         if len(self.sphere) > self.spheres:
             image = np.arange(len(self.sphere)) >= self.spheres
@@ -81,12 +80,13 @@ class Geometry:
 def export(
     run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
 ) -> dict[str, Any]:
-    """Write one sample of a run directory or its run.h5 for ParaView, and return what the file holds.
+    """Write one sample of a run for ParaView, and return what the file holds.
 
-    out : the file; an earlier one is replaced with `force` only. By default it is run.vtkhdf in the run directory, and
+    run : a run directory or its run.h5.
+    out : the file; an earlier one is replaced only with `force`. By default it is run.vtkhdf in the run directory, and
         an earlier one is replaced.
-    replica : which sample, counted from 0.
-    analyse : compute the structure; otherwise the file has of it what the run file holds.
+    replica : number of the sample, from 0.
+    analyse : True to compute the structure of the sample; otherwise the file has of it what the run file holds.
 
     Raises InputError or FileError before anything is computed.
     """
@@ -119,11 +119,11 @@ def write_vtkhdf(
     moments: Moments | None = None,
     end: float | None = None,
 ) -> None:
-    """Write the file in full or not at all.
+    """Write a VTKHDF file, in full or not at all.
 
-    spheres, contacts : columns by name.
-    attributes : for the group /VTKHDF, where VTK does not look at them.
-    moments, end : snapshots of a dynamics, and the time of its end.
+    geometry : points and lines. spheres, contacts : columns by name.
+    attributes : further facts, written on the group /VTKHDF; VTK ignores them.
+    moments, end : snapshots of a dynamics, and the simulated time of its end; None for other methods.
     """
 
     def fill(file: h5py.File) -> None:
@@ -160,9 +160,10 @@ def _write_geometry(root: h5py.Group, geometry: Geometry) -> None:
 
 
 def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
-    """Write the times of the steps, all with the same points and lines, and return their group.
+    """Write the times of the snapshots and of the end, for all of which points and lines are the same, and return the
+    group of these steps.
 
-    moments : snapshots. end : time of the last step.
+    root : the group /VTKHDF. moments : the snapshots. end : simulated time of the last step.
     """
     steps = root.create_group("Steps")
     number = len(moments.time) + 1
@@ -179,9 +180,11 @@ def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
 def _put_column(
     root: h5py.Group, steps: h5py.Group | None, group: str, name: str, column: Finding, before: np.ndarray | None
 ) -> None:
-    """Write a column of point or cell data, and where each time step finds its rows.
+    """Write a column of point or cell data, and for each time step where its rows begin.
 
-    before : (steps, rows, ...) values at the snapshots, None if they do not change.
+    root : the group /VTKHDF. steps : the group of the time steps, or None. group : "PointData" or "CellData". name,
+        column : of the data.
+    before : (steps, rows, ...) values at the snapshots; None if they do not change.
     """
     rows = column.values if before is None else np.concatenate([*before, column.values])
     text = column.description + (IN_SNAPSHOTS.get(name, "") if before is not None else "")
@@ -193,7 +196,7 @@ def _put_column(
 
 
 def _store(group: h5py.Group, name: str, values: np.ndarray, units: str, description: str) -> None:
-    """Write a compressed array of a type that VTK knows, with its unit."""
+    """Write a compressed array of a type that VTK knows, with unit and description."""
     known = values.astype(np.uint8) if values.dtype == bool else values
     packed = {"compression": "gzip", "shuffle": True} if known.size else {}
     put(group, name, known, units, description, **packed)

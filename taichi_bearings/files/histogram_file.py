@@ -22,10 +22,12 @@ OF_BINS = {  # columns of a bin beside its edges
 
 
 def write_table(path: Path, histograms: Histograms, by: str | None = None) -> None:
-    """Write a CSV with the columns power_low, power_high, count; its header says how many contacts are in no bin.
+    """Write histograms of the power of contacts as CSV, with the columns power_low, power_high and count.
 
-    Where several samples are pooled, standard_error, density and density_error follow. Several histograms stand below
-    each other, with the parameter `by` that they differ in as the last column.
+    path : of the file. histograms : by the value of the parameter `by` in which they differ; {None: histogram} for one.
+
+    The header says how many contacts are in no bin. Where several samples are pooled, the columns standard_error,
+    density and density_error follow. Several histograms stand below each other, with `by` as the last column.
     """
     notes = []
     for value, found in histograms.items():
@@ -47,10 +49,11 @@ def write_table(path: Path, histograms: Histograms, by: str | None = None) -> No
 
 
 def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> None:
-    """Write HDF5 with the data sets edges, count, standard_error, density and density_error; the rest as attributes.
+    """Write histograms of the power of contacts as HDF5: data sets edges, count, standard_error, density and
+    density_error; the rest as attributes.
 
-    With several histograms all but the edges have a leading axis, along which the data set `value` holds the parameter
-    `by` that they differ in.
+    histograms, by : as for :func:`write_table`. With several histograms all data sets but the edges have a leading
+        axis, and the data set `value` has the parameter `by` of each.
     """
     parts = list(histograms.values())
 

@@ -41,10 +41,10 @@ CONTACT_SETS = {  # name -> description, in the order of COUNTED_STATES
 
 
 def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, Sequence[int]]) -> SampleCounts:
-    """Return counts in all bins between the lowest and the highest that the samples have.
+    """Return the counts of all samples in the same bins, from the lowest to the highest bin that any sample has.
 
     bins : for each sample, slipping contacts by the number i of the bin [10^(i/20), 10^((i + 1)/20)).
-    contacts : by the names of CONTACT_SETS, one number a sample.
+    contacts : numbers of contacts, one a sample, by the state that CONTACT_SETS names.
     """
     met = [number for sample in bins for number in sample]
     low, high = (min(met), max(met) + 1) if met else (0, 0)
@@ -57,10 +57,12 @@ def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, S
 
 
 def column(values: Sequence[Any], units: str, description: str) -> Finding:
-    """Return a column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none.
+    """Return a column of the table of a scan.
 
-    Truth values with gaps stay as they are, in an object array, for :func:`write_scan`. units, description : of the
-    column.
+    values : one for each sample: texts, truth values, whole numbers or other numbers; None where a sample has none.
+        units, description : of the column.
+
+    Truth values of which some are None stay as they are, in an array of objects, for :func:`write_scan`.
     """
     present = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in present):
@@ -78,13 +80,13 @@ TRUTHS_WITH_GAPS = "1 true, 0 false, not-a-number where a sample has none"
 
 
 def is_of_truths(values: np.ndarray) -> bool:
-    """Return True if a column holds truth values and some samples have none."""
+    """Return True if a column holds truth values, of which some are None."""
     return values.dtype == object and not any(isinstance(value, str) for value in values)
 
 
 def as_stored(values: np.ndarray) -> np.ndarray:
-    """Return a column (samples,) as scan.h5 holds it: truth values with gaps as 1, 0 and NaN, all others as they
-    are.
+    """Return a column (samples,) as scan.h5 holds it: truth values of which some are None become 1, 0 and NaN; all
+    others stay.
     """
     return values.astype(float) if is_of_truths(values) else values
 
@@ -92,11 +94,12 @@ def as_stored(values: np.ndarray) -> np.ndarray:
 def write_scan(
     folder: Path, columns: Mapping[str, Finding], histograms: SampleCounts, attributes: Mapping[str, Any]
 ) -> None:
-    """Write scan.h5 and then scan.csv, each in full or not at all.
+    """Write scan.h5 and then scan.csv into a folder, each in full or not at all.
 
     columns : numbers or texts (samples,) by name, made by :func:`column`; empty in scan.csv where a sample has no
         value.
-    attributes : `scan`, `scanned`, versions and whatever else.
+    histograms : powers of the contacts of each sample.
+    attributes : `scan`, `scanned`, versions and whatever else scan.h5 says on its root.
     """
 
     def fill(file: h5py.File) -> None:
@@ -133,11 +136,12 @@ def write_scan(
 
 @dataclass(frozen=True)
 class StoredScan:
-    """A scan as read back; every array has one entry a sample, in the order of scan.csv.
+    """A scan as read from its file; every array has one entry for each sample, in the order of scan.csv.
 
-    path : its scan.h5. attributes : of the root. scanned : names of the columns that were varied, in their order.
-    table : columns by name; texts are object arrays of str.
-    histograms : distributions of power.
+    path : of its scan.h5. attributes : of the root of the file. scanned : names of the columns that were varied, in
+        order.
+    table : columns by name; texts are arrays of str.
+    histograms : numbers of contacts by power.
     """
 
     path: Path
@@ -147,7 +151,7 @@ class StoredScan:
     histograms: SampleCounts
 
     def __post_init__(self) -> None:
-        """Raise FileError for a table that no scan writes, before what reads it fails."""
+        """Raise FileError for a table that no scan writes, so that what reads it need not check again."""
         table, counts = self.table, self.histograms
 
         def refuse(words: str) -> NoReturn:
@@ -179,18 +183,23 @@ class StoredScan:
 
     @property
     def failed(self) -> np.ndarray:
-        """(samples,) True for a sample without a result."""
+        """(samples,) mask, True for a sample without a result because it failed."""
         return self.table["status"] == FAILED
 
     @property
     def reasons(self) -> np.ndarray:
-        """(samples,) why a sample has no result, in words that follow a number; "" for those that have one."""
+        """(samples,) why each sample has no result, in words that follow a number, such as "failed"; "" for those that
+        have one.
+        """
         words = {FAILED: "failed", MISSING: "not computed yet"}
         return np.array([words.get(status, "") for status in self.table["status"]], dtype=object)
 
 
 def read_scan(scan: Path) -> StoredScan:
-    """Read the directory of a scan or its scan.h5; FileError if it is missing, damaged or of an unknown version."""
+    """Return the scan in a folder or a scan.h5; raise FileError if it is missing, damaged or of an unknown version.
+
+    scan : the folder or the file.
+    """
     path = scan / "scan.h5" if scan.is_dir() else scan
     if not path.is_file():
         raise FileError(f"{scan} is not a scan: there is no {path}")

@@ -30,7 +30,7 @@ MOST_SCALARS = 300  # most values of a sample; a solve with its structure has so
 
 
 def _line(text: bytes) -> bytes:
-    """Return the line of the journal for a sample in JSON."""
+    """Return the line of the journal for one sample. text : the sample in JSON."""
     return (RECORD_HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
 
@@ -46,14 +46,15 @@ def _has_key(record: Any) -> bool:
 
 @lru_cache(maxsize=4096)
 def _names_a_column(name: str) -> bool:
-    """Return True if a value of this name can become a column of the table."""
+    """Return True if a value of this name can become a column of the table of the scan."""
     return name not in OWN_COLUMN_NAMES and re.fullmatch(r"[A-Za-z]\w{0,99}", name, re.ASCII) is not None
 
 
 def is_sample(sample: Any) -> bool:
-    """Return True if key, scalars and bins have the kinds and sizes that a solve leaves.
+    """Return True if a record read from a journal has the form that a solve leaves: key, scalars and bins of the right
+    types and sizes.
 
-    So no number of a bin asks for much memory, and no lower bound lies above what it bounds by more than rounding.
+    So no bin number can ask for much memory, and no lower bound lies above what it bounds by more than rounding. Raises
     ValueError for a text that is no Unicode.
     """
     if not _has_key(sample):
@@ -76,9 +77,10 @@ def is_sample(sample: Any) -> bool:
 
 
 def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str, dict[str, Any]]:
-    """Return the samples by their key; of several lines with one key the last counts.
+    """Return the records of samples in a journal by their keys; of several lines with one key the last counts.
 
-    Damaged lines are named in a warning, and so are lines whose content does not satisfy `fits`.
+    path : of the journal. fits : function that says whether a record has the right form. Lines that are damaged, or
+        have another form, are named in a warning and left out.
     """
     samples: dict[str, dict[str, Any]] = {}
     for number, line in enumerate(read_lines(path), start=1):
@@ -96,7 +98,7 @@ def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str
 
 
 class Journal:
-    """The journal open for appending; used as a context, by one process at a time."""
+    """The journal of a scan, open for appending; used in a `with` statement, by one process at a time."""
 
     def __init__(self, path: Path) -> None:
         """Drop damaged lines, and open the file for appending."""
@@ -107,10 +109,10 @@ class Journal:
             self._file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
     def _drop_damaged_lines(self) -> int:
-        """Leave nothing but whole lines in the file, in one move, and return their bytes. It has no other name
-        afterwards.
+        """Rewrite the journal with its undamaged lines alone, in one move, and return its size in bytes.
 
-        An incomplete last line can be dropped on a full disk, too.
+        An incomplete last line is cut off instead, which is possible on a full disk, too. A second name (hard link) of
+        the file keeps the earlier content.
         """
         whole = b"".join(line for line in read_lines(self.path) if _is_whole(line))
         if not self.path.exists():
@@ -125,7 +127,9 @@ class Journal:
         return len(whole)
 
     def append(self, samples: Sequence[Mapping[str, Any]]) -> None:
-        """Write samples down for good. On a full disk FileError; samples that did fit on it are kept."""
+        """Append samples, and return once they are on the disk. On a full disk FileError is raised; samples that did
+        fit are kept.
+        """
         lines = b"".join(_line(json.dumps(sample, allow_nan=False).encode()) for sample in samples)
         try:
             write_all(self._file, lines)

@@ -22,34 +22,36 @@ NO_ATTRIBUTES: Mapping[str, Any] = MappingProxyType({})
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it, unless it is there; WriteError if that fails."""
+    """Make a folder, with those above it, unless it exists; raise WriteError if that fails."""
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
 
 
 def refuse_ending(out: Path | None, *endings: str) -> None:
-    """Raise InputError if the file that is asked for has another ending than these."""
+    """Raise InputError if the name of a file asked for has an ending other than `endings`. out : the name; None if none
+    is asked for.
+    """
     if out is not None and out.suffix not in endings:
         names = " or ".join(filter(None, (", ".join(endings[:-1]), endings[-1])))
         raise InputError(f"out is {str(out)!r}; it must end in {names}")
 
 
 def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
-    """Raise FileError for the first of these files that exists, unless `force`."""
+    """Raise FileError for the first of these files that exists, unless `force` is True."""
     standing = [] if force else [path for path in paths if path.exists()]
     if standing:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text in UTF-8, line ends as they are."""
+    """Write a text in UTF-8, in full or not at all; line ends stay as they are."""
     replace_file(path, text.encode())
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], notes: Sequence[str] = ()) -> None:
-    """Write a line of names and the rows below it, floating-point numbers with all their digits.
+    """Write a table as CSV: a line of names and the rows below it, floating-point numbers with all their digits.
 
-    notes : lines that go before, each after "# ".
+    notes : lines that go before the names, each after "# ".
     """
     text = io.StringIO()
     text.writelines(f"# {printable(line)}\n" for line in notes)
@@ -70,9 +72,10 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
 
 
 def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mapping[str, Any] = NO_ATTRIBUTES) -> None:
-    """Replace `path` in one move by an HDF5 file with checksums; WriteError if that fails.
+    """Write an HDF5 file with checksums, in full or not at all, replacing an earlier one; raise WriteError if that
+    fails.
 
-    fill : puts the content into the file. attributes : of the file.
+    fill : function that puts the content into the opened file. attributes : of the file.
     """
 
     with _new_hdf5(path) as file:
@@ -83,7 +86,9 @@ def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mappin
 
 @contextlib.contextmanager
 def _new_hdf5(path: Path) -> Iterator[h5py.File]:
-    """Open a new HDF5 file in memory, and write it when the block ends: on a full disk HDF5 itself fails badly."""
+    """Yield a new HDF5 file in memory, and write it to `path` when the block ends. On a full disk HDF5 itself would
+    leave a damaged file.
+    """
     whole = io.BytesIO()
     with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
         yield file
@@ -98,12 +103,13 @@ def layout_of(kind: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterator[h5py.File]:
-    """Open a file whose checksums are right.
+    """Yield an opened HDF5 file whose checksums are right.
 
-    FileError if it cannot be read, is of another kind or version, or was changed, and for an InputError inside the
-    block: what the file holds is then impossible.
+    kind : "run", "scan" or "checkpoint". changed : a list that gets the names of data sets and attributes that were
+        changed after the file was written; None to raise FileError for that.
 
-    kind : see :func:`layout_of`. changed : see :func:`open_checked`.
+    Raises FileError if the file cannot be read, is of another kind or version, or was changed; and in place of an
+    InputError inside the block, since the content is then impossible.
     """
     try:
         with open_checked(path, f"a {kind}", changed) as file:
@@ -120,7 +126,10 @@ def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterat
 
 
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
-    """Write a file anew with its group `name` as `fill` makes it and everything else as it was."""
+    """Replace one group of an HDF5 file, in one move; everything else in the file stays.
+
+    name : of the group. fill : function that puts the content into the empty group.
+    """
 
     with _new_hdf5(path) as whole:
         with open_checked(path) as old:
@@ -144,7 +153,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 @dataclass(frozen=True)
 class Finding:
-    """An array with its unit and a description."""
+    """An array with its unit, such as "force*length", and a description, as files store them."""
 
     values: np.ndarray
     units: str
@@ -152,16 +161,20 @@ class Finding:
 
 
 def put(group: h5py.Group, name: str, values: Any, unit: str, text: str, **packing: Any) -> None:
-    """Write a data set with its unit and a description (`text`)."""
+    """Write a data set into a group, with its unit and a description.
+
+    name, values : of the data set. unit, text : attributes `units` and `description`. packing : arguments of h5py on
+        compression.
+    """
     stored = group.create_dataset(name, data=values, **packing)
     stored.attrs["units"], stored.attrs["description"] = unit, text
 
 
 def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
-    """Write attributes of a group or a file.
+    """Write attributes of a group or a file. values : by name.
 
-    None becomes "", and not-a-number within a list of numbers; bytes of a text that are not UTF-8, such as in the name
-    of a file, are escaped.
+    None becomes an empty text, and not-a-number within a list of numbers. Bytes of a text that are not UTF-8, as in
+    names of files, are escaped.
     """
     for key, value in values.items():
         if isinstance(value, list) and None in value:
@@ -173,5 +186,5 @@ def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
 
 
 def attributes_of(group: h5py.Group) -> dict[str, Any]:
-    """Return attributes as they were put: numbers of Python, texts, arrays."""
+    """Return the attributes of a group by name: numbers as Python numbers, texts, and arrays."""
     return {key: value.item() if isinstance(value, np.generic) else value for key, value in group.attrs.items()}

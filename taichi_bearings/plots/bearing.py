@@ -31,19 +31,20 @@ PALE = np.array([0.93, 0.93, 0.93, 1.0])  # colour of discs that only carry cont
 
 @dataclass(frozen=True)
 class Sheet:
-    """N discs and E contacts as they lie on paper.
+    """N discs and E contacts as they lie on paper. Lengths are those of the bearing.
 
     sphere : (N,) number of each disc in the bearing.
-    place, radius : (N, 2) and (N,) of the discs. rim : (N,) width of their outline, points.
+    place, radius : (N, 2) and (N,), centres and radii. rim : (N,) width of the outline of each disc, points.
     depth : (N,) distance towards the reader.
-    ends : (2, E) discs of each contact.
-    way : (2, E, 2) from each of the two discs to the middle of the contact; over a periodic side both lead outwards.
+    ends : (2, E) the two discs of each contact.
+    way : (2, E, 2) vectors from each of the two discs to the middle of the contact; over a periodic side both lead
+        outwards.
     wall : (E,) half the length of a line across the contact.
     contact : (E,) number of each contact in the bearing.
     corners : (2, 2) lowest and highest point of the picture.
     pitch : distance between the centres of two neighbouring discs.
-    grid : number of discs along each axis of a plane of a lattice; empty for anything else. rows : the driven rows of
-        it.
+    grid : number of discs along each axis of a plane of a lattice; empty for anything else. rows : numbers of its
+        driven rows.
     """
 
     sphere: np.ndarray
@@ -62,8 +63,9 @@ class Sheet:
 
     @classmethod
     def of_lattice(cls, lattice: Lattice, plane: tuple[int, int] | None = None, view: View = VIEW) -> "Sheet":
-        """Return the sheet of a flat lattice, of the plane (axis, index) of a cubic one, or of all of a cubic one
-        from `view`.
+        """Return the picture of a flat lattice, of a plane of a cubic one, or of all of a cubic one.
+
+        plane : (axis, index) of the plane, or None. view : from where all of a cubic lattice is seen.
         """
         across, index = plane or (-1, 0)
         center = np.argwhere(np.ones(lattice.shape, dtype=bool))
@@ -83,7 +85,9 @@ class Sheet:
 
     @classmethod
     def of_network(cls, network: Network, view: View = VIEW) -> "Sheet":
-        """Return the sheet of all spheres and contacts as seen from `view`; driven spheres have a rim."""
+        """Return the picture of all spheres and contacts of a network; driven spheres have an outline. view : from
+        where it is seen.
+        """
         radius, ends = network.radius, network.contact
         (place, depth), (normal, _) = _seen(network.center, view), _seen(network.normal, view)
         way = radius[ends][..., None] * np.stack([normal, -normal])
@@ -103,18 +107,20 @@ class Sheet:
         return not np.ptp(self.depth)
 
     def site(self, width: float, height: float = np.inf) -> float:
-        """Return the distance between the centres of two discs in points, if the picture fits into so many inches."""
+        """Return the distance between the centres of two neighbouring discs in points, if the picture fits into so many
+        inches.
+        """
         return 72 * float((np.array([width, height]) / np.diff(self.corners, axis=0)[0]).min()) * self.pitch
 
     def frame(self, axes: Any) -> None:
-        """Set the limits of the picture, without ticks."""
+        """Set the limits of the picture on these axes of matplotlib, and remove ticks and frame."""
         (x0, y0), (x1, y1) = self.corners
         axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xticks=[], yticks=[])
         for side in axes.spines.values():
             side.set_visible(False)
 
     def paint(self, axes: Any, colour: np.ndarray) -> None:
-        """Draw the discs from the back to the front. colour : (N, 4), or (4,) for all."""
+        """Draw the discs on axes of matplotlib, from the back to the front. colour : (discs N, 4), or (4,) for all."""
         edge = "0.75" if not self.is_flat and colour.shape == (4,) else "black"  # pale ones only carry contacts
         colour = np.broadcast_to(colour, (len(self.place), 4))
         self.frame(axes)
@@ -137,12 +143,13 @@ class Sheet:
             axes.add_patch(Rectangle((-0.55, y - 0.55), self.grid[0] + 0.1, 1.1, fill=False, lw=width))
 
     def lines(self, chosen: np.ndarray, across: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Return lines (n, 2, 2) for some contacts, and the contact of each line.
+        """Return lines (n, 2, 2), from one point on paper to another, for some contacts, and the number (n,) of the
+        contact of each line.
 
-        A line leads from centre to centre, or, with `across`, between the two discs at right angles to that. A contact
-        over a periodic side has half a line at either side, or a line across at both.
+        chosen : mask over all contacts of the bearing.
+        across : False for lines from centre to centre, True for lines between the two discs at right angles to that.
 
-        chosen : True for these contacts, of all contacts of the bearing.
+        A contact over a periodic side has half a line at either side, or a line across at both.
         """
         which = np.flatnonzero(chosen[self.contact])
         which = which[np.argsort(self.depth[self.ends[:, which]].mean(axis=0), kind="stable")]
@@ -160,9 +167,10 @@ class Sheet:
         return np.stack([first, np.concatenate([stop, start[1, over]])], axis=1), twice
 
     def draw(self, axes: Any, chosen: np.ndarray, across: bool = False, **look: Any) -> None:
-        """Draw the lines of :meth:`lines` for the `chosen` contacts, or across them.
+        """Draw the lines of :meth:`lines` for some contacts.
 
-        look : arguments of LineCollection; arrays have an entry for each contact of the bearing.
+        axes : of matplotlib. chosen, across : as for :meth:`lines`. look : arguments of LineCollection; arrays have an
+            entry for each contact of the bearing.
         """
         lines, which = self.lines(chosen, across)
         which = self.contact[which]
@@ -171,7 +179,9 @@ class Sheet:
 
 
 def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Return places (..., 2) on paper and depths (...) of points (..., 2 or 3)."""
+    """Return places (..., 2) on paper and depths (...), towards the reader, of points (..., 2 or 3). view : from where
+    they are seen.
+    """
     if points.shape[-1] == 2:
         return points.astype(float), np.zeros(points.shape[:-1])
     seen = view.seen(points)
@@ -179,9 +189,10 @@ def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
 
 
 def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, dict[str, Any]]:
-    """Make a figure with one panel for a flat lattice or a packing.
+    """Return a figure with one panel for a flat lattice or a packing, and what is needed to draw on it.
 
-    returns : the figure, its axes, the sheet of discs, the size of a site in points, and where a colour bar fits.
+    The result is the figure, its axes, the discs as they lie on it, the distance of two discs in points, and arguments
+    that place a colour bar where it fits.
     """
     lattice = network.lattice
     sheet = Sheet.of_network(network, page.view or VIEW) if lattice is None else Sheet.of_lattice(lattice)
@@ -197,13 +208,14 @@ def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, 
 
 
 def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.5) -> float:
-    """Return the width in points of a line that takes a share of a site, between `least` and `most`."""
+    """Return the width of a line in points: a share of the distance `site` of two discs, but from `least` to `most`."""
     return float(np.clip(share * site, least, most))
 
 
 def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarray:
-    """Return |spin| over the larger imposed spin, shape N. spin : N or (*N, 3), laboratory frame; N : shape of the
-    lattice.
+    """Return |spin| over the larger of the two imposed spins, in the shape of the lattice.
+
+    spin : laboratory spins, in the shape of a flat lattice, or (nx, ny, nz, 3).
     """
     length = np.abs(spin) if spin.ndim == 2 else np.linalg.norm(spin, axis=-1)
     speed: np.ndarray = length / (max(abs(spin_top), abs(spin_bottom)) or 1.0)
@@ -211,21 +223,26 @@ def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarra
 
 
 def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, **look: Any) -> None:
-    """Draw the colour bar of spheres that are coloured by :func:`speed_of`."""
+    """Draw the colour bar for spheres that are coloured by :func:`speed_of`. look : arguments of matplotlib's colorbar."""
     label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
     colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
 
 
 def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str, **look: Any) -> None:
-    """Draw a bar that says what the colours of a map mean."""
+    """Draw a bar that says what the colours of a map mean.
+
+    label : of the bar. norm : scale of the values. colours : name of the colour map. look : arguments of matplotlib's
+        colorbar.
+    """
     bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
     if isinstance(norm, LogNorm):
         label_in_plain_text(bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis)
 
 
 def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:
-    """Set title and axis labels of the plane `index` across `axis`. before, after : words of the title around its
-    name.
+    """Write title and axis labels for a plane through a lattice.
+
+    axis, index : axis across the plane and its number. before, after : words of the title around the name of the plane.
     """
     axes.set_title(f"{before}${AXES[axis]} = {index}${after}")
     right, up = (name for name in AXES if name != AXES[axis])
@@ -233,7 +250,9 @@ def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = ""
 
 
 def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
-    """Draw a cubic lattice from outside, the driven planes in boxes. colour : (nx, ny, nz, 4) of its spheres."""
+    """Draw a cubic lattice as a block of spheres seen from outside, the driven planes in boxes. colour : (nx, ny, nz,
+    4) of its spheres.
+    """
     outside = np.zeros(colour.shape[:3], dtype=bool)
     for axis in range(3):
         np.moveaxis(outside, axis, 0)[-1 if view.faces(axis) else 0] = True
@@ -258,16 +277,18 @@ EDGES = [(n, axis) for n in range(8) for axis in range(3) if not n >> axis & 1]
 
 
 def are_near(view: View, lid: bool) -> np.ndarray:
-    """Return True for those of the twelve edges of a box that bound a side which faces the reader.
+    """Return a mask (12,) of the edges EDGES of a box that bound a side which faces the reader.
 
-    lid : True if its lid can be seen, or its floor where that faces the reader.
+    lid : True if the side across z that faces the reader, lid or floor, is to be seen as well.
     """
     sides = range(3 if lid else 2)
     return np.array([any((n >> a & 1) == view.faces(a) for a in sides if a != axis) for n, axis in EDGES])
 
 
 def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and the highest corner of the box around the spheres of one layer."""
+    """Return the lowest and the highest corner, (3,) each, of the box around the spheres of one layer. shape : of the
+    lattice. z : number of the layer.
+    """
     return np.array([-0.5, -0.5, z - 0.5]), np.array([shape[0] - 0.5, shape[1] - 0.5, z + 0.5])
 
 
@@ -308,7 +329,9 @@ def paint_spheres(axes: Any, centre: np.ndarray, colour: np.ndarray, radius: flo
 
 
 def lit_sphere(pixels: int = 96) -> np.ndarray:
-    """Return diffuse light, gloss and opacity of a unit sphere seen from the front, (pixels, pixels, 3)."""
+    """Return the picture of a unit sphere seen from the front: diffuse light, gloss and opacity of each pixel, (pixels,
+    pixels, 3).
+    """
     x, y = np.meshgrid(*2 * (np.linspace(-1.0, 1.0, pixels),))
     square = x**2 + y**2
     z = np.sqrt(np.clip(1 - square, 0, None))

@@ -30,9 +30,9 @@ LEAST_RATIO = 30.0  # an axis is logarithmic if its last iteration, or time, is 
 
 @style.in_our_style
 def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
-    """Draw power and lower bound, and below them their relative gap, of every sample or replica.
+    """Draw power and lower bound during the solve, and below them their relative gap, of every sample.
 
-    They are drawn against iterations, or time for a dynamics. InputError for a method without steps.
+    They are drawn against iterations, or time for a dynamics. Raises InputError for a method without steps.
     """
     courses = courses_of(answer)
     if not courses:
@@ -66,9 +66,10 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
 
 
 def courses_of(solution: Solution) -> list[Solution]:
-    """Return the solutions whose course can be drawn: one for all samples of a lattice, each replica's of a packing.
+    """Return the solutions whose history can be drawn: one for all samples of a lattice, one for each sample of a
+    packing.
 
-    Solutions that hold no more than a start and an answer are left out.
+    Solutions whose history has no more than a start and an answer are left out.
     """
     whole, replicas = solution.scene.network.lattice is not None, solution.scene.replicas
     each = [solution] if whole or replicas == 1 else [solution.sample(number) for number in range(replicas)]
@@ -76,16 +77,16 @@ def courses_of(solution: Solution) -> list[Solution]:
 
 
 def _steps(solution: Solution) -> int:
-    """Return the number of steps that the history kept; of several packings that of all together."""
+    """Return the number of rows of the history after the start; for several samples of a packing that of all together."""
     return int((solution.history.get("iteration", np.zeros(0)) > 0).sum())
 
 
 @style.in_our_style
 def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
-    """Draw the four energy accounts of one sample, and below them the share that they leave unexplained, against time.
+    """Draw the energy balance of a dynamics of one sample against time, and below it the relative error of the balance.
 
-    An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
-    InputError if the run keeps no energy balance.
+    Drawn are the work put in, the energy dissipated, and kinetic and spring energy. If one is negative at times the
+    axis is linear around 0 and logarithmic beyond. Raises InputError if the run has no energy balance.
     """
     history, scene = solution.history, solution.scene
     if "energy_residual" not in history:
@@ -115,7 +116,7 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
 
 
 def _scale(axes: Any, energy: np.ndarray) -> None:
-    """Make the axis logarithmic, or if some energy is negative linear around 0 and logarithmic beyond."""
+    """Make the vertical axis logarithmic; if some energy is negative, linear around 0 and logarithmic beyond."""
     size = np.abs(energy[energy != 0])
     if not len(size):
         return
@@ -140,8 +141,8 @@ MATHEMATICS = {  # symbols of the units of histograms
 
 @style.in_our_style
 def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
-    """Draw the number of slipping contacts against their power, both logarithmic, with standard errors; no empty
-    bins.
+    """Draw the number of slipping contacts against their power, both logarithmic, with standard errors. Empty bins are
+    left out.
     """
     figure = style.plain_figure(page.inches("single"), 2.2, page.dpi)
     axes = figure.add_subplot()
@@ -165,10 +166,10 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
 
 @style.in_our_style
 def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str, page: Page = PAGE) -> Figure:
-    """Draw the share of slipping contacts per decade of their power, one curve a histogram, with bands of a standard
-    error.
+    """Draw the share of slipping contacts per decade of their power, one curve for each histogram, with bands of one
+    standard error.
 
-    histograms : by the value of the parameter that parts them. by : its name.
+    histograms : by the value of a parameter. by : name of the parameter.
     """
     rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
     width = page.inches("double") if page.width is not None or len(histograms) > 8 else 5.0
@@ -188,7 +189,7 @@ def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str, page: Page =
 
 
 def _centre(histogram: PowerHistogram) -> np.ndarray:
-    """Return the middle of each bin on a logarithmic scale."""
+    """Return the middle (bins,) of each bin of power on a logarithmic scale."""
     return np.sqrt(histogram.edges[:-1] * histogram.edges[1:])
 
 
@@ -200,7 +201,7 @@ def _label(histogram: PowerHistogram) -> str:
 
 
 def _outside(histogram: PowerHistogram) -> str:
-    """Return how many contacts are in no bin, in words."""
+    """Return in words how many contacts are in no bin, since they do not slip or are not proven to."""
     return ", ".join([f"{histogram.slipless:,} slipless", *other_contacts(histogram.tied, histogram.undecided)])
 
 
@@ -211,9 +212,10 @@ BESIDE = 0.5  # share of the distance between two named ticks over which the poi
 
 @dataclass(frozen=True)
 class Curve:
-    """Points with bars.
+    """A curve of P points with error bars.
 
-    label : for the legend. x, y : (P,) points. low, high : (P,) ends of the bars; not-a-number where there are none.
+    label : for the legend. x, y : (P,) the points. low, high : (P,) ends of the bars; not-a-number where there are
+        none.
     """
 
     label: str
@@ -227,8 +229,8 @@ class Curve:
 class Look:
     """Words and axes of a figure of a scan.
 
-    legend : title of the legend. log : logarithmic axes, "x", "y" or "xy". ticks : names at x = 0, 1, ... if x has no
-        numbers.
+    x_label, y_label : of the axes. title : above the figure. legend : title of the legend.
+    log : logarithmic axes: "", "x", "y" or "xy". ticks : names at x = 0, 1, ... if x has no numbers.
     """
 
     x_label: str
@@ -241,7 +243,9 @@ class Look:
 
 @style.in_our_style
 def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
-    """Draw curves of points with bars, joined along each curve where x has numbers."""
+    """Draw curves of points with error bars; points of a curve are joined by a line where x has numbers. look : words
+    and axes.
+    """
     width = page.inches("single")
     entries = len(curves) if len(curves) > 1 else 0
     longest = max(len(curve.label) for curve in curves)

@@ -20,7 +20,7 @@ BELOW: dict[str, Any] = {"location": "bottom", "aspect": 30}  # a colour bar bel
 
 @dataclass(frozen=True)
 class View:
-    """From where a lattice is seen, without perspective; degrees.
+    """From where a lattice is seen, without perspective; angles in degrees.
 
     elevation : above the xy plane. azimuth : from x towards y.
     """
@@ -45,7 +45,7 @@ class View:
         return placed
 
     def faces(self, axis: int) -> bool:
-        """Return True if the side at the upper end of this axis faces the reader, False if the one at its lower end
+        """Return True if the side at the upper end of this axis faces the reader, False if the side at its lower end
         does.
         """
         return bool(self.matrix[2, axis] > 0)
@@ -73,8 +73,8 @@ class Page:
     title: bool = True
 
     def inches(self, column: str) -> float:
-        """Return the width of the figure, that of this column unless another width was chosen. column : "single" or
-        "double".
+        """Return the width of the figure in inches: that of a column of a journal, unless another width was chosen.
+        column : "single" or "double".
         """
         return (JOURNAL_WIDTHS[column] if self.width is None else self.width) / INCH
 
@@ -83,7 +83,9 @@ PAGE = Page()
 
 
 def read_width(text: str) -> float:
-    """Return the centimetres that a text names, as a number or as a column; InputError if it names none."""
+    """Return the width in centimetres that a text names, as a number or as "single" or "double"; raise InputError if it
+    names none.
+    """
     if text in JOURNAL_WIDTHS:
         return JOURNAL_WIDTHS[text]
     try:
@@ -116,7 +118,7 @@ def read_view(text: str) -> View:
 
 
 def _within(text: str, low: float, high: float) -> float:
-    """Return the number in a text; ValueError if it is none, or not from low to high."""
+    """Return the number in a text; raise ValueError if it is no number from `low` to `high`."""
     number = float(text)
     if not low <= number <= high:
         raise ValueError
@@ -142,8 +144,8 @@ def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
 
 
 def columns_on(page: Page, number: int, least: float = BROAD) -> int:
-    """Return how many of these panels stand beside each other on a page of two columns.
+    """Return how many panels fit beside each other on a page of two columns.
 
-    number : of panels. least : inches that a panel needs.
+    number : of panels, which is the most. least : width that a panel needs, inches.
     """
     return max(1, min(number, int(page.inches("double") / least)))

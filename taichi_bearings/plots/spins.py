@@ -34,13 +34,14 @@ FAINT_SHARE = 0.02  # share of the slipping contacts whose power is below the ra
 
 @in_our_style
 def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: str = "") -> Figure:
-    """Draw how fast spheres rotate, in colours, and slipping contacts as black lines; cubic lattices also in cuts.
+    """Draw how fast spheres rotate as colours, and slipping contacts as black lines; a cubic lattice from outside and
+    in cuts.
 
-    The colour is |spin| over the larger imposed spin; of a packing R |spin| over the largest imposed R |spin|. Where
-    nearly all of many contacts slip, or the picture is not flat, slipping contacts are not drawn but counted in the
-    title. Rotations of whole layers that no contact depends on are left out (`Structure.shown_spin`).
+    The colour is |spin| over the larger imposed spin; in a packing radius * |spin| over the largest imposed one. Where
+    nearly all of many contacts slip, or spheres lie behind each other, slipping contacts are not drawn but counted in
+    the title. Rotations of whole layers that no contact resists are left out (`Structure.shown_spin`).
 
-    note : what black lines mean.
+    structure : the sample. title : words above the figure; by default size, law and seed. note : what black lines mean.
     """
     slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
@@ -71,14 +72,21 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
 
 
 def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, slips: np.ndarray, site: float) -> None:
-    """Draw the discs of one plane and the slipping contacts between them. site : points between two discs."""
+    """Draw the discs of one picture and the slipping contacts between them.
+
+    axes : of matplotlib. sheet : N discs and their contacts on paper. colour : (N, 4) of the discs. slips : (contacts
+        E,) mask of the slipping ones of all contacts. site : distance of two discs in points.
+    """
     sheet.paint(axes, colour)
     sheet.box_driven(axes)
     sheet.draw(axes, slips, across=True, colors="black", lw=bearing.line_on_site(site, 0.15))
 
 
 def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: Page) -> Figure:
-    """Draw the block of spheres from outside, and cuts with the slipping contacts."""
+    """Draw a cubic lattice as a block of spheres from outside, and planes through it with the slipping contacts.
+
+    colour : (nx, ny, nz, 4) of all spheres. slips : (contacts E,) mask of slipping contacts.
+    """
     shape = lattice.shape
     planes = page.planes or middle_planes(shape)
     tall = float(np.clip(shape[2] / max(shape[:2]), 0.5, 2.0))
@@ -94,9 +102,11 @@ def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: P
 
 @in_our_style
 def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
-    """Draw the slipping contacts, coloured by their power; of a cubic lattice two cuts, and the power of each layer.
+    """Draw the slipping contacts, coloured by their power; of a cubic lattice in two planes, with the power of each
+    layer.
 
-    Where more contacts slip than lines can show, each disc has the colour of half the power of all its contacts.
+    Where there are more slipping contacts than lines can show, each disc has the colour of half the power of all its
+    contacts.
     """
     system, place = structure.scene, structure.network.whole
     unit, symbol = power_unit(system)
@@ -120,7 +130,9 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
 
 
 def _power_scale(power: np.ndarray) -> LogNorm:
-    """Return the logarithmic scale of colours for these powers."""
+    """Return the logarithmic scale of colours for powers of contacts, from their quantile FAINT_SHARE to the largest
+    one.
+    """
     slipping = power[power > 0]
     if not len(slipping):
         return LogNorm(1e-1, 1)
@@ -128,10 +140,12 @@ def _power_scale(power: np.ndarray) -> LogNorm:
 
 
 def _draw_lines(axes: Any, sheet: Sheet, power: np.ndarray, site: float) -> LogNorm:
-    """Draw slipping contacts, coloured by their power, and return the scale of colours.
+    """Draw slipping contacts as lines coloured by their power, and return the scale of colours.
 
-    In a flat picture they are lines across the contact, where the two surfaces slip past each other; where spheres lie
-    behind each other they are lines between the centres.
+    sheet : discs and contacts on paper. power : (contacts E,) of all contacts. site : distance of two discs in points.
+
+    In a flat picture a line lies across the contact, where the two surfaces slip past each other; where spheres lie
+    behind each other it joins the centres.
     """
     norm = _power_scale(power)
     look: dict[str, Any] = {"array": power, "cmap": POWER_COLOURS, "norm": norm}
@@ -140,7 +154,11 @@ def _draw_lines(axes: Any, sheet: Sheet, power: np.ndarray, site: float) -> LogN
 
 
 def _draw_cuts(lattice: Lattice, power: np.ndarray, page: Page, symbol: str) -> Figure:
-    """Draw planes of a cubic lattice, and the power of the contacts within each layer and to the next one."""
+    """Draw planes of a cubic lattice with the power of their contacts, and the power within each layer and to the next
+    one.
+
+    power : (contacts E,) of all contacts. symbol : of the unit of power.
+    """
     shape = lattice.shape
     planes, nz = page.planes or middle_planes(shape), shape[-1]
     tall = float(np.clip(nz / max(shape[:2]), 0.5, 2.0))

@@ -65,10 +65,10 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
 
 
 def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
-    """Draw the rigid domains of a packing.
+    """Draw the rigid domains of a packing in colours.
 
-    With two bodies in bearing states the colour is the turn between them, blue as the first and red as the second.
-    Otherwise each of the largest domains has a colour of its own.
+    With two driven bodies in bearing states the colour shows the spin between theirs, blue as the first and red as the
+    second. Otherwise each of the largest domains has a colour of its own.
     """
     domains = structure.rigid_domains
     figure, axes, sheet, _, look = bearing.one_panel(structure.network.whole, page)
@@ -89,9 +89,10 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
 
 
 def colour_of_turn(turn: np.ndarray) -> np.ndarray:
-    """Return the colour (..., 4) of turns (..., C): blue with the bottom, red with the top.
+    """Return colours (..., 4) that show how a domain rotates between bottom, blue, and top, red.
 
-    Yellow or green is mixed in as the first or the second component is nearer to the top than the other.
+    turn : (..., C), spin by component as a fraction: 0 is that of the bottom, 1 that of the top. Yellow or green is
+        mixed in as the first or the second component is nearer to the top than the other.
     """
     turn = np.clip(turn, 0.0, 1.0)
     colour: np.ndarray = colormaps[SPIN_COLOURS](turn.mean(axis=-1))
@@ -103,8 +104,10 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
 
 
 def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, structure: Structure, width: float) -> None:
-    """Draw the spheres of a sheet by domain, on so many inches; between discs of two domains a line. colour : (N,
-    4).
+    """Draw the spheres of a picture, coloured by rigid domain, with lines between discs of two domains.
+
+    axes : of matplotlib. sheet : N discs and their contacts on paper. colour : (N, 4) of the discs. width : of the
+        picture in inches.
     """
     domains = structure.rigid_domains
     site, (first, second) = sheet.site(width), domains.domain.ravel()[structure.network.whole.contact]
@@ -118,7 +121,10 @@ def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, structure: Structure, wi
 
 
 def _draw_values(axes: Any, domains: RigidDomains) -> None:
-    """Draw every domain at its turn: one component against the other, or a single one against the number of spheres."""
+    """Draw every rigid domain as a point at its spin, as a fraction between bottom, 0, and top, 1.
+
+    With two components one is drawn against the other; a single one is drawn against the number of spheres.
+    """
     turn, margin = domains.turn, 0.04
     along = np.linspace(-margin, 1 + margin, 200)
     plane = turn.shape[1] > 1
@@ -207,7 +213,9 @@ def _draw_network_of_packing(structure: Structure, page: Page) -> Figure:
 
 
 def contact_colours(network: SliplessNetwork) -> np.ndarray:
-    """Return the colour (E, 4) of each slipless contact."""
+    """Return the colour (contacts E, 4) of each slipless contact: grey; where no path joins bottom and top, blue if
+    joined to the bottom and red if joined to the top.
+    """
     colour = np.tile(to_rgba(GREY), (network.ends.shape[1], 1))
     if not network.spans:
         piece = network.component.ravel()
@@ -218,7 +226,9 @@ def contact_colours(network: SliplessNetwork) -> np.ndarray:
 
 
 def behind(lattice: Lattice, view: View) -> np.ndarray:
-    """Return True (E,) for contacts within the sides of a cubic lattice that are farthest from the reader."""
+    """Return a mask (contacts E,) of the contacts that lie within the sides of a cubic lattice farthest from the
+    reader. view : from where it is seen.
+    """
     far = np.array([0 if view.faces(axis) else n - 1 for axis, n in enumerate(lattice.shape)])
     on_side = np.argwhere(np.ones(lattice.shape, dtype=bool)) == far
     inside: np.ndarray = on_side[lattice.ends].all(axis=0).any(axis=1)
@@ -226,7 +236,10 @@ def behind(lattice: Lattice, view: View) -> np.ndarray:
 
 
 def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float) -> str:
-    """Draw the contacts and the path on so many inches; returns in words which contacts are drawn, if not all."""
+    """Draw the slipless contacts and the path, and return words that say which contacts are drawn, if not all.
+
+    width : of the picture in inches. view : from where the lattice is seen.
+    """
     lattice, chosen, words = network.lattice, network.slipless, ""
     sheet = Sheet.of_lattice(lattice, view=view)
     colour = np.ones((lattice.all_contacts, 4))
@@ -257,7 +270,12 @@ def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float
 
 
 def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
-    """Draw the spheres of the path from the back to the front, with an arrow for each spin, and the path's shadow."""
+    """Draw the spheres of the path from the back to the front, with an arrow for each spin, and the shadow of the path
+    on the floor.
+
+    spin : laboratory spins, (nx, ny, nz, 3). speed : (nx, ny, nz), which gives the colour. view : from where the
+        lattice is seen.
+    """
     path, lattice, shape = network.shortest_path, network.lattice, network.lattice.shape
     of_path, sheet = tuple(path.T), Sheet.of_lattice(network.lattice, view=view)
     colour = colormaps[SPIN_COLOURS](speed[of_path])

@@ -61,14 +61,14 @@ class NotebookFigure(Figure):
             self.dpi = printed
 
     def draw(self, renderer: Any) -> None:
-        """Lay out twice: titles above axes of a fixed aspect have their final place only then."""
+        """Lay out the figure twice and draw it: titles above axes of a fixed aspect have their final place only then."""
         if engine := self.get_layout_engine():
             engine.execute(self)
         super().draw(renderer)
 
     @in_our_style
     def savefig(self, *args: Any, **look: Any) -> None:
-        """Save as any figure does, with letters as letters."""
+        """Save as any figure of matplotlib, with text kept as text in PDF and SVG."""
         super().savefig(*args, **look)
 
 
@@ -85,15 +85,15 @@ def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi
 def panels(
     page: Page, number: int, row: tuple[float, float], more: float = 0.0, least: float = BROAD, widest: str = "double"
 ) -> tuple[Figure, list[Any], float]:
-    """Return a figure of panels in rows, their axes, and the width of each in inches.
+    """Return a figure of panels in rows, their axes, and the width of each panel in inches.
+
+    page : how the figure is printed. number : of panels.
+    row : height of a row, as a share of the width of a panel and as inches to add.
+    more : inches to add to the height of the figure.
+    least : width that a panel needs, inches.
+    widest : column of the page, "single" or "double", that no panel exceeds in width.
 
     The first panel takes the columns that would stay empty.
-
-    number : of panels.
-    row : height of a row as a share of the width of a panel, and inches to add.
-    more : inches to add to the height of the figure.
-    least : inches that a panel needs.
-    widest : column of the page that no panel exceeds in width.
     """
     columns = columns_on(page, number, least)
     wide = 1 - number % -columns
@@ -106,7 +106,7 @@ def panels(
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
-    """Return an empty figure for plain axes. Its margins are known, so that nothing has to be laid out. Sizes in
+    """Return an empty figure with known margins, which need no layout, so that it is drawn faster. width, height :
     inches.
     """
     figure = NotebookFigure(figsize=(width, height), dpi=dpi)
@@ -115,7 +115,7 @@ def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.d
 
 
 def put_title(figure: Figure, words: str, page: Page = PAGE) -> None:
-    """Put a title above a figure, if its page has one; the figure grows by its lines.
+    """Put a title above a figure, which grows by its lines; nothing if the page has no titles.
 
     Long lines are broken, but never inside mathematics or before a per cent sign.
     """
@@ -154,7 +154,7 @@ def label_in_plain_text(*axes: Any) -> None:
 
 
 def shades(number: int) -> list[Any]:
-    """Return colours for curves that have an order, dark to light."""
+    """Return so many colours for curves that have an order, from dark to light."""
     return [colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
 
 
@@ -164,7 +164,7 @@ ENDINGS = (".png", ".pdf", ".svg")
 
 @in_our_style
 def _file_content(figure: Figure, kind: str) -> bytes:
-    """Return the content of the file of a figure. kind : "png", "pdf" or "svg"."""
+    """Return the bytes of the file of a figure. kind : "png", "pdf" or "svg"."""
     drawn = io.BytesIO()
     if kind == "png":
         FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
@@ -174,7 +174,9 @@ def _file_content(figure: Figure, kind: str) -> bytes:
 
 
 def save_small(figure: Figure, stem: Path) -> Path:
-    """Write `stem`.pdf, or `stem`.png if the former had more than MOST_VECTOR bytes; returns which."""
+    """Write a figure as PDF, or as PNG if the PDF had more than MOST_VECTOR bytes, and return the path. stem : path
+    without ending.
+    """
     drawn, ending = _file_content(figure, "pdf"), "pdf"
     if len(drawn) > MOST_VECTOR:
         drawn, ending = _file_content(figure, "png"), "png"
@@ -184,7 +186,9 @@ def save_small(figure: Figure, stem: Path) -> Path:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a PNG, PDF or SVG, by its ending, in full or not at all; FileError if that cannot be done."""
+    """Write a figure as PNG, PDF or SVG, by the ending of the path, in full or not at all; raise FileError if that
+    fails.
+    """
     replace_file(path, _file_content(figure, path.suffix[1:]))
 
 
@@ -197,8 +201,8 @@ def _spaced(unit: str) -> str:
 
 
 def describe(scene: Bearing, sample: int | None = 0) -> str:
-    """Return size, law and source of a sample in words for a title; of a packing size and law. sample : None for
-    all samples.
+    """Return words for a title: size, law and seed of a sample; for a packing size and law. sample : its number; None
+    for all samples.
     """
     network = scene.network
     if network.lattice is None:
@@ -217,18 +221,18 @@ def mathematics(value: float, digits: int = 6) -> str:
 
 
 def larger_spin(spin_top: float, spin_bottom: float) -> str:
-    """Return the symbol of the larger imposed spin."""
+    """Return the symbol of the larger of the two imposed spins, for labels."""
     return SPEED_OF[abs(spin_top) >= abs(spin_bottom)]
 
 
 def driving(scene: Bearing) -> tuple[float, str]:
-    """Return the imposed spin that is the unit of times and powers, 1/time, and its symbol; of packings 1 and ""."""
+    """Return the imposed spin that serves as unit of times and powers, 1/time, and its symbol; for packings 1 and ""."""
     natural = scene.natural_spin
     return (1.0, "") if natural is None else (natural, SPEED_OF[bool(scene.sides[0])])
 
 
 def power_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of power, energy/time, and its symbol; 1 and "" without friction, or of packings."""
+    """Return the unit of power, energy/time, and its symbol; 1 and "" for packings and laws without friction."""
     spin, symbol = driving(scene)
     unit = scene.natural_energy
     return (1.0, "") if unit is None else (unit * spin, rf"F_n R\,{symbol}")
@@ -240,13 +244,15 @@ def time_label(symbol: str) -> str:
 
 
 def energy_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of energy, and its symbol; 1 and "" without friction, or of packings."""
+    """Return the unit of energy and its symbol; 1 and "" for packings and laws without friction."""
     unit = scene.natural_energy
     return (1.0, "") if unit is None else (unit, r"F_n R")
 
 
 def over(symbol: str, unit: str, without: str) -> str:
-    """Return a quantity over its unit as mathematics. without : words for the unit where it has no symbol."""
+    """Return the label of a quantity divided by its unit, as mathematics. symbol : of the quantity. unit : symbol of
+    the unit, or "". without : words for the unit where it has no symbol.
+    """
     if not unit:
         return f"${symbol}$ ({without})"
     return rf"${symbol}\,/\,({unit})$" if "R" in unit else rf"${symbol}\,/\,{unit}$"

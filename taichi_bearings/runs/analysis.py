@@ -159,14 +159,15 @@ def analyse(
     figures: bool = True,
     title: bool = True,
 ) -> dict[str, Any]:
-    """Analyse every sample of a stored run, write /analysis and the figures, and return the report.
+    """Analyse every sample of a stored run, write the findings and figures, and return the report.
 
     path : a run directory or its run.h5.
-    out : folder for analysis.h5 and the figures. Default: the run itself, where an earlier analysis is replaced.
-    force : replace files that stand in `out`.
+    out : folder for analysis.h5 and the figures. Default: the run itself, whose group /analysis and figures are
+        replaced.
+    force : True to replace files that exist in `out`.
     replica : number of the sample that the figures show.
     threshold : slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the run.
-    figures : whether figures are drawn. title : whether they have words above them.
+    figures : True to draw figures. title : True for words above them.
 
     Raises InputError or FileError before anything is computed.
     """

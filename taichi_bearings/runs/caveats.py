@@ -34,7 +34,7 @@ UNFINISHED = {  # words for why a run ended early
 
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
-    """Return all warnings about an answer, each for all of its samples together."""
+    """Return all warnings about an answer as sentences, each for all of its samples together. settings : of its run."""
     of_packings = (_without_power, _too_wide, _not_proven, _untouched, _tied)
     is_lattice = solution.scene.network.lattice is not None
     of_kind = (_torque_between, *(CAVEATS if is_lattice else of_packings))
@@ -42,7 +42,9 @@ def caveats(solution: Solution, settings: RunSettings) -> list[str]:
 
 
 def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Warn that the torque lies between what friction is proven to hold and what it is proven not to hold."""
+    """Yield a warning if the torque on the top is larger than friction is proven to hold, but not proven to be too
+    large.
+    """
     found = solution.findings
     if settings.torque is None or "yields" not in found:
         return
@@ -56,7 +58,7 @@ def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Say of a packing why its lower bound is not proven for the least power, or only in part."""
+    """Yield for each sample of a packing why its lower bound on the least power is not proven, or only in part."""
     several = solution.scene.replicas > 1
     for seed, proof in zip(solution.scene.seeds, solution.findings["proof"], strict=True):
         if proof != "proven":
@@ -64,7 +66,7 @@ def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Say how many contacts of a packing were found from its centres, and how many have no normal force."""
+    """Yield how many contacts of a packing were found from its centres, and how many have no normal force."""
     network, pressing = solution.scene.network, solution.scene.sample(0).normal_force
     if settings.has_table and settings.contacts is None:
         from taichi_bearings.scene.readers.found import TOLERANCE, told
@@ -78,7 +80,7 @@ def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Say why the least power of a packing is 0: no sphere is driven, or there are spins without any slip."""
+    """Yield why the least power of a packing is 0: no sphere is driven, or there are spins without any slip."""
     idle = np.full(solution.scene.replicas, not len(solution.scene.network.bodies))
     still = (solution.objective == 0) & (solution.gap == 0) & ~idle
     if idle.any():
@@ -88,7 +90,7 @@ def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Say why the minimum of a packing is not certified to the tolerance where the method got no closer."""
+    """Yield why the minimum of a packing is not certified to the tolerance, if the method stalled."""
     short = ~(solution.gap <= settings.tolerance)
     if not short.any() or solution.status is not Status.STALLED:
         return
@@ -107,12 +109,12 @@ def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _in_samples(which: np.ndarray) -> str:
-    """Return words for the number of samples in the mask `which`, (R,); empty for a single sample."""
+    """Return words for the number of samples in the mask `which`, (samples R,); empty for a single sample."""
     return f" in {int(which.sum()):,} of {len(which):,} samples" if len(which) > 1 else ""
 
 
 def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Say which properties of a law of one's own its lower bounds assume."""
+    """Yield which properties of a law that the user has defined its lower bounds assume."""
     if not solution.scene.law.is_sum:
         yield (
             f"what is proven rests on the law {solution.scene.law.name!r} as it was given: that its potential is "
@@ -122,7 +124,7 @@ def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]
 
 
 def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Say why the least power on a lattice is 0, where it is known beforehand."""
+    """Yield why the least power on a lattice is 0, where that is known beforehand."""
     scene = of_lattice(solution.scene)
     if scene.jump == 0:
         yield "the least power is 0: top and bottom are driven alike, so that all spheres turn in one bearing state"
@@ -139,7 +141,7 @@ def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Say why a run ended early, and with which gap, time or torque."""
+    """Yield why a run ended early, and with which gap, time or torque."""
     reason, history = UNFINISHED.get(solution.status), solution.history
     if reason is None:
         return
@@ -163,7 +165,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Count the contacts whose states are undecided, by reason."""
+    """Yield how many contact states are undecided, by reason."""
     number = int(count(solution.state, ContactState.UNDECIDED).sum())
     named = ~solution.proven & (solution.state != ContactState.UNDECIDED)
     uneven = too_uneven(solution) & ~named.any(axis=1)
@@ -188,7 +190,9 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Warn of slipping contacts whose slip is less than a decade above what is resolved, or above slipless ones."""
+    """Yield a warning if some slipping contacts slip less than ten times faster than what is resolved, or than slipless
+    ones.
+    """
     near = (solution.gap <= settings.tolerance) & ~solution.states_proven
     if not solution.scene.law.holds or not near.any():
         return
@@ -208,14 +212,14 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Count the contacts that slip at some minima and not at others."""
+    """Yield how many contacts slip at some minima and not at others."""
     tied = int(count(solution.state, ContactState.TIED).sum())
     if tied:
         yield f"minima tie exactly: {counted(tied, 'contact')} slip at some of them and not at others"
 
 
 def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Warn of a time step that is too long for the accuracy of the spins on their way."""
+    """Yield a warning if the time step of a dynamics is too long for accurate spins before its end."""
     error, advised = (solution.findings.get(name) for name in ("step_error", "accurate_time_step"))
     if error is not None and error.max() > ACCURATE_ERROR:
         words = f"the time step makes spins wrong by about {error.max():.1e} of the largest one on their way"
@@ -224,7 +228,9 @@ def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Warn of springs whose elongation is a noticeable part of the distance that the planes have slid."""
+    """Yield a warning if the springs of a dynamics are stretched by a noticeable part of the distance that the planes
+    have slid.
+    """
     share = solution.findings.get("elastic_share", np.zeros(1))
     largest = float(np.nanmax(share, initial=0.0))
     if largest > STRETCHED_SHARE:

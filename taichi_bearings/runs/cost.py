@@ -62,9 +62,10 @@ class Cost:
 def bytes_of_lattice(
     row: type[MethodOptions], shape: Sequence[int], periodic: Sequence[int] = (), replicas: int = 1
 ) -> float:
-    """Return the most memory, bytes, of a process that solves samples of a lattice together.
+    """Return the most memory, in bytes, of a process that solves samples of a lattice together.
 
-    shape : spheres along each axis. periodic : numbers of the periodic axes. replicas : number of samples.
+    row : class of the method. shape : spheres along each axis. periodic : numbers of the periodic axes. replicas :
+        number of samples.
     """
     each = row.bytes(shape, periodic)
     if row is InteriorPoint and prod(shape) < InteriorPoint.alike_in_a_block:
@@ -73,9 +74,9 @@ def bytes_of_lattice(
 
 
 def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
-    """Raise NotEnoughMemory if a solve of this scene on a lattice, its proof and its file need more than is free.
+    """Raise NotEnoughMemory if a solve on a lattice, with proof and file, needs more memory than is free.
 
-    The estimate includes the scene, although that is in memory already.
+    row : class of the method. scene : what is solved; it is counted although it is in memory already.
     """
     lattice = of_lattice(scene).lattice
     needed = bytes_of_lattice(row, lattice.shape, lattice.periodic, scene.replicas) - PROCESS_BYTES
@@ -86,7 +87,9 @@ def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
 
 
 def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """Return the estimated cost of a run. row : its method. scene : what it solves, with all samples."""
+    """Return the estimated cost of a run. settings : of the run. row : class of its method. scene : what it solves,
+    with all samples.
+    """
     if (lattice := scene.network.lattice) is None:
         return _of_packings(settings, row, scene)
     shape = settings.shape
@@ -113,9 +116,10 @@ def _limited(settings: RunSettings, beside: float, solve: float | None) -> float
 
 
 def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> int | None:
-    """Return the number of steps of a method on a lattice; None where it goes on until it is at rest.
+    """Return the number of steps of a dynamics or descent on a lattice; None where it continues until it is at rest.
 
     It is the limit on the iterations, or the duration of a dynamics over the length of its time step, if that is less.
+    row : class of the method.
     """
     limit = settings.iterations
     if not row.is_dynamics or settings.duration is None:
@@ -132,7 +136,9 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> i
 
 
 def _of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """Return the estimated cost of a run of packings, which are solved one after the other."""
+    """Return the estimated cost of a run of packings, whose samples are solved one after the other. row : class of the
+    method.
+    """
     network, count = scene.network, scene.replicas
     spheres = network.spheres
     if row.step_seconds((spheres, 1, 1)) is not None and settings.method != "auto":

@@ -40,12 +40,12 @@ def draw_figure(
     slip_threshold: float | None = None,
     page: Page = PAGE,
 ) -> Figure:
-    """Draw the figure of an answer that is called `kind`; raise InputError if there is none, or nothing to show.
+    """Draw a figure of an answer; raise InputError if there is none of this name, or nothing to show.
 
-    sample : number of the sample that is drawn.
+    kind : name of the figure. solution : the answer. sample : number of the sample that is drawn.
     time : simulated time of the snapshot whose spins are drawn; None for the answer itself.
-    slip_threshold : slip speed, length/time, up to which contacts of a snapshot count as slipless, if the run was asked
-    for one.
+    slip_threshold : slip speed, length/time, up to which contacts of a snapshot count as slipless; None if the run was
+        not given one.
     page : how the figure is printed: width, planes and view.
     """
     OneOf(*FIGURE_KINDS).named("the figure", kind)
@@ -87,8 +87,8 @@ def draw_snapshot(
 ) -> Figure:
     """Draw the spins of the snapshot that is nearest to a simulated time, and the contacts that slip in it.
 
-    replica : number of the sample. time : simulated time. slip_threshold, and which contacts slip : as of
-    :func:`moment_of`. The title has the time of the snapshot.
+    answer : what was solved. replica : number of the sample. time : simulated time; the title has that of the snapshot.
+        slip_threshold : as for :func:`moment_of`. page : how the figure is printed.
 
     Raises InputError if the run has no snapshots or does not reach that time.
     """
@@ -126,12 +126,12 @@ def _nearest(answer: Solution, time: float) -> tuple[float, int]:
 def moment_of(structure: Structure, spin: np.ndarray, slip_threshold: float | None = None) -> Structure:
     """Return the structure of a sample with the spins of a snapshot in place of those of the answer.
 
-    spin : laboratory spins of the snapshot, (*N) of discs or (*N, 3) of spheres, 1/time.
-    slip_threshold : the slip threshold that the run was asked for, length/time, if it was asked for one.
+    spin : laboratory spins of the snapshot, (spheres *N) of discs or (*N, 3) of spheres, 1/time.
+    slip_threshold : the slip threshold that the run was given, length/time; None if it was not.
 
-    A contact counts as slipping if its slip is above the threshold of the run; friction, which would be a better
-    criterion, is not kept with snapshots. Springs that stretch look like slip: in a dynamics with springs the threshold
-    is at least a thousandth of the largest imposed R omega, unless `slip_threshold` is given.
+    A contact counts as slipping if its slip is above the threshold of the run. Friction would be a better criterion,
+    but snapshots do not hold it. Springs that stretch look like slip: in a dynamics with springs the threshold is at
+    least STRETCHED_SLIP times the largest imposed radius * spin, unless `slip_threshold` is given.
     """
     threshold = float(structure.answer.slip_threshold)
     if structure.answer.method.endswith("cundall-strack") and slip_threshold is None:

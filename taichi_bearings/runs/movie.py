@@ -38,14 +38,14 @@ def movie(
     frames_per_second: float = 4.0,
     title: bool = True,
 ) -> dict[str, Any]:
-    """Write a film of the snapshots of one sample, each drawn as by `bearings plot spins --time`; return a report.
+    """Write a film of the snapshots of one sample, each drawn as by `bearings plot spins --time`, and return a report.
 
     run : a run directory or its run.h5.
     out : the file, MP4 or GIF by its ending. Default: movie.mp4 in the run directory, or movie.gif without ffmpeg; for
-        a replica other than the first the name has its number, as in movie-replica-2.mp4.
-    force : replace a file that stands there.
-    replica : number of the sample.
-    title : whether there are words above each picture.
+        a sample other than the first the name has its number, as in movie-replica-2.mp4.
+    force : True to replace a file that exists.
+    replica : number of the sample. frames_per_second : of the film.
+    title : True for words above each picture.
 
     Raises InputError or FileError before anything is drawn.
     """

@@ -59,17 +59,18 @@ def solve_packings(
     checkpoints: Any = None,
     **others: Any,
 ) -> Result:
-    """Solve all replicas of a packing, each as if it were alone.
+    """Solve all samples of a packing, each as if it were alone, and return the result.
 
-    start : initial spins, (N, 3) or (R, N, 3), of discs (N,) or (R, N); None if the settings name them.
+    scene : the packing. start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N); None to
+        take those that the settings name.
     monitors : functions that are called at each check. checkpoints : where and how often checkpoints are written, and
-    the one to go on from; None for no checkpoints. others : as of :func:`solved_packing`.
+        the one to continue from; None for none. others : as for :func:`solved_packing`.
 
     Dynamics and descents run in the loop of `solvers.drive.solve`. Minima are found block by block, those of small
-    packings side by side.
+    packings together.
 
-    After Ctrl-C the result holds the replicas that were begun. With checkpoints, from which the others can be solved
-    later, KeyboardInterrupt is raised instead, unless all replicas were begun.
+    After Ctrl-C the result holds the samples that were begun. With checkpoints, from which the others can be solved
+    later, KeyboardInterrupt is raised instead, unless all samples were begun.
     """
     count, found = scene.replicas, list[Solution]()
     several, is_interrupted = np.ndim(start) > scene.imposed_spins()[0].ndim, False
@@ -99,19 +100,21 @@ def solve_packings(
 
 
 def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
-    """Yield blocks of replicas that are solved together: the first number, and the one after the last."""
+    """Yield blocks of samples that are solved together: the number of the first, and one more than that of the last."""
     size = BLOCK_REPLICAS if are_solved_together(settings, scene.network.spheres) else 1
     for begin in range(0, scene.replicas, size):
         yield begin, min(begin + size, scene.replicas)
 
 
 def are_solved_together(settings: RunSettings, spheres: int) -> bool:
-    """Return True if samples of a packing of so many spheres are solved side by side, with the bits of each alone."""
+    """Return True if samples of a packing are solved together, each with the same bits as alone. spheres : of the
+    packing.
+    """
     return minimises(settings) and settings.torque is None and spheres < InteriorPoint.alike_in_a_block
 
 
 def minimises(settings: RunSettings) -> bool:
-    """Return True if the method of the settings finds the minimum of a packing at once, without initial spins.
+    """Return True if the method finds the minimum of a packing directly, without stepping from initial spins.
 
     Raises InputError for a method that packings do not have.
     """
@@ -119,15 +122,15 @@ def minimises(settings: RunSettings) -> bool:
 
 
 def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
-    """Return the class of the method that solves a packing, the interior point where it is chosen automatically."""
+    """Return the class of the method that solves a packing; for "auto" the interior point."""
     return row_of_packing(settings.method) or METHODS.get(settings.method, InteriorPoint)
 
 
 def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
-    """Return the settings without what a packing, its method or its law does not use.
+    """Return the settings without those that the packing, its method or its law does not use.
 
-    strict : True to raise InputError for the first of these instead. InputError is also raised for a torque together
-    with the spins that it replaces.
+    strict : True to raise InputError for the first such setting instead. InputError is also raised for a torque
+        together with the spins that it replaces.
     """
     refuse_driven(settings, method_of_packing(settings))
     return settings.fitting(method_of_packing(settings), strict)
@@ -154,11 +157,11 @@ def packing_of(
 ) -> Packing:
     """Return the packing that the settings describe, with one sample for each replica, or for each of `seeds`.
 
-    It is that of a file, completed by what the settings say and draw from seeds; or, without a file, a lattice whose
-    driven bodies are no planes.
+    It is read from a file and completed by values and draws of the settings; or, without a file, it is a lattice whose
+    driven bodies are not planes.
 
-    found : the arrays of the file by name, if they are read already.
-    seeds : seeds of samples, each of which the settings describe as if it were alone; None for those of the settings.
+    found : the arrays of the file by name, if they were read already.
+    seeds : seeds of samples, each of which is as the settings alone would make it; None for the seeds of the settings.
     """
     seeds = settings.seeds if seeds is None else seeds
     if settings.packing is None:
@@ -190,7 +193,7 @@ def packing_of(
 
 
 def _refuse_twice(settings: RunSettings, found: Mapping[str, Any]) -> None:
-    """Raise InputError for an option whose value the file has as well. found : the arrays of the file by name."""
+    """Raise InputError for an option that repeats what the file holds. found : the arrays of the file by name."""
     pairs = list(TWICE.items())
     pairs += [(key, "spin") for key in OF_SIDES] if settings.has_table else []
     for key, name in pairs:
@@ -200,7 +203,9 @@ def _refuse_twice(settings: RunSettings, found: Mapping[str, Any]) -> None:
 
 
 def idle_seed(settings: RunSettings) -> list[str]:
-    """Return a sentence, in a list, if the file of a packing has all coefficients, so that the seed draws nothing."""
+    """Return a list with a sentence if the seed changes nothing, because the file of a packing has all coefficients;
+    else an empty list.
+    """
     if settings.packing is None or not Path(settings.packing).is_file():
         return []
     if not _draws_nothing(settings, Packing.read(settings.packing, settings.contacts)):
@@ -209,7 +214,8 @@ def idle_seed(settings: RunSettings) -> list[str]:
 
 
 def _draws_nothing(settings: RunSettings, found: Mapping[str, Any]) -> bool:
-    """Return True if the file has every coefficient and the initial spins are not random.
+    """Return True if nothing is drawn from the seed: the file has every coefficient, and the initial spins are not
+    random.
 
     found : the arrays of the file by name.
     """
@@ -239,7 +245,7 @@ ON_DEVICE = ("arch", "precision", "threads")  # settings of the device
 def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, **others: Any) -> Solution:
     """Return the answer for a packing by the method that the settings name.
 
-    start : initial spins, in place of those that the settings name, or None.
+    start : initial spins; None to take those that the settings name.
     others : `density`, `monitors` and `checkpoints` of :func:`_stepped`, for dynamics and descents alone.
     """
     row, given = row_of_packing(settings.method), settings.given
@@ -277,8 +283,10 @@ def _stepped(
 ) -> Solution:
     """Return the answer for all samples of a packing by a dynamics or a descent.
 
-    options : the method. start : initial spins, as of `initial_spin`. density : of the spheres, as of
-    `Packing.inertias`, for dynamics alone. monitors, checkpoints : as of `solvers.drive.solve`.
+    options : the method with its options. start : initial spins, or their name or file, as for `initial_spin`. settings
+        : of the run.
+    density : of the spheres, mass / length^D, for dynamics alone (`Packing.inertias`). monitors, checkpoints : as for
+        `solvers.drive.solve`.
     """
     from taichi_bearings.solvers.drive import solve  # and with it Taichi's kernels
     from taichi_bearings.solvers.dynamics import Dynamics

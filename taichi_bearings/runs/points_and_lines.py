@@ -27,11 +27,11 @@ DOMAIN_KINDS = "0 bottom, 1 top, 2 both, 3 mixed, 4 partly, 5 neither"
 
 @dataclass(frozen=True)
 class Moments:
-    """Snapshots of a dynamics at S times before its end.
+    """Spins, slips and contact states of a sample at S snapshots of a dynamics, the end left out.
 
     time : (S,), simulated time. spin : (S, N, 3), laboratory spins, 1/time. slip : (S, E), slip speeds, length/time.
-    state : (S, E), contact states: slipping where the slip is above `threshold`, length/time. Friction, which would be
-    a better criterion, is not kept with snapshots.
+    state : (S, E), contact states: slipping where the slip is above `threshold`, length/time. Friction would be a
+        better criterion, but snapshots do not hold it.
     """
 
     time: np.ndarray
@@ -82,7 +82,7 @@ def points_and_lines(run: Result, replica: int = 0, analyse: bool = False) -> Po
     """Return one sample of a run as points and lines.
 
     replica : number of the sample. analyse : True to compute its structure; False to take what the file of the run has
-    of it, if anything. Raises InputError if there is no such sample, or if its spins or slips are not finite.
+        of it, if anything. Raises InputError if there is no such sample, or if its spins or slips are not finite.
     """
     answer = run.sample(replica).solution
     if not all(np.isfinite(values).all() for values in (answer.spin, answer.slip)):
@@ -101,10 +101,10 @@ def points_and_lines(run: Result, replica: int = 0, analyse: bool = False) -> Po
 
 
 def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_threshold: float | None) -> PointsAndLines:
-    """Return all columns of a sample that are known.
+    """Return a sample as points and lines with all columns that are known.
 
-    drawn : what is known of its structure. time : simulated time at the end of a dynamics, else None. slip_threshold :
-    as of :func:`taichi_bearings.runs.figures.moment_of`.
+    structure : the sample. drawn : known columns of its structure. time : simulated time at the end of a dynamics, else
+        None. slip_threshold : as for :func:`taichi_bearings.runs.figures.moment_of`.
     """
     answer, moments = structure.answer, _moments(structure, time, slip_threshold)
     spheres, contacts, network, row = dict(drawn.spheres), dict(drawn.contacts), structure.whole, SPHERES["spin"]
@@ -127,12 +127,12 @@ def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_thre
 
 
 def _of_contacts(answer: Solution) -> dict[str, Finding]:
-    """Return the columns of the contacts in the table of quantities, such as slip, power and state, by name."""
+    """Return the columns of the contacts, such as slip, power and state, by name."""
     return {row.name: Finding(v[0], row.unit, row.text) for row, v in found_in(answer, CONTACTS)}
 
 
 def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
-    """Return spins as vectors, (S, N, 3).
+    """Return spins as vectors, (snapshots S, spheres N, 3).
 
     spin : (S, ..., 3) of spheres, or (S, ...) of discs, whose spins point along z. dimension : 2 for discs, or 3.
     """
@@ -144,10 +144,10 @@ def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
 
 
 def _moments(structure: Structure, end: float | None, slip_threshold: float | None) -> Moments | None:
-    """Return the snapshots before the end of a dynamics; None if there are none. The answer shows the end itself.
+    """Return the snapshots before the end of a dynamics, which the answer itself shows; None if there are none.
 
-    end : simulated time at the end, None for other methods. slip_threshold : as of
-    :func:`taichi_bearings.runs.figures.moment_of`.
+    structure : the sample. end : simulated time at the end, None for other methods. slip_threshold : as for
+        :func:`taichi_bearings.runs.figures.moment_of`.
     """
     kept = structure.answer.snapshots
     if kept is None or end is None or not (early := np.flatnonzero(kept.time < end)).size:

@@ -102,7 +102,9 @@ class Result:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Options that differ from their defaults, by name as in `bearings run`: how to solve the scene again."""
+        """Options that differ from their defaults, by name as in `bearings run`: with these the scene can be solved
+        again.
+        """
         return self.asked.given
 
     method: ClassVar[str]
@@ -136,7 +138,8 @@ class Result:
 
     @property
     def ended(self) -> list[Status]:
-        """How each of the R samples ended, as members of an enumeration; `status` has the same in words.
+        """How each sample ended, as a list of members of the enumeration `Status`; the attribute `status` has the same
+        in words.
 
         A sample whose own gap is within the tolerance is certified, however the other samples ended. The exception is a
         dynamics that reached a limit before the simulated time that was asked for.
@@ -156,12 +159,12 @@ class Result:
     @property
     def potential(self) -> OfSamples:
         """What the stationary state minimises, energy/time: the power, or for the law coulomb-viscous the dissipation
-        potential. With several samples an array (R,)."""
+        potential. With several samples an array (samples R,)."""
         return self._of_samples(self.solution.objective)
 
     @property
     def findings(self) -> dict[str, OfSamples]:
-        """Other numbers and words that the method has found, by name; with several samples arrays (R,)."""
+        """Other numbers and words that the method has found, by name; with several samples arrays (samples R,)."""
         return {name: self._of_samples(values) for name, values in self.solution.findings.items()}
 
     @cached_property
@@ -187,14 +190,14 @@ class Result:
     def friction(self) -> OfContacts:
         """Friction on the upper sphere of each contact in the laboratory frame, force: for each axis an array
         (*contacts, 3), or in 2D (*contacts), the component along z x n. For packings it is the force on the second
-        sphere, one array (E, 3), or (E,) for discs. The lower bound follows from these forces."""
+        sphere, one array (contacts E, 3), or (E,) for discs. The lower bound follows from these forces."""
         found, lattice = self._of_samples(self.solution.friction), self.scene.network.lattice
         return found if lattice is None else read_only(friction_by_axis(found, lattice))
 
     @property
     def history(self) -> dict[str, np.ndarray]:
-        """The course of the solve: columns (checks,) by name; with several samples (R, checks), except for iteration,
-        seconds and time, which samples that are solved together share.
+        """The course of the solve: columns (checks,) by name; with several samples (samples R, checks), except for
+        iteration, seconds and time, which samples that are solved together share.
 
         iteration : iterations done. seconds : wall time, s. time : simulated time of a dynamics.
         power, lower_bound : energy/time. largest_balance_residual : force * length. slipping : number of contacts that
@@ -206,16 +209,18 @@ class Result:
 
     @property
     def snapshots(self) -> Snapshots | None:
-        """Spins of a dynamics at the S times that were asked for: `time`, (S,), and `spin`, (S, *N), in 3D (S, *N, 3),
-        1/time; with several samples (R, S, ...), but one `time` if it is the same for all. None
-        if no times were asked for."""
+        """Spins of a dynamics at the S times that were asked for: `time`, (snapshots S,), and `spin`, (S, spheres *N),
+        in 3D (S, *N, 3), 1/time; with several samples (R, S, ...), but one `time` if it is the same for all. None if no
+        times were asked for.
+        """
         kept = self.solution.snapshots
         return None if kept is None else Snapshots(kept.time.T, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
 
     def _of_samples(self, values: Any) -> Any:
-        """Return values (R, ...) of all samples as users see them: without the axis R if there is a single sample.
+        """Return values of all samples as users see them: without the axis of samples if there is a single one.
 
-        A value that is no array or list is one for all samples and stays as it is.
+        values : an array or list whose first axis has the R samples; anything else is the same for all samples and
+            returned as it is.
         """
         if len(self) > 1 or not isinstance(values, (np.ndarray, list)):
             return values
@@ -227,12 +232,24 @@ class Result:
         Parameters
         ----------
         number : int
-            Which one, counted from 0.
+            Which sample, counted from 0.
+
+        Returns
+        -------
+        Result
+            The result of that sample; its arrays have no axis of samples.
 
         Raises
         ------
         InputError
             If there is no sample of this number.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> both = tb.solve(tb.Scene.random((4, 5), seed=3, replicas=2), threads=1)
+        >>> both.power.shape, both.sample(1).status
+        ((2,), 'certified')
         """
         if not 0 <= number < len(self):
             raise InputError(f"replica is {number}; the run has {len(self)}, counted from 0")
@@ -242,7 +259,9 @@ class Result:
         return replace(self, asked=asked, solution=solution, started_from=one)
 
     def start(self) -> np.ndarray | None:
-        """Return the initial spins, (R, *N) or (R, *N, 3), 1/time; None for a packing whose start has only a name."""
+        """Return the initial spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time; None for a
+        packing whose initial spins are named only.
+        """
         named, path = self.asked.initial, self.path
         if self.started_from is not None or self.scene.network.lattice is None:
             return self.started_from
@@ -344,19 +363,24 @@ class Result:
 
 
 def _described(row: Quantity) -> str:
-    """Return text and unit of a row of the table of quantities as a docstring."""
+    """Return the docstring of a quantity: its text and unit. row : of the table of quantities."""
     unit = "" if row.unit == "1" else f", {row.unit}"
     return f"{row.text[0].upper()}{row.text[1:]}{unit}."
 
 
 def _of_samples(row: Quantity) -> property:
-    """Return a property of `Result` that shows a row of samples: a number or word of each."""
+    """Return a property of `Result` that shows a quantity of samples: one number or word each. row : of the table of
+    quantities.
+    """
     return property(lambda result: result._of_samples(row.of(result)), doc=_described(row))
 
 
 def _of_contacts(row: Quantity) -> property:
-    """Return a property of `Result` that shows a row of contacts: on a lattice an array for each axis, in a packing
-    one array; an empty tuple where nothing is known."""
+    """Return a property of `Result` that shows a quantity of the contacts. row : of the table of quantities.
+
+    Its value is a tuple with an array for each axis on a lattice, one array in a packing, and an empty tuple where
+    nothing is known.
+    """
 
     def found(result: Result) -> OfContacts:
         """Return the values of the row in the shapes of users."""
@@ -370,7 +394,9 @@ def _of_contacts(row: Quantity) -> property:
 
 
 def _of_findings(row: Quantity) -> property:
-    """Return a property of `Result` that shows what a method has found, for each sample; None where it has not."""
+    """Return a property of `Result` that shows a finding of the method for each sample; None where there is none. row :
+    of the table of quantities.
+    """
     return property(lambda result: result.findings.get(row.name), doc=_described(row))
 
 
@@ -386,8 +412,9 @@ for _name, _row in CONTACTS.items():
 
 
 def together(ones: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the numbers of all samples by name: lists of them, or those of a single sample as they are.
+    """Return the numbers of all samples by name: lists with one entry each, or, for a single sample, its numbers as
+    they are.
 
-    ones : the numbers of each sample by name.
+    ones : for each sample, its numbers by name.
     """
     return dict(ones[0]) if len(ones) == 1 else {key: [one[key] for one in ones] for key in ones[0]}

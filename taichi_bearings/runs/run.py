@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 
 
 def build_scene(settings: RunSettings) -> Scene:
-    """Return the scene on a lattice that the settings describe, with coefficients that are drawn or read from a file.
+    """Return the scene on a lattice that the settings describe; its coefficients are drawn or read from a file.
 
     Raises InputError for settings of a packing, and for a file that does not fit them.
     """
@@ -92,7 +92,9 @@ def build_scene(settings: RunSettings) -> Scene:
 
 
 def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
-    """Return the method that the settings name; for "auto" the fastest certified one (docs/methods.md)."""
+    """Return the class of the method that solves a scene; for "auto" the fastest that certifies its answers
+    (docs/methods.md).
+    """
     if settings.method == "auto":
         arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
         return fastest(scene, settings.tolerance, on_gpu=arch != "cpu")
@@ -100,7 +102,7 @@ def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
 
 
 def row_of(settings: RunSettings) -> type[MethodOptions]:
-    """Return the method that solves a run with these settings.
+    """Return the class of the method that solves a run with these settings.
 
     Raises InputError for a scene on a lattice that is not possible, or that the method cannot solve. Packings are not
     checked here, but by `packing_of`.
@@ -114,7 +116,9 @@ def row_of(settings: RunSettings) -> type[MethodOptions]:
 
 @lru_cache(maxsize=4096)
 def _row_of(settings: RunSettings) -> type[MethodOptions]:
-    """Return the method for a lattice; its coefficients do not matter, so a scene without disorder is tried."""
+    """Return the class of the method for a lattice; raise InputError if it cannot solve it. Coefficients do not matter
+    for that, so all are 1 here.
+    """
     Distribution.parse(settings.distribution)
     scene = build_scene(replace(settings, distribution="constant:1"))
     row = method_row(settings, scene)
@@ -184,8 +188,8 @@ def cost(settings: RunSettings) -> Cost:
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
     """Return the job that solves a scene on a lattice as the settings say.
 
-    spin : initial spins, (R, *N) or (R, *N, 3), 1/time. strict : as of :func:`prepare`. Raises InputError if settings
-    and scene do not fit each other.
+    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time. strict : True to raise InputError for options
+        that neither the method nor the law uses. InputError is also raised if settings and scene do not fit each other.
     """
     runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)
@@ -263,9 +267,9 @@ def solve_job(job: Job, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkp
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
-    """Return the better of two answers to one sample, with the better lower bound of the two.
+    """Return the better of two answers to one sample, with the higher of their two lower bounds.
 
-    It is the second one only if it alone is within the tolerance, or if its gap is less than half.
+    It is the second one only if it alone is within the tolerance, or if its gap is less than half of the other.
     """
     from taichi_bearings.solvers.answer import with_forces_of
 
@@ -283,11 +287,12 @@ def run(
 ) -> Result:
     """Solve a scene or a packing, write a run directory, and return the result.
 
-    out : the run directory. Default: a new one below outputs/. force : replace a run directory that stands there.
-    monitors : functions that are called at each check. title : whether figures have words above them.
+    settings : of the run.
+    out : the run directory. Default: a new one below outputs/. force : True to replace a run directory that exists.
+    monitors : functions that are called at each check. title : True for words above the figures.
 
-    The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures. With `checkpoint_every` it is
-    there from the start, with a checkpoint from which :func:`resume` goes on.
+    The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures. With `checkpoint_every` it
+    exists from the start, with a checkpoint from which :func:`resume` continues.
 
     Raises InputError or FileError before anything is computed or overwritten.
     """
@@ -312,10 +317,10 @@ def command() -> str:
 def kept(
     found: Result, write: Callable[[], Result], title: bool = True, otherwise: str = "the result is lost"
 ) -> Result:
-    """Write a result and its figures, and return it with the path at which it lies.
+    """Write a result and its figures, and return it with the path where it is stored.
 
-    found : the result. write : writes its files, and returns it. title : whether figures have words above them.
-    otherwise : end of the message if nothing can be written.
+    found : the result. write : function that writes its files and returns it. title : True for words above figures.
+        otherwise : end of the message if nothing can be written.
 
     If its path cannot be written, the result goes to a temporary folder; if that cannot be written either, WriteError
     is raised. After an interrupt, now or during the solve, the files are still written, but no figures.
@@ -333,7 +338,10 @@ def kept(
 
 
 def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Result:
-    """Write a result, into a temporary folder if its own path cannot be written; arguments as of :func:`kept`."""
+    """Write a result, into a temporary folder if its own path cannot be written, and return it with its path.
+
+    found, write, otherwise : as for :func:`kept`.
+    """
     try:
         return write()
     except WriteError as error:
@@ -359,10 +367,10 @@ CHANGEABLE = (
 def resume(
     path: Path, changes: Mapping[str, Any] | None = None, monitors: "Sequence[Monitor]" = (), title: bool = True
 ) -> Result:
-    """Go on with a run from its checkpoint, to the same bits as if it had never been stopped, and return the result.
+    """Continue a run from its checkpoint, to the same bits as if it had never been stopped, and return the result.
 
     path : the run directory or its run.h5. changes : new values of settings that are named in CHANGEABLE.
-    monitors, title : as of :func:`run`.
+    monitors, title : as for :func:`run`.
 
     Raises FileError if there is no checkpoint that can be read, InputError for a change that is not possible.
     """
@@ -400,8 +408,9 @@ def _solve_with_checkpoints(
 ) -> Result:
     """Solve a job in a run directory that exists and is locked by this process; write its files and return the result.
 
-    stored : the settings, with the names of files as they are in the directory. arrays : the checkpoint to go on from,
-    None to start at the beginning. monitors, title : as of :func:`run`.
+    path : the directory. job : the run. stored : its settings, with the names of files as they are in the directory.
+    arrays : the checkpoint to continue from, by name; None to start at the beginning. monitors, title : as for
+        :func:`run`.
 
     A KeyboardInterrupt that ends the solve has the path of the directory as its message.
     """
@@ -435,7 +444,7 @@ PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")  # files that o
 
 
 def _drawn(path: Path) -> list[str]:
-    """Return the names of files in a run directory that a new answer outdates: figures, histograms, films, exports."""
+    """Return the names of files in a run directory that show an earlier answer: figures, histograms, films and exports."""
     from taichi_bearings.runs.figures import FIGURE_KINDS
 
     pictures = [f"{name}.{ending}" for name in (*FIGURE_KINDS, "power_histogram") for ending in ("png", "pdf")]

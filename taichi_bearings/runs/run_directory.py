@@ -34,10 +34,10 @@ that is to be removed."""
 
 @dataclass
 class RunDirectory:
-    """A run directory that is being written.
+    """A run directory that is being written under a hidden name.
 
-    path : the name that it gets. partial : the hidden folder that its files are written to until :meth:`publish` gives
-    that folder the name. replaced : what stood under the name at the beginning, None if there was nothing.
+    path : the name that it gets. partial : the hidden folder to which files are written until :meth:`publish` renames
+        it. replaced : status of what had the name `path` at the beginning, None if nothing had.
     """
 
     path: Path
@@ -64,9 +64,9 @@ class RunDirectory:
 def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
     """Yield a new run directory, which appears under its name `path` when it is published.
 
-    No other process can write to this name in the meantime. A run directory that stands there is replaced only with
-    `force`, and only if no process works in it; anything else that stands there is never replaced. Files that were not
-    published are removed at the end.
+    force : True to replace a run directory that exists, if no process works in it. Anything else that has the name is
+        never replaced. No other process can write to this name in the meantime. Files that were not published are
+        removed at the end.
 
     Raises FileError, before anything is written, if the name cannot be used.
     """
@@ -125,7 +125,7 @@ def tidy(parent: Path, ours: str = "") -> None:
 
     A directory that was just being replaced gets its name back. What a running process has locked stays.
 
-    parent : the folder. ours : a name in it that this process itself has locked.
+    parent : the folder. ours : a name in it whose lock this process itself holds.
     """
     found: dict[str, list[re.Match[str]]] = {}
     for match in filter(None, map(LEFTOVER.fullmatch, os.listdir(parent))):
@@ -163,7 +163,7 @@ def exchange(one: Path, other: Path) -> None:
 
 
 def _swap(one: Path, other: Path) -> bool:
-    """Swap two names in one move; return False where the system or the file system has no such move.
+    """Swap two names in one move and return True; return False where the system or the file system has no such move.
 
     Raises OSError if the move fails for another reason.
     """
@@ -184,10 +184,10 @@ def _swap(one: Path, other: Path) -> bool:
 
 @contextlib.contextmanager
 def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
-    """Yield a folder for files that are then moved together into a run directory, whose other files stay.
+    """Yield a folder for new files of a run directory; all are moved into the directory together when the block ends.
 
-    path : the run directory, which this process has locked. outdated : names of files in it that are removed before,
-    such as figures of the answer that is replaced.
+    path : the run directory, which this process has locked; its other files stay. outdated : names of files in it that
+        are removed before, such as figures of the answer that is replaced.
 
     If the process is killed while files are written, none of them is moved; if it is killed while they are moved,
     :func:`in_use` moves the rest when the directory is used next.
@@ -211,7 +211,7 @@ PARTIAL, COMPLETE = ".partial", ".complete"  # names of that folder before and a
 
 
 def _complete(path: Path) -> None:
-    """Move the files of a complete folder into its directory, run.h5 last."""
+    """Move the files of a folder whose files are all written into the run directory around it, run.h5 last."""
     folder = path / COMPLETE
     for file in sorted(folder.iterdir(), key=lambda file: (file.name == "run.h5", file.name)):
         file.replace(path / file.name)
@@ -220,10 +220,9 @@ def _complete(path: Path) -> None:
 
 @contextlib.contextmanager
 def in_use(path: Path, part: str = "") -> Iterator[None]:
-    """Keep other processes from working in a run directory inside the block; raise FileError if one already does.
+    """Lock a run directory inside the block, so that no other process works in it; raise FileError if one already does.
 
-    path : the run directory. part : a name for one part of the work, to keep others from that part alone; empty for
-    all work.
+    path : the run directory. part : name for one part of the work, to lock that part alone; empty for all work.
 
     Files that a killed process has left there are removed, or moved to their places if they were complete.
     """
@@ -240,9 +239,9 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
 
 @contextlib.contextmanager
 def claimed(path: Path, force: bool = False) -> Iterator[None]:
-    """Keep other processes from writing a file, and from working in the run directory in which it lies.
+    """Lock a file, and the run directory in which it lies, inside the block, so that no other process writes them.
 
-    Raises FileError if one does already, or if the file exists, unless `force`.
+    Raises FileError if another process has locked it already, or if the file exists and `force` is False.
     """
     refuse_name(path)
     with contextlib.ExitStack() as stack:
@@ -256,9 +255,9 @@ def claimed(path: Path, force: bool = False) -> Iterator[None]:
 
 @contextlib.contextmanager
 def writable_folder(path: Path, part: str = "") -> Iterator[None]:
-    """Make a folder unless it exists, and keep other processes from working in it inside the block.
+    """Make a folder unless it exists, and lock it inside the block, so that no other process works in it.
 
-    part : as of :func:`in_use`. Raises FileError if the folder cannot be made, or if another process works in it.
+    part : as for :func:`in_use`. Raises FileError if the folder cannot be made, or if another process works in it.
     """
     refuse_name(path)
     make_folder(path)

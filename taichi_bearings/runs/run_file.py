@@ -36,9 +36,8 @@ WHOLE_SETS = re.compile("/state$|/proven$|^history/")  # data sets that may hold
 
 
 def refuse_scan(path: Path) -> None:
-    """Raise FileError if a path is that of a scan, or of a file of settings, where a run is needed.
-
-    The message names the command that fits.
+    """Raise FileError if a path names a scan, or a file of settings, where a run is needed; the message names the right
+    command.
     """
     if path.suffix == ".toml" and path.is_file():
         kind, command = ("a scan", "scan") if "scan" in read_toml(path) else ("a run", "run")
@@ -52,7 +51,7 @@ def refuse_scan(path: Path) -> None:
 
 
 def refuse_run(path: Path) -> None:
-    """Raise FileError if a path is that of a run where a scan is needed; the message names the command that fits."""
+    """Raise FileError if a path names a run where a scan is needed; the message names the right command."""
     folder = path if path.is_dir() else path.parent
     if path.name == "run.h5" or (is_run(folder) and not path.is_file()):
         raise FileError(
@@ -98,7 +97,8 @@ def read_claims(run: str | Path) -> tuple[Result, list[str]]:
 def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple[Path, h5py.File, dict[str, Any]]]:
     """Yield the path of a run.h5, the opened file and its attributes.
 
-    changed : a list that gets the names of what was changed after it was written; None to raise FileError for that.
+    run : a run directory or its run.h5. changed : a list that gets the names of what was changed after the file was
+        written; None to raise FileError for that.
     """
     run = Path(run)
     refuse_scan(run)
@@ -113,7 +113,7 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
 
 
 def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Result:
-    """Return the result in an opened run.h5. path : of the file. attributes : of the file."""
+    """Return the result in an opened run.h5. path, attributes : of the file; the attributes hold settings and numbers."""
     if "scene" not in attributes:
         raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
     try:
@@ -136,13 +136,14 @@ def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Resul
 def opened_to_draw(
     run: str | Path, out: str | Path | None, name: str, force: bool, replica: int = 0
 ) -> Iterator[tuple[Result, Path]]:
-    """Yield the result of a run, and the path of a file to be written, which no other process can write meanwhile.
+    """Yield the result of a run, and the path of a picture to be written, which is locked so that no other process
+    writes it.
 
     run : a run directory or its run.h5.
-    out : the file, or None for a file in the run directory, which is replaced.
-    name : name of the file in the run directory; for a replica other than the first its number is added.
-    force : replace `out` if it exists; else FileError is raised.
-    replica : number of the replica that is drawn.
+    out : the picture; None for a file in the run directory, which is replaced.
+    name : name of the file in the run directory; for a sample other than the first its number is added.
+    force : True to replace `out` if it exists; else FileError is raised.
+    replica : number of the sample that is drawn.
     """
     run, out = Path(run), None if out is None else Path(out)
     with stage("reading"):
@@ -155,25 +156,28 @@ def opened_to_draw(
 
 
 def replica_drawn(found: Result, replica: int) -> dict[str, int]:
-    """Return the number of the replica that a picture shows, and how many there are; nothing if there is only one."""
+    """Return the number of the sample that a picture shows, and the number of samples, by name; empty if there is only
+    one.
+    """
     replicas = len(found.solution.state)
     return {"replica": replica, "replicas": replicas} if replicas > 1 else {}
 
 
 class _Sets:
-    """The data sets of a run file, read with an axis of replicas and checked.
+    """Reader of the data sets of a run file, which checks them and adds an axis of samples where the file has none.
 
-    path : of the file, for messages. head : shape of the axis of replicas in the file, (R,), or () if it has none.
+    path : of the file, for messages. file : the opened file. head : (R,) for R samples, or () if the file has no axis
+        for them.
     """
 
     def __init__(self, path: Path, file: h5py.File, head: tuple[int, ...]) -> None:
         self.path, self.file, self.head = path, file, head
 
     def get(self, name: str, *expected: int | None) -> np.ndarray:
-        """Return a data set with a leading axis of replicas.
+        """Return a data set with a leading axis of samples.
 
-        expected : the shape without that axis, None for any length. Raises FileError for another shape, or for anything
-        but numbers, before the data are read.
+        name : of the data set. expected : its shape without that axis, None for any length. Raises FileError for
+            another shape, or for anything but numbers, before the data are read.
         """
         stored, shape = self.file[name], (*self.head, *expected)
         fits = len(stored.shape) == len(shape) and all(w in (None, n) for n, w in zip(stored.shape, shape, strict=True))
@@ -185,7 +189,8 @@ class _Sets:
         return values if self.head else values[None]
 
     def by_axis(self, name: str, lattice: Lattice, *parts: int) -> tuple[np.ndarray, ...]:
-        """Return data sets of the contacts of a lattice, one array (R, *contacts, *parts) for each axis.
+        """Return data sets of the contacts of a lattice as a tuple, one array (samples R, *contacts, *parts) for each
+        axis.
 
         name : of the data sets, with {} in place of the axis. parts : shape of the value of one contact.
         """
@@ -195,7 +200,7 @@ class _Sets:
         return tuple(self.get(name, *lattice.contact_shape(axis), *parts) for axis, name in enumerate(names))
 
     def of_contacts(self, lattice: Lattice, key: str, *parts: int) -> np.ndarray:
-        """Return data sets of the contacts of a lattice as one array, (R, E, *parts).
+        """Return data sets of the contacts of a lattice as one array, (samples R, contacts E, *parts), axis after axis.
 
         key : name below ``contact/<axis>``. parts : shape of the value of one contact.
         """
@@ -203,10 +208,11 @@ class _Sets:
         return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
 
     def history(self, apart: bool, is_needed: bool) -> dict[str, np.ndarray]:
-        """Return the columns of the history by name, (checks,) for those of all replicas, else (checks, R).
+        """Return the columns of the history by name: (checks,) for columns of all samples together, else (checks,
+        samples R).
 
-        apart : True if replicas were solved one by one, so that all columns are (checks, R). is_needed : True if there
-        must be a history. Raises FileError for columns that no solve leaves, or where they are needed and missing.
+        apart : True if samples were solved one by one, so that all columns are (checks, R). is_needed : True if there
+            must be a history. Raises FileError for columns that no solve leaves, or where they are needed and missing.
         """
         columns = {key: self.get(f"history/{key}", None) for key in self.file.get("history", ())}
         needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
@@ -217,10 +223,10 @@ class _Sets:
         return {key: column[0] if key in OF_ALL and not apart else column.T for key, column in columns.items()}
 
     def snapshots(self, apart: bool, *spins: int) -> Snapshots:
-        """Return the snapshots of a dynamics.
+        """Return the snapshots of a dynamics: times and laboratory spins.
 
-        apart : True if replicas were solved one by one, so that each has its own times. spins : shape of the spins of a
-        sample. Raises FileError if times and spins differ in number.
+        apart : True if samples were solved one by one, so that each has its own times. spins : shape of the spins of
+            one sample. Raises FileError if times and spins differ in number.
         """
         time, ways = self.get("snapshots/time", None), self.get("snapshots/spin", None, *spins)
         if time.shape[1] != ways.shape[1]:
@@ -228,9 +234,10 @@ class _Sets:
         return Snapshots(time.T if apart else time[0], np.moveaxis(ways, 0, 1))
 
     def check(self, name: str, values: np.ndarray, is_fine: Callable[[np.ndarray], Any] = np.isfinite) -> None:
-        """Raise FileError for values that no solve writes: not finite, negative, or no contact states.
+        """Raise FileError if a data set has values that no solve writes, such as infinite ones.
 
-        name : of the data set. is_fine : the function that says which numbers are allowed, all finite ones by default.
+        name : of the data set. values : its values. is_fine : function that returns a mask of the values that are
+            allowed; by default all finite ones are.
         """
         words, known = "", max(ContactState)
         if not np.all(is_fine(values)):
@@ -244,10 +251,10 @@ class _Sets:
 
 
 def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
-    """Return the solution in an opened run.h5, with an axis of replicas.
+    """Return the solution in an opened run.h5, with an axis of samples.
 
-    path : of the file. attributes : of the file. settings : those of the run. The status is that of the first replica
-    that is not certified, if there is one.
+    path, attributes : of the file. settings : of the run. The status is that of the first sample that is not certified,
+        if there is one.
     """
     is_lattice = "packing" not in file
     scene, arrays, of_contacts, sites, vector = (_lattice_in if is_lattice else _packings_in)(
@@ -256,7 +263,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     replicas, apart = scene.replicas, not is_lattice and scene.replicas > 1
 
     def number(name: str) -> np.ndarray:
-        """Return an attribute with one value for each replica, (R,); not-a-number where it is missing or empty."""
+        """Return an attribute with one value for each replica, (samples R,); not-a-number where it is missing or empty."""
         value = attributes.get(name, "")
         values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
         kinds = "UO" if name == "proof" else "biuf"
@@ -306,7 +313,8 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
 def _of_layout_1(
     state: np.ndarray, proven: np.ndarray | None, all_proven: np.ndarray, is_dynamics: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return contact states (R, E), and a mask (R, E) of those that are proven, from a file of layout 1.
+    """Return contact states (samples R, contacts E), and a mask (R, E) of those that are proven, from a file of layout
+    1.
 
     state : (R, E). In layout 1 the state 2 also stood for tied contacts, and for contacts at their friction limit that
     slip at no minimum.
@@ -335,7 +343,10 @@ OWN_COEFFICIENTS = ("run.h5", "coefficients.npz")  # files that runs write: no n
 
 
 def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    """Return the scene on a lattice in a file, and how its data sets are read."""
+    """Return the scene on a lattice that a file holds, and how its data sets are read (see `_Found`).
+
+    path, attributes : of the file. settings : of the run.
+    """
     shape = tuple(int(side) for side in attributes["shape"])
     lattice, first = Lattice(shape, periodic=axis_numbers(settings.periodic)), file["coefficient/x"]
     arrays = _Sets(path, file, first.shape[: first.ndim - len(shape)])
@@ -351,7 +362,10 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    """Return the packing in a file, and how its data sets are read."""
+    """Return the packing that a file holds, and how its data sets are read (see `_Found`).
+
+    path, attributes : of the file. settings : of the run.
+    """
     from taichi_bearings.runs.packing_run import TWICE, packing_of
     from taichi_bearings.scene.packing import NEEDED  # and with it much of SciPy
 
@@ -367,7 +381,7 @@ def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], set
     arrays = _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
 
     def of_contacts(name: str, *parts: int) -> np.ndarray:
-        """Return a data set of the contacts, (R, E, *parts)."""
+        """Return a data set of the contacts, (samples R, contacts E, *parts)."""
         return arrays.get(f"contact/{name}", scene.contacts, *parts)
 
     return scene, arrays, of_contacts, (scene.spheres,), () if scene.dimension == 2 else (3,)

@@ -65,7 +65,9 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
 
 
 def _rows(solution: Solution) -> Iterator[Row]:
-    """Yield all data sets: coefficients, contacts, spins, history and snapshots."""
+    """Yield all data sets of run.h5, as tuples of name, values, unit and description: coefficients, contacts, spins,
+    history and snapshots.
+    """
     scene, replicas = solution.scene, solution.scene.replicas
     yield from (_rows_of_packings if scene.network.lattice is None else _rows_of_lattice)(solution)
     for row, found in found_in(solution, SPHERES):
@@ -84,7 +86,9 @@ def _rows(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
-    """Yield the data sets of coefficients and contacts of a lattice, one for each axis."""
+    """Yield the data sets of coefficients and contacts of a lattice, one for each axis, as tuples of name, values, unit
+    and description.
+    """
     scene = of_lattice(solution.scene)
     lattice = scene.lattice
     friction = friction_by_axis(solution.friction, lattice)
@@ -102,7 +106,7 @@ def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_packings(solution: Solution) -> Iterator[Row]:
-    """Yield the data sets of a packing and of its contacts."""
+    """Yield the data sets of a packing and of its contacts, as tuples of name, values, unit and description."""
     scene = solution.scene
     for name, values in stacked([scene.sample(number).arrays() for number in range(scene.replicas)]).items():
         yield f"packing/{name}", values, *PACKING_ARRAYS[name]

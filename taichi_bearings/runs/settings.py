@@ -51,7 +51,8 @@ from taichi_bearings.words import meant, shown
 
 
 def _times(value: Any) -> str:
-    """Return times as a text, such as "0.1,0.2" or "log:1e-4,10,50"; raise ValueError for anything else.
+    """Return times as a text, such as "0.1,0.2" or "log:1e-4,10,50" (start, stop, count); raise ValueError for anything
+    else.
 
     value : such a text, a number, or a list of numbers.
     """
@@ -266,7 +267,7 @@ class RunSettings:
 
     @property
     def values(self) -> dict[str, Any]:
-        """All keys with their values."""
+        """All keys with their values, those of methods included."""
         return {key: value for key, value in vars(self).items() if key != "owned"}
 
     @classmethod
@@ -312,13 +313,14 @@ class RunSettings:
 
     @property
     def drawn(self) -> dict[str, str]:
-        """The distributions from which the coefficients of the law are drawn, unless they are given, by key."""
+        """Distributions from which the coefficients of the law are drawn, by key, unless the coefficients are given."""
         return {key: getattr(self, key) for key in ("distribution", "viscosity")[: len(LAWS[self.law].quantities)]}
 
     @property
     def described(self) -> dict[str, Any]:
-        """The keys that describe the run, with their values: all of a lattice; for a packing from a file law, seed and
-        those that differ from their defaults."""
+        """Keys and values that describe the run: all of them for a lattice; for a packing from a file the law, the
+        seed, and what differs from its default.
+        """
         return self.values if self.packing is None else {"law": self.law, "seed": self.seed} | self.given
 
     @property
@@ -329,13 +331,16 @@ class RunSettings:
 
     @property
     def driving(self) -> dict[str, Any]:
-        """Periodic sides, imposed states and driven bodies, by key, as far as they differ from their defaults."""
+        """Keys and values of the driving that differ from their defaults: periodic sides, imposed states and driven
+        bodies.
+        """
         given = self.given
         return {key: list(v) if isinstance(v := given[key], tuple) else v for key in DRIVING_KEYS if key in given}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
-        """Return the keys that were given and that method, law or bearing do not use, each with a sentence that says
-        why."""
+        """Return the keys that were given and have no effect with this method, law or packing, each with a sentence
+        that says why.
+        """
         table, law, unused = settings_table(), LAWS[self.law], {}
         has_states = self.top is not None or self.bottom is not None
         minimises = self.is_packing and row_of_packing(self.method) is None
@@ -368,7 +373,9 @@ class RunSettings:
         return unused
 
     def fitting(self, method: type[MethodOptions], strict: bool = True) -> "RunSettings":
-        """Return the settings with unused keys at their defaults; with `strict` raise InputError if there are any."""
+        """Return the settings with unused keys set to their defaults. strict : True to raise InputError if there are
+        any instead.
+        """
         unused = self.unused(method)
         if not unused:
             return self
@@ -405,7 +412,7 @@ def settings_table() -> dict[str, Option]:
 
 @lru_cache(maxsize=8)
 def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
-    """Return the options by key. rows : the classes of all methods.
+    """Return the options of a run by key. rows : the classes of all methods.
 
     If several methods have an option with different defaults, its default here is None.
     """
@@ -514,7 +521,10 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
 
 
 def placed(value: Any, folder: Path) -> Any:
-    """Return the name of a file, or a list of names, with the folder before it if such a file is in the folder."""
+    """Return the name of a file, or a list of names, with the folder put before it if the folder has such a file.
+
+    value : a name or a list of names; anything else is returned as it is.
+    """
     if isinstance(value, list):
         return [placed(part, folder) for part in value]
     return str(folder / value) if isinstance(value, str) and (folder / value).is_file() else value

@@ -28,9 +28,9 @@ states of the run."""
 class Drawn:
     """What figures and exports show of the structure of a sample; empty if the sample was not analysed.
 
-    spheres, contacts : columns by name, (N,) over the spheres in C order, and (E,) over the contacts.
+    spheres, contacts : columns by name, (N,) over the spheres, and (E,) over the contacts.
     domains : the rigid domains of a lattice, None for packings.
-    path : (L,) numbers of the spheres along one shortest slipless path, empty if there is none.
+    path : (L,) numbers of the spheres along one shortest path of slipless contacts, empty if there is none.
     is_known : True if the sample was analysed.
     """
 
@@ -42,20 +42,20 @@ class Drawn:
 
     @classmethod
     def computed(cls, structure: Structure) -> "Drawn":
-        """Return what is shown of a structure, which is computed now."""
+        """Compute the structure of a sample and return what is shown of it."""
         spheres, contacts = columns_of(structure)
         domains = None if structure.whole.lattice is None else structure.rigid_domains
         return cls(spheres, contacts, domains, structure.network.path, True)
 
     @classmethod
     def stored(cls, path: Path, structure: Structure, replica: int | None) -> "Drawn":
-        """Return the structure that `bearings analyse` has written into a file; nothing if it has not, or if it used a
+        """Return what `bearings analyse` has stored of the structure of a sample; empty if it has not, or if it used a
         slip threshold.
 
-        path : the run.h5. structure : that of the sample, for its spheres, contacts and spins; nothing else of it is
-        computed. replica : number of the sample; None if the file has no axis of replicas.
+        path : the run.h5. structure : of the sample; only its spheres, contacts and spins are used, so that nothing is
+            computed. replica : number of the sample; None if the file has no axis of samples.
 
-        Raises FileError if the group holds something else.
+        Raises FileError if the file holds something else there.
         """
         with open_hdf5(path, "a run") as file:
             group = file.get(GROUP)
@@ -70,14 +70,17 @@ class Drawn:
 
 @dataclass(frozen=True)
 class _Stored:
-    """Reads the structure of one sample. group : /analysis of its file. structure, replica : as of Drawn.stored."""
+    """Reader of the stored structure of one sample.
+
+    group : /analysis of its file. structure, replica : as for `Drawn.stored`.
+    """
 
     group: h5py.Group
     structure: Structure
     replica: int | None
 
     def drawn(self) -> Drawn:
-        """Return all that is shown; raise ValueError or KeyError where the group holds something else."""
+        """Return all that is shown of the structure; raise ValueError or KeyError if the file holds something else."""
         spheres, contacts = self._columns()
         domain = spheres["domain"].values
         count = self.structure.whole.spheres
@@ -87,7 +90,10 @@ class _Stored:
         return Drawn(spheres, contacts, domains, self._path(), True)
 
     def get(self, name: str, *shape: int | None) -> np.ndarray:
-        """Return a data set of the sample. shape : the shape that it must have, None for any length."""
+        """Return a data set of the sample as an array; raise ValueError if it is not made of finite numbers.
+
+        name : of the data set. shape : the shape that it must have, None for any length.
+        """
         stored = self.group[name]
         found = np.asarray(stored[()] if self.replica is None else stored[self.replica])
         fits = len(found.shape) == len(shape) and all(w in (None, n) for n, w in zip(found.shape, shape, strict=True))
@@ -96,7 +102,7 @@ class _Stored:
         return found
 
     def _columns(self) -> tuple[dict[str, Finding], dict[str, Finding]]:
-        """Return the columns of the spheres and of the contacts, which `structure_report.findings_of` has written."""
+        """Return the stored columns of the spheres and of the contacts, by name."""
         structure, both = self.structure, {row.name for row in ON_SPHERES} & {row.name for row in ON_CONTACTS}
         if (lattice := structure.whole.lattice) is None:
             names = {row: f"sphere_{row.name}" if row.name in both else row.name for row in ON_SPHERES}
@@ -116,7 +122,7 @@ class _Stored:
         return _findings(spheres), _findings(contacts)
 
     def _domains(self, domain: np.ndarray) -> RigidDomains:
-        """Return the rigid domains of a lattice. domain : (N,), number of the domain of each sphere."""
+        """Return the stored rigid domains of a lattice. domain : (spheres N,), number of the domain of each sphere."""
         scene, shape, count = self.structure.scene, self.structure.whole.shape, int(domain.max()) + 1
         axes = scene.minimum_spin_axes
         spins = scene.staggered_spin(self.structure.spin[None], axes).reshape(len(axes), *shape)

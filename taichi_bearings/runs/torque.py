@@ -54,9 +54,8 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
 
 
 def _with_driven(found: Solution) -> Solution:
-    """Return a copy of an answer whose power, objective and lower bound include contacts between driven spheres.
-
-    Such contacts can slip in packings.
+    """Return a copy of an answer in which power, objective and lower bound include contacts between driven spheres,
+    which can slip in packings.
     """
     scene, among, low = found.scene, found.state == ContactState.DRIVEN, found.lower_bound
     beside = float(scene.law.objective(scene.material, found.slip)[among].sum())
@@ -66,15 +65,20 @@ def _with_driven(found: Solution) -> Solution:
 
 
 def _by_friction(solution: Solution, solve: Solve) -> Solution:
-    """Return the answer at strength 1 with friction alone, solved anew only if the law has friction and viscosity."""
+    """Return the answer at strength 1 without viscosity: solved anew if the law has friction and viscosity, else the
+    answer itself.
+
+    solution : the answer at strength 1. solve : function that solves another scene the same way.
+    """
     scene = solution.scene
     return solve(scene.with_friction_alone()) if scene.law.holds and scene.law.flows else solution
 
 
 def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
-    """Return the answer at strength 1 with four findings on a torque on the top, (R,) each.
+    """Return the answer at strength 1 with four findings on a torque on the top, (samples R,) each.
 
-    solution : the answer at strength 1. torque : force*length. solve : solves another scene or packing the same way.
+    solution : the answer at strength 1, with the top moved as imposed. torque : force*length. solve : function that
+        solves another scene or packing the same way.
 
     yields : True if the torque exceeds `yield_torque`.
     yield_torque : force*length; friction is proven not to hold a larger torque.
@@ -84,7 +88,7 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
         is proven to hold the torque, not-a-number (null in `--json`) where nothing limits the motion or the strength is
         not known.
 
-    Raises InputError if no top turns at strength 1, or if the bottom turns with the law viscous.
+    Raises InputError if the top does not turn at strength 1, or if the bottom turns with the law viscous.
     """
     top, others = solution.scene.sides
     if not top:
@@ -96,7 +100,7 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
 
 
 def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
-    """Return the four findings on a torque, as of :func:`under_torque`."""
+    """Return the four findings on a torque by name; arguments and findings are those of :func:`under_torque`."""
     scene = solution.scene
     if scene.sides[1]:
         return _beside_driven(scene, torque, solve)
@@ -124,7 +128,7 @@ def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndar
 
 
 def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.ndarray]:
-    """Return the four findings on a torque if the bottom turns.
+    """Return the four findings on a torque by name if the bottom turns, too; arguments as for :func:`under_torque`.
 
     yield_torque is that in the direction of the torque, and may be negative: a larger torque turns the top. Up to
     yield_torque_lower_bound the top turns by no more than HELD_TURN times the spin of the bottom. The amplitude is not
@@ -141,12 +145,15 @@ def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.
 
 
 def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> float:
-    """Return the strength a of the motion that a torque keeps going; NaN if a solve misses its tolerance.
+    """Return the strength a (imposed motion of the top times a) of the motion that a torque keeps going; NaN if a solve
+    misses its tolerance.
 
-    scene : one sample. torque : its size, force*length, above what friction holds. least : a strength that is smaller.
+    scene : one sample. torque : its size, force*length, above what friction holds. least : a strength that is smaller
+        than a. solve : function that solves another scene the same way.
 
-    The caller takes `least` from a bound: with P_f the least power of friction, and Q the power that viscosity adds in
-    that motion, P(a) / a is at most P_f + 2 a Q, as the potential is convex and at most a P_f + a^2 Q / 2.
+    With P_f the least power of friction alone, and Q the power that viscosity adds in that motion, the torque P(a) / a
+    is at most P_f + 2 a Q, as the potential is convex and at most a P_f + a^2 Q / 2. Callers take `least` from this
+    bound.
     """
     from scipy.optimize import brentq  # a third of a second that other runs do not need
 

@@ -120,27 +120,34 @@ def _judgements(solution: Solution) -> list[Judgement]:
 
 @dataclass(frozen=True)
 class Anew:
-    """The judgement of a run, made anew from the spins and the friction in its file."""
+    """Bounds and contact states of a run, proven anew from the spins and friction forces in its file.
+
+    run : the run as its file says. The proof is called judgement, see proof/judgement.py.
+    """
 
     run: Result
 
     @cached_property
     def judgements(self) -> list[Judgement]:
-        """The judgements of all samples, empty if none can be made."""
+        """The proofs, one for all samples of a lattice or one for each sample of a packing; empty if numbers are not
+        finite.
+        """
         return _judgements(self.run.solution)
 
     def of(self, name: str) -> np.ndarray:
-        """Return an attribute of the judgements for all samples, (R, ...). name : of the attribute."""
+        """Return an attribute of the judgements for all samples as one array, (R, ...). name : of the attribute."""
         return np.concatenate([getattr(one, name) for one in self.judgements])
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(R, E) states that are proven for all minima; DRIVEN for absent contacts and those between driven spheres."""
+        """(samples R, contacts E) contact states that are proven for all minima; DRIVEN for contacts that are absent or
+        between driven spheres.
+        """
         return np.where(self.of("acts"), self.of("known"), DRIVEN)
 
     @cached_property
     def solution(self) -> Solution:
-        """The answer in the file, with all numbers that follow from the new judgement in place of those stored."""
+        """The answer in the file, with all numbers that follow from the new proof in place of those stored."""
         stored, scene, slip = self.run.solution, self.run.solution.scene, self.of("slip")
         ended = np.array(stored.own["status"])
         ended[ended == Status.CERTIFIED] = Status.STALLED  # unless the gap is within the tolerance
@@ -171,7 +178,7 @@ class Anew:
 
     @cached_property
     def report(self) -> dict[str, Any]:
-        """What is proven, by name; lists if there are several samples."""
+        """What is proven, by name; each value is a list if there are several samples."""
         several = self.run.solution.scene.replicas > 1
         found = self._of_samples if self.judgements else self._nothing
         proof = " ".join(dict.fromkeys(self.of("proof").tolist())) or None
@@ -179,7 +186,7 @@ class Anew:
 
     @property
     def _of_samples(self) -> dict[str, Any]:
-        """What the judgements prove, by name, a list with one entry for each sample."""
+        """What the new proof says, by name, each a list with one entry for each sample."""
         states = [states for one in self.judgements for states in one.states]
         # largest force that still counts as within the friction limit, relative to that
         most = 1 + ROUNDED * (self.run.solution.scene.network.lattice is None)
@@ -201,7 +208,7 @@ class Anew:
 
     @property
     def _nothing(self) -> dict[str, Any]:
-        """The entries of the report where no judgement can be made: nothing is proven of any sample."""
+        """Entries of the report where no proof can be made: nothing is proven of any sample."""
         acts = (self.run.solution.state != DRIVEN).sum(axis=1).tolist()
         open_ = dict.fromkeys(("power", "upper_bound", "lower_bound", "gap", "largest_balance_residual"))
         return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique")} | {
@@ -227,8 +234,9 @@ class Anew:
         yield from _said_otherwise(attributes, held, stored.scene.replicas)
 
     def _contacts(self) -> Iterator[str]:
-        """Yield sentences on arrays over the contacts that do not follow from spins and coefficients, or claim more
-        than is proven."""
+        """Yield sentences on arrays of contacts that do not follow from spins and coefficients, or that claim more than
+        is proven.
+        """
         stored, new = self.run.solution, dict(found_in(self.solution, HELD))
         wrong = {f"another {row.text} than spins and coefficients give": _differ(row.of(stored), value)
                  for row, value in new.items()}  # fmt: skip
@@ -245,7 +253,9 @@ class Anew:
 
 
 def _of_sample(number: int, count: int) -> str:
-    """Return the beginning of a sentence on a sample; empty if there is only one. count : number of samples."""
+    """Return the beginning of a sentence on a sample, "sample 3: "; empty if there is only one. count : number of
+    samples.
+    """
     return f"sample {number}: " if count > 1 else ""
 
 
@@ -265,8 +275,8 @@ def _no_other(_: Any) -> Solution:
 def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarray:
     """Return a mask of the numbers that differ by more than rounding.
 
-    said, true : numbers to compare. beside : absolute difference that is allowed in addition. Not-a-number equals only
-    not-a-number.
+    said, true : arrays to compare. beside : absolute difference that is allowed in addition. Not-a-number equals only
+        not-a-number.
     """
     with np.errstate(invalid="ignore"):
         close = np.abs(said - true) <= ROUNDED * np.abs(true) + beside
@@ -274,7 +284,9 @@ def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarr
 
 
 def _not_driven_so(stored: Solution) -> Iterator[str]:
-    """Yield a sentence for each sample whose driven spheres do not have exactly the spins that the scene imposes."""
+    """Yield a sentence for each sample whose driven spheres do not have exactly the imposed spins. stored : the answer
+    in the file.
+    """
     network, expected = stored.scene.network, stored.scene.imposed_spins()
     driven = ~network.free.reshape(network.shape)
     pairs = zip(expected, (stored.spin, stored.spin_rounding), strict=True)
@@ -285,8 +297,10 @@ def _not_driven_so(stored: Solution) -> Iterator[str]:
 
 
 def _not_of_their_seeds(run: Result) -> list[str]:
-    """Return sentences on shape and seeds that differ between the scene and the file, and on coefficients that are said
-    to be drawn and are not exactly those of their seeds."""
+    """Return sentences on shape, seeds and coefficients that contradict the scene of the file.
+
+    Coefficients that are said to be drawn must be exactly those of their seeds.
+    """
     scene, found = run.solution.scene, list[str]()
     pairs: dict[str, tuple[Sequence[int], Sequence[int]]] = {"seed": (scene.seeds, run.asked.seeds)}
     if scene.network.lattice is not None:
@@ -309,7 +323,7 @@ def _not_of_their_seeds(run: Result) -> list[str]:
 
 
 def _said_otherwise(said: Mapping[str, Any], numbers: Mapping[str, Any], count: int) -> Iterator[str]:
-    """Yield sentences on attributes of the file that are not the numbers which it proves.
+    """Yield sentences on attributes of the file that differ from what the file proves.
 
     said : the attributes by name. numbers : what is proven, by name. count : number of samples.
     """
@@ -331,7 +345,8 @@ def _said_otherwise(said: Mapping[str, Any], numbers: Mapping[str, Any], count: 
 def _allowed(name: str, said: Any, true: Any) -> bool:
     """Return True if the value of an attribute agrees with the true one: in type, and for numbers up to rounding.
 
-    name : of the attribute. A bound may be off only to the side on which it still holds, see OUTWARDS.
+    name : of the attribute. said, true : its value in the file, and the true one. A bound may be off only to the side
+        on which it still holds, see OUTWARDS.
     """
     said = said.item() if isinstance(said, np.generic) else said
     if isinstance(said, np.ndarray) and not isinstance(true, list):

@@ -42,11 +42,11 @@ def versions() -> dict[str, str]:
 def self_contained(
     settings: RunSettings, scene: Bearing, spin: np.ndarray | None, folder: Path, name: str = "run.h5"
 ) -> RunSettings:
-    """Return settings whose files lie in the run directory itself, so that it can be moved and run again.
+    """Return settings that name only files in the run directory itself, so that it can be moved and run again.
 
     scene : what is solved. spin : initial spins, or None. folder : the run directory, to which the files are written.
-    name : of the file that will hold coefficients and packing. With checkpoints other files hold these, and are written
-    now, as the run may be resumed before there is a run.h5.
+        name : of the file that will hold coefficients and packing, run.h5; in runs with checkpoints other files hold
+        them, and are written now, as the run may be resumed before there is a run.h5.
     """
     with_file = settings.checkpoint_every is not None
     if scene.network.lattice is not None:
@@ -82,7 +82,7 @@ def publish(directory: RunDirectory, found: "Result") -> "Result":
 
 
 def write_run(folder: Path, found: "Result") -> None:
-    """Write all files of a run except its figures. folder : the directory, which may get its final name later."""
+    """Write all files of a run except its figures. folder : the directory. found : the result."""
     from taichi_bearings.files.histogram_file import write_table
 
     with stage("writing"):
@@ -107,7 +107,7 @@ def write_state(file: Path, found: "Result", stored: RunSettings) -> None:
 
 @contextlib.contextmanager
 def _unless_full() -> Iterator[None]:
-    """Turn a WriteError inside the block, as on a full disk, into a warning: the files written before are enough."""
+    """Context that turns a WriteError, as on a full disk, into a warning: the files written before are enough."""
     try:
         yield
     except WriteError as error:
@@ -116,7 +116,7 @@ def _unless_full() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _unless_undrawable() -> Iterator[None]:
-    """Turn errors of drawing inside the block, as where matplotlib cannot be loaded, into a warning.
+    """Context that turns errors of drawing, as where matplotlib cannot be loaded, into a warning.
 
     FileError and MemoryError are raised as they are.
     """

@@ -31,7 +31,7 @@ LONELY = 10.0  # seconds without any worker after which a warning says so
 
 
 def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Client | None]":
-    """Connect to a Dask cluster; the client is a context, None where no scheduler is given.
+    """Connect to a Dask cluster; return a context manager that yields its client, or None where no scheduler is given.
 
     scheduler : address of its scheduler, such as ``tcp://node:8786``, or the file that this has written (``dask
         scheduler --scheduler-file``).
@@ -61,7 +61,10 @@ def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Clien
 
 
 def _address(scheduler: str) -> str:
-    """Return an address as it is, or the one in a scheduler file; FileError for a file without a readable address."""
+    """Return the address of a scheduler: the text itself, or the address in a scheduler file.
+
+    Raises FileError for a file without a readable address.
+    """
     path = Path(scheduler)
     if path.suffix != ".json" and not path.is_file():
         return scheduler
@@ -73,9 +76,10 @@ def _address(scheduler: str) -> str:
 
 
 class DaskEngine(LocalEngine):
-    """An engine whose workers are the threads of the workers of a Dask cluster.
+    """An engine that solves units of samples in the threads of the workers of a Dask cluster.
 
-    `workers` is the largest number of them so far. client : of the cluster. work, allowed : as in :class:`LocalEngine`.
+    client : of the cluster. work : function that solves a unit. allowed : function that returns the seconds that a unit
+        may take. The attribute `workers` is the largest number of threads so far.
     """
 
     def __init__(self, client: "Client", work: Work, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
@@ -85,7 +89,9 @@ class DaskEngine(LocalEngine):
 
     @property
     def has_room(self) -> bool:
-        """True if a thread of the cluster will soon be free; counts the cluster's threads now and then."""
+        """True if a thread of the cluster is free or will be soon. The threads of the cluster are counted anew every
+        LOOK seconds.
+        """
         now = time.monotonic()
         if now >= self._looked + LOOK:  # count the workers now and then
             self._looked = now
@@ -99,7 +105,7 @@ class DaskEngine(LocalEngine):
         return len(self.running) < UNITS_AHEAD * self._threads
 
     def sent(self, unit: Unit) -> Unit:
-        """Return a unit with full names of its files, since workers run elsewhere."""
+        """Return a unit whose files are named by absolute paths, since workers run in other folders."""
         named = []
         for sample in unit:
             names: dict[str, Any] = {name: str(Path(file).absolute()) for name, file in files_of(sample.settings)}
@@ -107,7 +113,10 @@ class DaskEngine(LocalEngine):
         return tuple(named)
 
     def collect(self, seconds: float) -> list[Outcome]:
-        """Return the outcomes that have come since; BearingsError if the scheduler is lost."""
+        """Return the outcomes of units that have ended since the last call; wait for at most so many seconds.
+
+        Raises BearingsError if the connection to the scheduler is lost.
+        """
         if not self.running:  # as long as there is no worker
             time.sleep(seconds)
         found = super().collect(seconds)
@@ -116,6 +125,7 @@ class DaskEngine(LocalEngine):
         return found
 
     def close(self) -> None:
+        """End the solving processes of this engine on all workers of the cluster."""
         with contextlib.suppress(Exception):  # the scheduler may be lost
             self.executor.shutdown(wait=False)
             self.client.run(end_solvers, self.name, on_error="ignore")

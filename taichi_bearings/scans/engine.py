@@ -44,7 +44,7 @@ LONGEST_WAIT = 2e6  # seconds; the system counts milliseconds in 31 bits
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a unit: a record of each sample, or the reason why there are none."""
+    """The outcome of a unit of work: the records of its samples, or None and the reason why there are none."""
 
     unit: Unit
     records: list[Record] | None
@@ -52,7 +52,11 @@ class Outcome:
 
 
 def failure(task: Any, reason: Exception | str) -> Record:
-    """Return the record of a sample that has no result, for this reason."""
+    """Return the record of a sample that has no result.
+
+    task : the sample. reason : the exception, or words. After an InputError the record is marked as final: another try
+        is pointless.
+    """
     words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
     if isinstance(reason, Exception):
         logging.getLogger(__name__).debug("sample %s", task.label, exc_info=reason)
@@ -61,7 +65,9 @@ def failure(task: Any, reason: Exception | str) -> Record:
 
 
 def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[Record]]:
-    """Solve all units; yields lists of records as samples finish or fail, and an empty list at each look in between.
+    """Solve all units; yield lists of records as samples finish or fail, and an empty list at each look in between.
+
+    units : tuples of samples. engine : solves them.
 
     A unit that fails as a whole is split into its samples. A sample that fails is named in a warning and tried once
     more, at the end and alone, so that it has all memory for itself.
@@ -106,11 +112,12 @@ def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[R
 
 
 class LocalEngine:
-    """Threads of this program, each of which has a process that solves, started when it is needed.
+    """An engine that solves units of samples in processes on this machine. Each of its threads starts one process when
+    needed.
 
-    work : solves a unit in a process; a function that can be pickled.
-    workers : most units that are in work at a time.
-    allowed : seconds that a unit may take.
+    work : function that solves a unit, run in the process; it must be possible to pickle it.
+    workers : largest number of units that are solved at a time.
+    allowed : function that returns the seconds that a unit may take; by default no limit.
     """
 
     def __init__(self, work: Work, workers: int, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
@@ -121,24 +128,26 @@ class LocalEngine:
 
     @property
     def running(self) -> list[Unit]:
-        """Units that were submitted and whose outcome has not been collected yet."""
+        """Units that were submitted and whose outcomes have not been collected yet."""
         return list(self._units.values())
 
     @property
     def has_room(self) -> bool:
-        """True if a unit that is submitted now is begun at once, or soon."""
+        """True if a unit that is submitted now is begun at once."""
         return len(self._units) < self.workers
 
     def sent(self, unit: Unit) -> Unit:
-        """Return a unit as workers get it."""
+        """Return a unit in the form in which it is sent to workers: here as it is."""
         return unit
 
     def submit(self, unit: Unit) -> None:
-        """Have a unit solved."""
+        """Begin to solve a unit, in another thread; :meth:`collect` returns its outcome."""
         self._units[self.executor.submit(solve_unit, self.sent(unit), self.name, self.work, self.allowed)] = unit
 
     def collect(self, seconds: float) -> list[Outcome]:
-        """Return the outcomes that have come since; waits for the first of them, but no longer than `seconds`."""
+        """Return the outcomes of units that have ended since the last call; wait for the first, but for at most so many
+        seconds.
+        """
         found, (done, _) = list[Outcome](), wait(self._units, seconds, FIRST_COMPLETED)
         for future in done:
             unit = self._units.pop(future)
@@ -150,7 +159,7 @@ class LocalEngine:
         return found
 
     def close(self) -> None:
-        """End all workers at once, whatever they do."""
+        """End all workers at once, even while they solve."""
         end_solvers(self.name)
         self.executor.shutdown()
 
@@ -162,12 +171,17 @@ _one_at_a_time = threading.Lock()  # processes are started and ended one by one:
 
 
 def solve_unit(unit: Unit, engine: str, work: Work, allowed: Callable[[Unit], float]) -> Solved:
-    """Let the process of this thread solve a unit for the engine of this name."""
+    """Return the records of a unit, solved by the process that belongs to this thread, or None and the reason why there
+    are none.
+
+    engine : name of the engine. work : function that solves a unit. allowed : function that returns the seconds it may
+        take.
+    """
     return _solvers.setdefault((engine, threading.get_ident()), _Solver(engine, work)).solve(unit, allowed(unit))
 
 
 def end_solvers(engine: str) -> None:
-    """End the processes of an engine; the threads that wait for their answers then see that."""
+    """End the processes of the engine of this name; threads that wait for their answers notice."""
     with _one_at_a_time:
         _closed.add(engine)
         for key in [key for key in list(_solvers) if key[0] == engine]:
@@ -178,9 +192,11 @@ def end_solvers(engine: str) -> None:
 
 @dataclass
 class _Solver:
-    """A process that solves units one by one.
+    """A process that solves units one by one, as seen from the thread that it belongs to.
 
-    It is started with the first of them, and again if it has ended, or for another device: a process can have one
+    engine : name of the engine. work : function that solves a unit. process : None while there is none.
+
+    The process is started with the first unit, and again if it has ended, or for another device: a process can have one
     Taichi runtime only.
     """
 
@@ -190,7 +206,7 @@ class _Solver:
     _device: tuple[str, str, int] | None = None
 
     def solve(self, unit: Unit, seconds: float) -> Solved:
-        """Return the records of a unit, or the reason why there are none within so many seconds."""
+        """Return the records of a unit, or None and the reason why there are none after at most so many seconds."""
         settings = unit[0].settings
         device = (settings.arch, settings.precision, settings.threads)
         if self.process is not None and (self._device != device or self._has_answer(0)):  # it has ended meanwhile
@@ -212,7 +228,7 @@ class _Solver:
         return records, ""
 
     def _has_answer(self, seconds: float) -> bool:
-        """Return True if the process sends something within so many seconds, or ends."""
+        """Return True if the process sends something, or ends, within so many seconds."""
         return bool(multiprocessing.connection.wait([self._pipe], min(seconds, LONGEST_WAIT)))
 
     def _start(self) -> None:
@@ -256,7 +272,8 @@ class _Solver:
 
 @contextlib.contextmanager
 def _main_left_out() -> Iterator[None]:
-    """Start processes that do not run the user's script again, so that it needs no guard against that.
+    """Context in which new processes do not run the user's script again, so that the script needs no guard against
+    that.
 
     Nor do they load modules from the working folder, where Python 3.10 would look first.
     """
@@ -274,9 +291,11 @@ def _main_left_out() -> Iterator[None]:
 
 
 def serve(pipe: Connection, work: Work) -> None:
-    """Work as a worker: solve units as they come, until the pipe or the parent ends or nothing has come for long.
+    """Solve units as they come through a pipe: the main loop of a worker process.
 
-    After an exception the process is not trusted any more: it hands over what it has and ends.
+    pipe : connection to the parent process. work : function that solves a unit. The loop ends when the pipe or the
+        parent ends, or after IDLE_SECONDS without work. After an exception the process hands over what it has and ends,
+        as its state may be damaged.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where nothing keeps Ctrl-C from us: it is for the parent
     threading.Thread(target=_end_with_parent, daemon=True).start()

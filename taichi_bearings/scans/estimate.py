@@ -35,9 +35,9 @@ BEGUN = 0.1  # a time left is given once so much of the work is done, or earlier
 
 
 def seconds_of(settings: RunSettings, structure: bool = False) -> float:
-    """Return the time to solve one sample; infinite where it is not known, as for dynamics and packings.
+    """Return the estimated seconds to solve one sample; infinite if not known, as for dynamics and packings.
 
-    structure : it is analysed, too.
+    settings : of the sample. structure : True if its structure is analysed as well.
     """
     solve = None if settings.is_packing else row_of(settings).seconds(settings.shape, settings.tolerance)
     if solve is None:
@@ -47,12 +47,14 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float:
 
 
 def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
-    """Return the time that a sample takes beside its solve. structure : it is analysed, too."""
+    """Return the estimated seconds that a sample takes apart from its solve. structure : True if its structure is
+    analysed as well.
+    """
     return OVERHEAD + (0.06 + 6e-5 * spheres_of(settings) if structure else 0.0)
 
 
 def bytes_of(settings: RunSettings) -> float:
-    """Return the memory of a worker that solves such samples."""
+    """Return the estimated memory, bytes, of a worker that solves samples with these settings."""
     sites = spheres_of(settings)
     if settings.is_packing:
         beside = min(_packings_together(settings), MOST_TOGETHER) - 1
@@ -63,16 +65,19 @@ def bytes_of(settings: RunSettings) -> float:
 
 
 def kind_of(settings: RunSettings) -> tuple[Any, ...]:
-    """Return a key that is equal for samples that take about the same time."""
+    """Return a key that is equal for settings whose samples take about the same time."""
     return tuple(getattr(settings, name, None) for name in KIND_KEYS)
 
 
 def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 1) -> list[tuple[Sample, ...]]:
-    """Return the samples in units of work.
+    """Return the samples divided into units of work, tuples that are sent to a worker at a time.
 
-    A unit has as many samples of like settings as take about a second, or gain by being solved together, but no more
-    than leaves as much for every worker. One unit of each kind comes first, so that the times of all kinds are soon
-    known.
+    samples : without a result yet. structure : True if their structure is analysed as well. workers : number of
+        workers.
+
+    A unit has as many samples of like settings as take about a second together, or as are faster when solved together,
+    but not so many that another worker gets none. One unit of each kind comes first, so that the times of all kinds are
+    soon known.
     """
     units = []
     for group in groups_of(samples):
@@ -91,7 +96,9 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
 
 
 def _packings_together(settings: RunSettings) -> int:
-    """Return how many samples of a packing are sent to a worker at a time: a block, or what takes BLOCK_SECONDS."""
+    """Return how many samples of one packing are sent to a worker at a time: as many as are solved together, or as take
+    BLOCK_SECONDS.
+    """
     from taichi_bearings.runs.packing_run import BLOCK_REPLICAS, are_solved_together  # and with it SciPy
 
     spheres = spheres_of(settings)
@@ -102,8 +109,10 @@ def _packings_together(settings: RunSettings) -> int:
 
 
 def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = False) -> float:
-    """Return the time in which so many workers solve the samples, infinite if unknown; no less than the longest one
-    takes.
+    """Return the estimated seconds in which workers solve all samples; infinite if unknown; at least the time of the
+    longest.
+
+    workers : their number. structure : True if the structure of each is analysed as well.
     """
     each = [(len(group), seconds_of(group[0].settings, structure)) for group in groups_of(samples)]
     shared = math.fsum(number * seconds for number, seconds in each) / workers
@@ -111,7 +120,11 @@ def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = Fa
 
 
 def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False) -> int:
-    """Return how many workers the work pays for, each of which takes a second to start."""
+    """Return how many workers are worth starting, each of which takes WORKER_START seconds to start.
+
+    samples : to be solved. most : largest number of workers. structure : True if the structure of each is analysed as
+        well.
+    """
     return max(1, int(min(most, len(samples), seconds_in_all(samples, 1, structure) / WORKER_START)))
 
 
@@ -133,16 +146,20 @@ class Kind:
 
 
 class WorkLeft:
-    """The work that is left of a scan.
+    """Estimate of the work that is left of a scan, which learns from the times of finished samples.
 
-    The remaining samples of a kind are expected to take what those that are done have taken; if none is done, their
-    estimated cost times the ratio of measured seconds to cost that their method has had so far.
+    Samples that cost alike form a kind. The remaining ones of a kind are expected to take what its finished ones have
+    taken; if none is finished, their estimated cost, times the ratio of measured seconds to cost that their method has
+    had so far.
 
-    structure : samples are analysed, too.
+    structure : True if the structure of samples is analysed as well.
     """
 
     def __init__(self, samples: Sequence[Sample], structure: bool = False) -> None:
-        """samples : that have no result yet."""
+        """Group the samples into kinds that cost alike.
+
+        samples : those without a result yet. structure : True if the structure of each is analysed as well.
+        """
         self.structure, self.kinds = structure, dict[tuple[Any, ...], Kind]()
         for group in groups_of(samples):
             settings = group[0].settings
@@ -152,7 +169,7 @@ class WorkLeft:
             self.kinds.setdefault(kind_of(settings), Kind(name, cost)).remaining += len(group)
 
     def finish(self, sample: Sample, record: Record) -> None:
-        """Take a sample off the work, and learn from its time."""
+        """Count a sample as finished, and learn from its time. record : its result."""
         kind, seconds = self.kinds[kind_of(sample.settings)], record["scalars"].get("seconds")
         kind.remaining -= 1
         if seconds is not None:
@@ -160,11 +177,12 @@ class WorkLeft:
             kind.seconds += seconds + seconds_beside(sample.settings, self.structure)
 
     def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
-        """Return the time left at the pace so far; None while too little is measured.
+        """Return the seconds left at the pace so far; None while too little is finished to tell.
 
-        The pace includes how fast machines are and all that is done beside solving.
+        The pace includes how fast the machines are and all that is done apart from solving.
 
-        running : units in work, which are taken to be half done. elapsed : seconds since the start.
+        running : units in work, which are taken to be half done. workers : number of workers. elapsed : seconds since
+            the start.
         """
         pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method, of what is done: seconds and cost
         for kind in self.kinds.values():

@@ -52,14 +52,14 @@ Points = dict[tuple[Any, ...], list[Point]]  # by the values of the columns that
 
 @dataclass(frozen=True)
 class Request:
-    """The choice of what a figure of a scan shows.
+    """What a figure of a scan shows.
 
-    y : a column, or A/B for the mean of A over the mean of B. x : a column.
-    by : columns; each combination of their values is a curve.
-    where : conditions KEY=VALUE on the samples.
+    y : name of a column, or A/B for the mean of column A over the mean of column B. x : name of a column.
+    by : names of columns; each combination of their values is a curve.
+    where : conditions KEY=VALUE that samples must meet.
     log : logarithmic axes: "", "x", "y" or "xy".
 
-    L, where the scan has no column of that name, is the height of the lattice: the last number of its shape.
+    The column L, where the scan has none of that name, is the height of the lattice: the last number of its shape.
     """
 
     y: str
@@ -111,7 +111,11 @@ def plot_scan(
 
 
 def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
-    """Return the table of all samples that meet the conditions, with a result or not, and the columns L and REASON."""
+    """Return the table of all samples that meet the conditions of a request, with or without a result, by column.
+
+    Two columns are added: L, the height of the lattice, and REASON, why a sample is in no point of the figure ("" if it
+    is).
+    """
     table = dict(scan.table)
     if SIZE not in table and "shape" in table:
         heights = [int(text.split("x")[-1]) if text else math.nan for text in table["shape"].tolist()]
@@ -148,7 +152,10 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
 
 
 def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
-    """Return statistics of y at each value of x, for each curve; InputError if no sample has both x and y."""
+    """Return the statistics of y at each value of x, for each curve; raise InputError if no sample has both x and y.
+
+    columns : table of the samples, from :func:`columns_of`.
+    """
     names, terms = request.y.split("/"), list[np.ndarray]()
     for name in names:
         if columns[name].dtype == object:
@@ -186,7 +193,9 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
 
 
 def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
-    """Return for each sample (samples,) why it is in no point; "" for samples that are in one."""
+    """Return (samples,) why each sample is in no point of the figure, in words that follow a number; "" for those that
+    are in one.
+    """
     reasons = np.full(scan.samples, "", dtype=object)
     for name in (request.x, *request.y.split("/")):
         values = table[name]
@@ -198,10 +207,10 @@ def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request
 
 
 def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
-    """Return the statistics of one point, and what is drawn at x: the point and the ends of its bar.
+    """Return the statistics of one point of a curve, and what is drawn: x, y and the ends of the bar.
 
-    terms : one number of the samples, for its mean and standard error, or two for the ratio of their means and its
-        interval. Too few samples have no bar.
+    terms : one array of numbers of the samples, for its mean and standard error; or two, for the ratio of their means
+        and its confidence interval. x : place of the point. Too few samples give no bar.
     """
     values, number = terms[0], len(terms[0])
     if len(terms) == 2:
@@ -217,7 +226,9 @@ def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
 
 
 def curves_of(points: Points, request: Request) -> list[Curve]:
-    """Return a curve for each combination of values of the columns that part the curves."""
+    """Return the curves to be drawn, one for each combination of values of the columns in `request.by`. points : their
+    points.
+    """
     if len(points) > MOST_CURVES:
         raise InputError(f"{', '.join(request.by)} make {len(points)} curves; a figure has at most {MOST_CURVES}")
     curves = []
@@ -229,7 +240,7 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points, request: Request) -> Look:
-    """Return the labels, and a title that says what was averaged over."""
+    """Return labels, legend and title of the figure; the title says over what was averaged."""
     used = {request.x, *request.by, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
     over = [key for key in scan.scanned if key in columns and key not in used and len(groups(columns, [key])) > 1]
@@ -251,7 +262,9 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points,
 
 
 def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:
-    """Return the points as names of columns and rows: parameters, then whatever else a point has."""
+    """Return the table beside the figure: names of columns, and rows with the values of curve and x, and then all
+    numbers of the point.
+    """
     rows = [[*part, *point.values()] for part, own in points.items() for point in own]
     _, *others = next(iter(points.values()))[0]
     cells = [["" if isinstance(v, float) and math.isnan(v) else v for v in row] for row in rows]

@@ -66,22 +66,26 @@ class Source:
 
     @property
     def samples(self) -> np.ndarray:
-        """(S,) numbers of the samples that have a result."""
+        """(samples S,) numbers of the samples that have a result."""
         return np.flatnonzero(self.reasons == "")
 
     def column(self, name: str) -> np.ndarray:
-        """Return the values (S,) of a scalar; InputError if there is no such scalar."""
+        """Return the values (samples S,) of a scalar for the samples with a result, by its name; raise InputError if
+        there is no such scalar.
+        """
         return self.whole_column(name)[self.samples]
 
     def numbers(self, name: str) -> np.ndarray:
-        """Return the values (S,) of a scalar that is a number; FileError if it is none."""
+        """Return the values (samples S,) of a scalar as numbers, by its name; raise FileError if they are none."""
         values = self.column(name)
         if values.dtype.kind not in "biuf":
             raise FileError(f"{self.path} is damaged or was changed: its {name} is no number")
         return values.astype(float)
 
     def unit(self, normalise: str) -> np.ndarray:
-        """Return the power (S,) that is the unit. normalise : a key of POWER_UNITS."""
+        """Return the power (samples S,) that serves as unit in each sample. normalise : a key of POWER_UNITS, "none"
+        for 1, "mean" for the mean power of its contacts.
+        """
         if normalise == "none":
             return np.ones(len(self.samples))
         mean = self.numbers("power") / np.maximum(self.contacts, 1)
@@ -89,12 +93,12 @@ class Source:
 
 
 def read_source(path: Path) -> Source:
-    """Read a run directory, the directory of a scan, or their HDF5 files; FileError if it is none of them."""
+    """Return the samples of a run or a scan; raise FileError if the path is neither. path : directory or HDF5 file."""
     return _source_of_scan(open_scan(path)) if is_scan(path) else _source_of_run(read_run(path))
 
 
 def _source_of_scan(scan: StoredScan) -> Source:
-    """Return the samples of a scan."""
+    """Return the samples of a scan in the form that histograms are made from."""
     table, own = scan.table, np.flatnonzero(scan.reasons == "")
 
     def column(name: str) -> np.ndarray:
@@ -115,7 +119,7 @@ def _source_of_scan(scan: StoredScan) -> Source:
 
 
 def _source_of_run(run: Result) -> Source:
-    """Return the samples of a run."""
+    """Return the samples of a run in the form that histograms are made from."""
     assert run.path is not None
     settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
@@ -158,11 +162,14 @@ def _source_of_run(run: Result) -> Source:
 def pooled(
     sources: Sequence[Source], bins_per_decade: int = 5, normalise: str = "none", by: str | None = None
 ) -> dict[Any, PowerHistogram]:
-    """Return histograms in the same bins by the values of `by`, in their order; {None: histogram} without it.
+    """Return one histogram of the power of contacts for each value of a column, all in the same bins; {None: histogram}
+    without a column.
 
-    normalise : a key of POWER_UNITS. Powers of a run are binned anew. Those of a scan are known by the bin, 20 a
-        decade: `bins_per_decade` must divide 20, and where samples have different units each moves by whole such bins.
-    by : a column that tells the histograms apart.
+    sources : runs and scans whose samples are pooled.
+    normalise : unit of power, a key of POWER_UNITS.
+    by : name of the column whose values separate the histograms, or None.
+    bins_per_decade : of power. For scans it must divide 20, as they store powers by 20 bins a decade; where samples
+        have different units, each is shifted by whole such bins. Powers of runs are binned anew.
     """
     if any(source.is_scan for source in sources) and BINS_PER_DECADE % bins_per_decade:
         raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
@@ -236,7 +243,7 @@ def histogram(
 
 
 def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
-    """Return the numbers for `--json`: of all histograms together and, with `by`, of each."""
+    """Return the numbers that `--json` prints: of all histograms together and, with `by`, of each."""
     parts = list(histograms.values())
     edges = parts[0].edges
     report = _numbers_of(parts) | {
@@ -250,10 +257,10 @@ def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
 
 
 def _numbers_of(parts: Sequence[PowerHistogram]) -> dict[str, Any]:
-    """Return numbers of contacts and samples in these histograms.
+    """Return numbers of contacts and samples in some histograms, by name.
 
-    `asked` is the number of samples that were asked for, `left_out` has the reasons why some are not pooled and how
-    many, `census` says it in words.
+    `asked` is the number of samples that were asked for, `left_out` has the reasons why some are not pooled with their
+    numbers, `census` says it in words.
     """
     names = ("slipping", "slipless", "tied", "undecided", "samples")
     counted = {name: sum(getattr(part, name) for part in parts) for name in names}

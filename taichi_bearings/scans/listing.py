@@ -30,11 +30,11 @@ LARGEST_NUMBER = 1e300
 
 @dataclass(frozen=True)
 class Entry:
-    """One folder.
+    """One folder in the list of runs and scans.
 
-    kind : "run" or "scan".
-    values : by name; of a run as its summary has them, of a scan the scanned keys and numbers of samples.
-    modified : when its results were written, seconds since 1970.
+    path : of the folder. kind : "run" or "scan".
+    values : what is listed, by name: of a run from its summary, of a scan the scanned keys and numbers of samples.
+    modified : time at which its results were written, seconds since 1970.
     problem : why its content cannot be read; "" if it can.
     """
 
@@ -45,23 +45,22 @@ class Entry:
     problem: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of it in types that JSON has."""
+        """Return all fields and values in one dictionary of types that JSON has."""
         found = asdict(self)
         found |= found.pop("values")
         return found | {"modified": time.strftime("%Y-%m-%dT%H:%M:%S", time.localtime(self.modified))}
 
     def words(self) -> str:
-        """Return in a line what the folder holds."""
+        """Return one line that says what the folder holds."""
         if self.problem:
             return f"cannot be read: {self.problem}"
         return _words_of_scan(self.values) if self.kind == SCAN_KIND else _words_of_run(self.values)
 
 
 def entries(folder: Path) -> list[Entry]:
-    """Return the runs and scans in a folder, or the one that it is itself, newest first; InputError for what is no
-    folder.
+    """Return entries for the runs and scans directly in a folder, or for the folder itself if it is one; newest first.
 
-    Folders that are neither are left out, and their subfolders are not searched.
+    Other folders are left out, and their subfolders are not searched. Raises InputError for a path that is no folder.
     """
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; name one that holds runs or scans")
@@ -73,16 +72,14 @@ def entries(folder: Path) -> list[Entry]:
 
 
 def _kind_of(path: Path) -> str:
-    """Return "run", "scan" or ""."""
+    """Return what a folder is: "run", "scan", or "" for anything else."""
     if any((path / name).is_file() for name in RUN_FILES):
         return RUN_KIND
     return SCAN_KIND if (path / "scan.h5").is_file() or journals_in(path) else ""
 
 
 def _entry(path: Path) -> Entry | None:
-    """Return the entry of a folder; None for what is neither a run nor a scan. Its problem says why it cannot be
-    read.
-    """
+    """Return the entry of a folder, with a problem if it cannot be read; None for what is neither a run nor a scan."""
     kind, values, problem, times = "", {}, "", [0.0]
     try:
         kind = _kind_of(path)
@@ -98,7 +95,7 @@ def _entry(path: Path) -> Entry | None:
 
 
 def _values_of_run(path: Path) -> dict[str, Any]:
-    """Return what the summary of a run says."""
+    """Return what is listed of a run, by name, from its summary."""
     has_summary, has_run = ((path / name).is_file() for name in ("summary.json", "run.h5"))
     if not has_summary and not has_run:
         return {"status": "unfinished"}
@@ -114,8 +111,8 @@ def _values_of_run(path: Path) -> dict[str, Any]:
 
 
 def _fits(value: Any, kind: type, can_lack: bool) -> bool:
-    """Return True for a value of this type, or a list of such values; whole numbers are numbers. can_lack : None is
-    allowed.
+    """Return True if a value, or each value of a list, has a type; whole numbers count as float. can_lack : True if
+    None is allowed.
     """
     kinds, parts = {float, int} if kind is float else {kind}, listed(value)
     return bool(parts) and all(
@@ -125,7 +122,9 @@ def _fits(value: Any, kind: type, can_lack: bool) -> bool:
 
 
 def _values_of_scan(path: Path) -> dict[str, Any]:
-    """Return what is scanned, how many samples the scan asks for, and how many its journals have, by status."""
+    """Return what is listed of a scan, by name: its scanned keys, how many samples it asks for, and how many its
+    journals hold by status.
+    """
     asked, scanned, fixed = count_samples(path / "scan.toml")
     last: dict[bytes, bytes] = {}
     for journal in journals_in(path):
@@ -140,7 +139,7 @@ def _values_of_scan(path: Path) -> dict[str, Any]:
 
 
 def _words_of_run(values: Mapping[str, Any]) -> str:
-    """Return in a line what a run holds."""
+    """Return one line that says what a run holds. values : from its summary."""
     if "power" not in values:
         return "unfinished; `bearings run --resume` goes on from its checkpoint"
     powers, gaps, states, proven, seeds = (
@@ -158,7 +157,7 @@ def _words_of_run(values: Mapping[str, Any]) -> str:
 
 
 def _words_of_scan(values: Mapping[str, Any]) -> str:
-    """Return in a line what a scan holds."""
+    """Return one line that says what a scan holds. values : of its entry."""
     known = " ".join(str(part) for part in (sized(values), values["law"], values["method"]) if part)
     over = " x ".join(values["scanned"]) or "one sample"
     done = f"{values['samples_done']:,} of {counted(values['samples_asked'], 'sample')}"

@@ -24,7 +24,9 @@ MOST_PARTS_OF_SCAN = 100_000
 
 @dataclass(frozen=True)
 class Part:
-    """Part `number`, counted from 1, of a scan that is divided into `of` parts."""
+    """Part `number`, counted from 1, of a scan that is divided into `of` parts, for jobs that run on different
+    machines.
+    """
 
     of: int
     number: int
@@ -48,11 +50,11 @@ class Part:
 
 
 def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
-    """Return by the key of each sample which part it belongs to. of : number of parts.
+    """Return the number of the part to which each sample belongs, by the key of the sample. of : number of parts.
 
-    Samples that differ in the seed only are shared out evenly, seeds that follow each other together, since those can
-    be solved as one block. What is left over goes to the next parts in order, large lattices first and otherwise in no
-    order, so that the parts have like amounts of work however the scan orders its keys.
+    Samples that differ in the seed only are shared out evenly, with successive seeds together, since those can be
+    solved as one block. The remaining ones go to the next parts in turn, large lattices first, and otherwise in an
+    order that does not depend on the scan file, so that the parts have similar amounts of work.
     """
     groups = sorted(groups_of(plan.samples), key=lambda group: (-spheres_of(group[0].settings), group[0].key))
     numbers: dict[str, int] = {}
@@ -64,7 +66,7 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
 
 
 def part_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
-    """Return the plan of one part alone, in the order of the plan; the whole plan for None."""
+    """Return the plan of one part, with its samples in the order of the plan; the whole plan if `part` is None."""
     if part is None:
         return plan
     numbers = part_numbers(plan, part.of)
@@ -72,21 +74,22 @@ def part_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
 
 
 def journals_in(folder: Path) -> list[Path]:
-    """Return the journals in a folder, those of parts before that of the scan itself."""
+    """Return the paths of the journals in the folder of a scan, those of parts before that of the scan itself."""
     files = folder.iterdir() if folder.is_dir() else ()
     return sorted(file for file in files if file.name == JOURNAL_NAME or JOURNAL.fullmatch(file.name))
 
 
 def journal_bytes(folder: Path) -> int | None:
-    """Return the bytes in the journals of a folder, which only ever grow; None if it has no journal."""
+    """Return the size of all journals in a folder, which only ever grows, in bytes; None if it has no journal."""
     sizes = [file.stat().st_size for file in journals_in(folder) if file.is_file()]
     return sum(sizes) if sizes else None
 
 
 def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the records of all journals in a folder by the key of the sample.
+    """Return the records in all journals of a folder by the key of the sample.
 
-    Of several records of a sample a result wins over a failure, then the one with most numbers, then the later one.
+    Of several records of one sample a result is preferred to a failure, then the record with most numbers, then the
+    later one.
     """
     records: dict[str, dict[str, Any]] = {}
     for file in journals_in(folder):
@@ -97,19 +100,21 @@ def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def is_failed(record: Mapping[str, Any]) -> bool:
-    """Return True for the record of a sample without a result."""
+    """Return True if a record says that its sample has no result."""
     return record["scalars"]["status"] == FAILED
 
 
 def is_analysed(record: Mapping[str, Any]) -> bool:
-    """Return True for the record of a sample with the numbers of `bearings analyse`."""
+    """Return True if a record has the numbers of `bearings analyse`."""
     return "power_minimum_cut" in record["scalars"]
 
 
 def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return which parts lack samples, for each number of parts that the names of journals in the folder speak of.
+    """Return the parts that lack samples: for each a dictionary with `part`, as "i/n", and `missing`, how many of its
+    samples have no result.
 
-    returns : `part`, as i/n, and `missing`, how many of its samples have no result.
+    plan : of the whole scan. records : of the samples, by key. Parts are those of each number n that the journals in
+        the folder are named by.
     """
     found = []
     for of in sorted({int(match[1]) for file in journals_in(folder) if (match := JOURNAL.fullmatch(file.name))}):

@@ -39,11 +39,11 @@ RANGES = (
 
 @dataclass(frozen=True)
 class Sample:
-    """One point of a scan.
+    """One sample of a scan.
 
-    key : 16 hexadecimal digits, the same for all samples with the same result.
+    key : 16 hexadecimal digits, equal for samples that must have equal results.
     settings : of a run of this sample alone (replicas is 1).
-    point : the scanned keys and their values, in the order of the file.
+    point : the scanned settings and their values, in the order of the file.
     """
 
     key: str
@@ -58,18 +58,21 @@ class Sample:
 
 
 def _wishes_in(document: dict[str, Any]) -> dict[str, Any]:
-    """Take the options of the scan itself (its wishes) out of a scan file, and return them by name.
+    """Remove the options of the scan itself (WISHES, which change no result) from the content of a scan file, and
+    return them by name.
 
-    InputError for values that are not allowed.
+    document : keys and values of the file. Raises InputError for values that are not allowed.
     """
     return {name: item.read(name, document.pop(name)) for name, item in WISHES.items() if name in document}
 
 
 @dataclass(frozen=True)
 class ScanPlan:
-    """The samples of a scan, no two with the same key.
+    """The samples of a scan, no two of them with the same key.
 
-    scanned : keys that vary. settings : the scan as TOML, without the wishes. wishes : those that were given, by name.
+    scanned : names of the settings that vary. samples : all samples.
+    settings : the scan as TOML, without the options of the scan itself. wishes : these options, as far as they were
+        given, by name.
     """
 
     scanned: tuple[str, ...]
@@ -83,8 +86,8 @@ class ScanPlan:
         return toml_text(self.wishes) + self.settings
 
     def going_on_in(self, folder: Path) -> "ScanPlan":
-        """Return the plan with options of the scan (wishes) that its folder was given before, where this plan gives
-        none.
+        """Return the plan completed by options of the scan (WISHES) that were given before: they are taken from
+        scan.toml in the folder where this plan gives none.
         """
         file = folder / "scan.toml"
         known = _wishes_in(read_toml(file)) if file.is_file() else {}
@@ -93,7 +96,7 @@ class ScanPlan:
 
 
 def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
-    """Return the samples in groups whose settings differ in nothing but the seed, otherwise in their order."""
+    """Return the samples in groups whose settings differ in the seed only, otherwise in their order."""
     groups: dict[tuple[Any, ...], list[Sample]] = {}
     for sample in samples:
         alike = tuple(value for name, value in vars(sample.settings).items() if name != "seed")
@@ -102,7 +105,7 @@ def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
 
 
 def written(value: Any) -> Any:
-    """Return the value of a setting as a table holds it: a list such as a shape becomes ``10x10``, one of axes
+    """Return the value of a setting as tables show it: a list of numbers such as a shape becomes ``10x10``, one of axes
     ``x,y``.
     """
     if isinstance(value, tuple):
@@ -147,7 +150,11 @@ Axis = dict[str, Any]  # keys that advance together, with the list or range of e
 
 
 def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], list[Axis]]:
-    """Return the keys that all samples share, and the axes of the grid, those of single keys first."""
+    """Return what a scan file says: the settings that all samples share, by key, and the axes of the grid, those of
+    single keys first.
+
+    path : of the TOML file. overrides : ``key=value`` texts of the option --set, which win over the file.
+    """
     refuse_run(path)
     if path.suffix in (".h5", ".hdf5"):
         raise FileError(f"{path} holds results, not a scan file; `bearings scan {path.parent}` continues a scan there")
@@ -172,8 +179,8 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
 
 
 def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
-    """Return how many samples a scan file asks for, the scanned keys, and the keys that all share; no sample is
-    built.
+    """Return how many samples a scan file asks for, the names of the scanned settings, and the settings that all
+    samples share, by key. No sample is built.
     """
     document, axes = _read(path)
     return math.prod(map(len, _points(axes))), tuple(key for axis in axes for key in axis), document
@@ -182,7 +189,11 @@ def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
 def _samples(
     path: Path, document: Mapping[str, Any], scanned: tuple[str, ...], axes: Sequence[Sequence[tuple[Any, ...]]]
 ) -> Iterator[Sample]:
-    """Yield the samples of the grid. axes : values of the keys of each axis, point by point."""
+    """Yield the samples of the grid.
+
+    path : of the scan file. document : settings that all samples share. scanned : names of the settings that vary. axes
+        : for each axis of the grid, the values of its settings, point by point.
+    """
     base: RunSettings | None = None
     met: dict[str, Mapping[str, Any]] = {}
     for parts in itertools.product(*axes):
@@ -201,7 +212,9 @@ def _samples(
 
 
 def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
-    """Return the values of the keys of each axis, point by point; InputError for more samples than MOST_SAMPLES."""
+    """Return for each axis of the grid the values of its settings, point by point; raise InputError for more than
+    MOST_SAMPLES samples.
+    """
     points: list[list[tuple[Any, ...]]] = []
     for axis in axes:
         columns, most = dict[str, list[Any]](), MOST_SAMPLES // math.prod(map(len, points))
@@ -226,8 +239,10 @@ def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
 
 
 def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], Any]]:
-    """Return how many values a range has, and a function that gives each by its number from 0. Whole numbers stay
-    whole.
+    """Return how many values a range has, and a function that gives each of them by its number from 0; whole numbers
+    stay whole.
+
+    key : the setting, for messages. table : the range, with start, stop and other keys (see RANGES).
     """
     get: Any = table.get
     is_spaced = "number" in table
@@ -254,15 +269,15 @@ def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], A
 
 
 def files_of(settings: RunSettings) -> list[tuple[str, str]]:
-    """Return the keys of the settings that name files, with these names."""
+    """Return pairs of the settings whose values name files, and these names."""
     return [(name, file) for name in NAMED_FILES if (file := getattr(settings, name)) not in (None, *STARTS)]
 
 
 def sample_key(settings: RunSettings) -> str:
-    """Return a hash of all that may shape the result of a sample.
+    """Return the key of a sample: a hash of all settings that may change its result.
 
-    That is the settings that differ from their defaults, files by their content. So an option that is added to the
-    program later renames no sample.
+    These are the settings that differ from their defaults, with files by their content. So an option added to the
+    program later changes no key.
     """
     table = settings_table()
     values = {key: value for key, value in settings.given.items() if not table[key].not_scanned}
@@ -272,7 +287,7 @@ def sample_key(settings: RunSettings) -> str:
 
 
 def content_of(name: str) -> str:
-    """Return a hash of a file's content; of a run directory, of its run.h5."""
+    """Return a hash of the content of a file, or of the run.h5 in a run directory. name : of the file or directory."""
     path = file_of(Path(name))
     if not path.is_file():
         raise FileError(f"{name} does not exist or is not a file")
@@ -282,7 +297,9 @@ def content_of(name: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _content(name: str, path: Path, *_: int) -> str:
-    """Return the hash of a file, kept as long as its time and size are the same."""
+    """Return the hash of a file; it is computed again only if time or size of the file, the last arguments, have
+    changed.
+    """
     digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
@@ -301,14 +318,18 @@ def spheres_of(settings: RunSettings) -> int:
 
 @lru_cache(maxsize=1024)
 def _spheres(name: str, _: str) -> int:
-    """Return the number of spheres in a packing file, kept as long as its content is the same."""
+    """Return the number of spheres in a packing file; it is read again only if the hash of its content, the last
+    argument, has changed.
+    """
     from taichi_bearings.scene.packing import Packing  # and with it much of SciPy
 
     return len(Packing.read(name)["center"])
 
 
 def _text(document: Mapping[str, Any], axes: Sequence[Axis]) -> str:
-    """Return the scan as TOML, with what --set has changed."""
+    """Return a scan as TOML, including what --set has changed. document : settings that all samples share. axes : of
+    the grid.
+    """
     text, is_zipped = toml_text(document), False
     for number, axis in enumerate(axes):
         is_zipped |= len(axis) > 1

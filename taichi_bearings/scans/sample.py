@@ -60,8 +60,8 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
 
 
 def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
-    """Yield samples that can be solved as one block of replicas: nothing but their seeds differs, and those of lattices
-    are consecutive.
+    """Yield lists of samples that can be solved together as one scene: they differ in their seeds only; on lattices
+    these are successive numbers.
     """
     for group in groups_of(samples):
         settings = group[0].settings
@@ -81,10 +81,11 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
 
 
 def _are_alike_packings(group: Sequence[Sample]) -> bool:
-    """Return True if several samples of a packing that differ in their seeds have the same bits beside each other.
+    """Return True if samples of a packing that differ in their seeds can be solved together, with the same bits as
+    alone.
 
-    Files of one start or of one set of coefficients say nothing of other seeds, and what cannot be read is left to each
-    sample to say.
+    It is False where a file gives the initial spins or all coefficients, which seeds do not change, and where the
+    packing cannot be read: each sample then reports that itself.
     """
     from taichi_bearings.runs.packing_run import are_solved_together  # and with it SciPy
 
@@ -98,7 +99,9 @@ def _are_alike_packings(group: Sequence[Sample]) -> bool:
 
 
 def _job_of(block: Sequence[Sample]) -> Job:
-    """Return what solves a block. Of packings each sample is what it is alone; their file is read once."""
+    """Return the job that solves a block of samples that differ in their seeds. The file of a packing is read once for
+    all.
+    """
     first = block[0].settings
     settings = replace(first, threads=first.threads or 1)
     if not first.is_packing or len(block) == 1:
@@ -111,7 +114,10 @@ def _job_of(block: Sequence[Sample]) -> Job:
 
 
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
-    """Return the records of a block of samples."""
+    """Solve a block of samples and return their records.
+
+    analyse : True to compute the numbers of `bearings analyse` as well. states : folder for the full states, or None.
+    """
     first = block[0].settings
     files = [file for _, file in files_of(first)]
     if files and sample_key(first) != block[0].key:
@@ -134,8 +140,10 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
 
 
 def _record(key: str, run: Result, analyse: bool) -> dict[str, Any]:
-    """Return the record of a sample: numbers and texts alone, the shape as a table holds it; what is not finite is
-    None.
+    """Return the record of a sample: key, numbers and texts, and counts of contacts by bin of power.
+
+    key : of the sample. run : its result. analyse : True to add the numbers of `bearings analyse`. Shapes are written
+        as tables show them; numbers that are not finite become None.
     """
     answer = run.solution
     scalars = run.numbers | run.asked.driving | {"slip_threshold": answer.slip_threshold}
@@ -155,13 +163,18 @@ def _record(key: str, run: Result, analyse: bool) -> dict[str, Any]:
 
 
 def state_path(folder: Path, key: str) -> Path:
-    """Return the file of a sample's full state, in the layout of run.h5."""
+    """Return the path of the file with the full state of a sample, in the layout of run.h5. folder : of the scan's
+    states. key : of the sample.
+    """
     return folder / f"{key}.h5"
 
 
 @dataclass(frozen=True)
 class JobTask:
-    """One of many jobs. key : its number, counted from 0. scene : a Scene or a Packing. job : what solves it."""
+    """One of many jobs to be solved by workers.
+
+    key : its number, counted from 0, as a text. scene : the Scene or Packing of the user. job : the run that solves it.
+    """
 
     key: str
     scene: Bearing
@@ -177,9 +190,10 @@ class JobTask:
 
 
 def solve_tasks(tasks: Sequence[JobTask]) -> list[dict[str, Any]]:
-    """Solve jobs in a worker, with one thread each where the settings leave that open; returns a record of each.
+    """Solve jobs in a worker, and return a record of each: with its `run`, the result, or with the reason why there is
+    none.
 
-    A record has the `run`, or the reason why there is none.
+    Each job uses one thread where its settings leave that open.
     """
     records = []
     with one_thread():
@@ -193,8 +207,9 @@ def solve_tasks(tasks: Sequence[JobTask]) -> list[dict[str, Any]]:
 
 
 def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Result]:
-    """Yield the answers as they come, each for the very scene that was given; BearingsError for the first that has
-    none.
+    """Yield the results of jobs as they come, each with the very scene that the user gave.
+
+    tasks : the jobs. workers : number of processes. Raises BearingsError for the first job without a result.
     """
     with closing(LocalEngine(solve_tasks, workers)) as engine:
         for records in run_samples([(task,) for task in tasks], engine):

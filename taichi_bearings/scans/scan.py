@@ -42,9 +42,10 @@ LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # a sample may take so many seconds, or s
 class ScanProgress:
     """The progress of a scan.
 
-    total, done : samples in all, and with a result; `before` of these are of earlier calls. failed : samples without.
+    total : samples in all. before : those with a result from earlier calls. done : those with a result, `before`
+        included. failed : those that have failed.
     running : samples in work, the first of each unit.
-    seconds : since the start of this call. seconds_left : None while it is not known.
+    seconds : time since the start of this call. seconds_left : estimated; None while it is not known.
     """
 
     total: int
@@ -67,10 +68,13 @@ Monitor = Callable[[ScanProgress], None]
 def missing_samples(
     plan: ScanPlan, folder: Path, part: parts.Part | None = None
 ) -> tuple[list[Sample], dict[str, Record]]:
-    """Return the samples, of one part or of all, that a folder lacks or that have failed there; and the records that it
-    has.
+    """Return the samples that still have to be solved, of one part or of all, and the records that the folder has, by
+    key.
 
-    FileError if the folder holds samples that the plan does not ask for, or is something else altogether.
+    plan : the samples asked for. folder : of the scan. part : None for the whole scan.
+
+    Samples have to be solved if the folder lacks them, if they failed there, or if they lack something that is asked
+    for now. Raises FileError if the folder holds samples that the plan does not ask for, or something else altogether.
     """
     names = [file.name for file in folder.iterdir() if file.name[0] != "."] if folder.is_dir() else []
     if names and JOURNAL not in names and not any(name.startswith("scan.toml") for name in names):
@@ -103,12 +107,10 @@ def missing_samples(
 
 
 def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
-    """Raise InputError for a given setting that no method and no law of the scan uses, and for samples that cannot be
-    solved.
+    """Raise InputError for a setting that no method and no law of the scan uses, and for samples that cannot be solved.
 
-    Where the scan goes on in its folder, an unused setting is named in a warning only.
-
-    is_here : solved on this machine.
+    Where the scan continues in its folder, an unused setting is only named in a warning. is_here : True if the scan is
+    solved on this machine.
     """
     found, used = dict[str, str](), set[str]()
     for group in groups_of(plan.samples):  # all but their seeds alike
@@ -129,8 +131,10 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
 
 
 def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
-    """Return what a scan would do: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`. Nothing is
-    solved.
+    """Return what a scan would cost, by name: `samples`, `missing` samples, `workers`, `seconds` (None if unknown) and
+    `bytes`. Nothing is solved.
+
+    plan, folder, workers, part : as for :func:`scan`.
     """
     refuse_unused(plan, folder)
     plan = plan.going_on_in(folder)
@@ -149,7 +153,10 @@ def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | 
 
 
 def _number_of_workers(missing: Sequence[Sample], workers: int, analyse: bool) -> int:
-    """Return how many worker processes the missing samples pay for. workers : most of them, 0 for one a processor."""
+    """Return how many worker processes to start for the missing samples, at most as many as pay off.
+
+    workers : largest number, 0 for one a processor. analyse : True if the structure of samples is analysed as well.
+    """
     on_device = any(sample.settings.arch != "cpu" for sample in missing)
     return cost.paying_workers(missing, workers or (1 if on_device else available_threads()), analyse)
 
@@ -217,7 +224,9 @@ def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
 def _engine(
     plan: ScanPlan, folder: Path, missing: Sequence[Sample], workers: int, client: "Client | None"
 ) -> LocalEngine:
-    """Return the engine that solves the missing samples: on the cluster of `client`, or by processes here."""
+    """Return the engine that solves the missing samples: on the Dask cluster of `client`, or in processes on this
+    machine if it is None.
+    """
     analyse, states = bool(plan.wishes.get("analyse")), plan.wishes.get("keep_states")
     work = partial(solve_samples, analyse=analyse, states=(folder / STATES).absolute() if states else None)
     allowed = partial(_allowed, sample_timeout=plan.wishes.get("sample_timeout"), analyse=analyse)
@@ -229,18 +238,26 @@ def _engine(
 
 
 def _allowed(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
-    """Return the seconds that a unit may take."""
+    """Return the seconds that a unit of samples may take.
+
+    sample_timeout : limit for one sample that the user has set, or None. analyse : True if the structure is analysed as
+        well.
+    """
     if sample_timeout is not None:
         return sample_timeout * len(unit)
     return max(LEAST_ALLOWED, ALLOWED * sum(cost.seconds_of(sample.settings, analyse) for sample in unit))
 
 
 def _warn(text: str) -> None:
+    """Log a warning."""
     logging.getLogger(__name__).warning("bearings: %s", text)
 
 
 class _Course:
-    """A scan under way: its records so far, its progress and its monitor."""
+    """A scan that is being solved: its missing samples, its records so far, its journal and its progress.
+
+    plan, folder, part, monitor : as for :func:`scan`.
+    """
 
     def __init__(
         self, plan: ScanPlan, folder: Path, part: parts.Part | None = None, monitor: Monitor = lambda _: None
@@ -258,7 +275,10 @@ class _Course:
         self.removed: list[Path] = []
 
     def follow(self, engine: LocalEngine, journal: Journal, stopped: threading.Event) -> None:
-        """Have the missing samples solved and written down, until all are done or `stopped` is set."""
+        """Have the missing samples solved and recorded, until all are done or `stopped` is set.
+
+        engine : solves them. journal : opened for appending.
+        """
         analyse, missing = bool(self.plan.wishes.get("analyse")), list(self.missing.values())
         units, work = cost.units_of(missing, analyse, engine.workers or 1), cost.WorkLeft(missing, analyse)
         for finished in run_samples(units, engine):
@@ -278,7 +298,10 @@ class _Course:
                 self.due = written + max(REWRITE, 50 * (written - began))
 
     def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
-        """Write finished samples into the journal and count them; a failure replaces no result."""
+        """Record finished samples in the journal and count them. A failure does not replace an earlier result.
+
+        finished : their records. work : the estimate of the work left. journal : opened for appending.
+        """
         news = [record for record in finished if not (parts.is_failed(record) and self._has_result(record["key"]))]
         journal.append(news)
         self.records |= {record["key"]: record for record in news}
@@ -297,11 +320,11 @@ class _Course:
         return key in self.records and not parts.is_failed(self.records[key])
 
     def _write(self, removes: bool = False) -> None:
-        """Write scan.h5 and scan.csv, each in full or not at all, rows in the order of the plan.
+        """Write scan.h5 and scan.csv, each in full or not at all, with rows in the order of the plan.
 
-        They name the bytes of the journals whose records they hold: of this journal all, of others what was there at
-        the start.
-        removes : remove figures that are out of date first.
+        Both store the size of the journals whose records they hold, so that readers see whether they are up to date.
+
+        removes : True to remove figures that are out of date before.
         """
         journals = self.others + (self.journal.stat().st_size if self.journal.exists() else 0)
         self.removed = outdated_figures(self.folder, journals) if removes else []
@@ -311,13 +334,15 @@ class _Course:
         write_scan(self.folder, columns, histograms, attributes_of(self.plan, journals))
 
     def write_files(self) -> None:
-        """Write the files once all is done; figures of the scan as it was before are removed."""
+        """Write scan.h5 and scan.csv at the end, and remove figures that show the scan as it was before. Parts write
+        neither.
+        """
         if self.files:
             with awaited():
                 self._write(removes=True)
 
     def report(self, interrupted: bool) -> dict[str, Any]:
-        """Return the report of `--json`."""
+        """Return the report that `--json` prints. interrupted : True if the scan was stopped early."""
         known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]
         solved = [record for _, record in known if not parts.is_failed(record)]
         failed = [(sample, record["scalars"]["error"]) for sample, record in known if parts.is_failed(record)]

@@ -51,7 +51,7 @@ SETTING_COLUMNS = (
 
 
 def is_scan(path: Path) -> bool:
-    """Return True for the folder of a scan, with or without scan.h5, and for a scan.h5."""
+    """Return True for the folder of a scan, with or without scan.h5, and for a file scan.h5."""
     if path.is_dir():
         return (path / "scan.h5").is_file() or journal_bytes(path) is not None
     try:
@@ -99,8 +99,10 @@ def open_scan(path: Path) -> StoredScan:
 
 
 def outdated_figures(folder: Path, journals: int) -> list[Path]:
-    """Return figures in the folder of a scan, and the tables beside them; none if scan.h5 is made of journals of
-    this size.
+    """Return the figures of a scan in its folder, and the tables beside them; none if scan.h5 holds all that the
+    journals hold.
+
+    journals : size of all journals, bytes.
     """
     try:
         if read_scan(folder).attributes.get("journals") == journals:
@@ -115,16 +117,21 @@ def outdated_figures(folder: Path, journals: int) -> list[Path]:
 
 
 def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:
-    """Return the attributes of a table. journals : bytes of the journals that it was made from."""
+    """Return the attributes of scan.h5: the scan as TOML, what was scanned, how many samples, size of the journals,
+    versions.
+
+    plan : of the scan. journals : size of the journals that the table is made from, bytes.
+    """
     known = {"scan": plan.text, "scanned": list(plan.scanned), "asked": len(plan.samples), "journals": journals}
     return {**known, "taichi_bearings": VERSION, **versions()}
 
 
 def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict[str, Finding]:
-    """Return the scanned keys, then FIRST_COLUMNS, then whatever else the records hold; one row a sample that has a
-    record.
+    """Return the table of a scan by column, one row for each sample that has a record.
 
-    A result that bears the name of a scanned key and may differ from it is called ``<name>_found``.
+    The scanned settings come first, then FIRST_COLUMNS, then whatever else the records hold. A result that has the name
+    of a scanned setting and may differ from it is called ``<name>_found``. plan : of the scan. records : by the key of
+    the sample.
     """
     samples = [sample for sample in plan.samples if sample.key in records]
     scalars = [_scalars(sample, records[sample.key]) for sample in samples]
@@ -143,8 +150,8 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict
 
 
 def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return numbers and texts of a sample: those of its record, and of its settings those that a failed record
-    lacks.
+    """Return numbers and texts of a sample by name: those of its record, and those of its settings that the record of a
+    failed sample lacks.
     """
     found, settings = dict(record["scalars"]), sample.settings
     known = set(SETTING_COLUMNS if settings.packing is None else ("law", "seed")) - found.keys()
@@ -154,7 +161,9 @@ def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleCounts:
-    """Return the distributions of power, one row a sample as in :func:`columns_of`."""
+    """Return the numbers of contacts by power, one row for each sample that has a record. plan : of the scan. records :
+    by the key of the sample.
+    """
     chosen = [records[sample.key] for sample in plan.samples if sample.key in records]
     bins = [{int(number): many for number, many in record["bins"].items()} for record in chosen]
     return dense_histograms(bins, {name: [r["scalars"].get(name) or 0 for r in chosen] for name in CONTACT_SETS})
@@ -188,6 +197,6 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
 
 
 def numbered(names: Iterable[Any]) -> np.ndarray:
-    """Return equal numbers for equal names."""
+    """Return whole numbers (n,) that are equal where the names are equal."""
     place: dict[Any, int] = {}
     return np.array([place.setdefault(name, len(place)) for name in names], dtype=np.int64)

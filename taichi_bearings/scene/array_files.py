@@ -18,10 +18,10 @@ from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
 
 def own_array(name: str, values: Any) -> np.ndarray:
-    """Return a read-only copy of an array in float64.
+    """Return a read-only copy of values of the user as an array in double precision.
 
-    name : what the values are, in the plural, for messages.
-    Raises InputError where the values make no array of real numbers, or some are masked.
+    name : what the values are, in the plural, for messages. Raises InputError where the values make no array of real
+        numbers, or some are masked.
     """
     try:
         array = np.asanyarray(values)
@@ -83,16 +83,16 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
 
 
 def _refuse_lack(path: Path, names: Iterable[str], there: Collection[str]) -> None:
-    """Raise FileError if the file lacks arrays of these names. there : names of the arrays that it has."""
+    """Raise FileError if a file lacks some of the arrays `names`. there : names of the arrays that it has."""
     if lacking := [name for name in names if name not in there]:
         raise FileError(f"{path} lacks the array{'s' if len(lacking) > 1 else ''} {', '.join(lacking)}")
 
 
 def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.ndarray:
-    """Return an array of an npz file, without unpickling anything.
+    """Return an array of an npz file; nothing in it is unpickled.
 
-    path : of the file, for messages. stored : the opened file. name : of the member, such as ``x.npy``. most : number
-    of bytes that the array may have. Raises FileError if its header claims more, or objects of Python.
+    path : of the file, for messages. stored : the opened file. name : of the member, such as ``x.npy``. most : largest
+        number of bytes that the array may have. Raises FileError if its header claims more, or Python objects.
     """
     found, read = stored.getinfo(name), np.lib.format
     if found.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -114,7 +114,9 @@ def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.nda
 
 
 def short_name(name: str) -> str:
-    """Return the short name in an npz file of an array of run.h5: ``x`` of ``coefficient/x``."""
+    """Return the name in an npz file of an array of run.h5: ``x`` for ``coefficient/x``, ``x_viscosity`` for
+    ``viscosity/x``.
+    """
     kind, _, axis = name.rpartition("/")
     return f"{axis}_viscosity" if kind == "viscosity" else axis
 
@@ -139,9 +141,9 @@ def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0)
 
 
 def _are_of(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
-    """Return True if coefficients along x and y have shapes of one lattice of this dimension, or of samples of it.
+    """Return True if coefficients along x and y have shapes that fit one lattice of this dimension.
 
-    x, y : the two shapes, with a leading axis of samples or without.
+    x, y : the two shapes, with or without a leading axis of samples.
     """
     if len(x) != len(y) or len(x) not in (dimension, dimension + 1):
         return False

@@ -66,8 +66,11 @@ class Bearing(ABC):
     @property
     @abstractmethod
     def named_coefficients(self) -> dict[str, np.ndarray]:
-        """The coefficients of the law, (R, E) each, in the units of users, by their names in files and in the order of
-        the law: friction is a pure number, damping is force * time/length."""
+        """The coefficients of the law, (samples R, contacts E) each, by their names in files.
+
+        They come in the order of the law and in the units of users: friction is a pure number, damping is force *
+        time/length.
+        """
 
     @abstractmethod
     def with_top(self: Kind, strength: float) -> Kind:
@@ -86,34 +89,37 @@ class Bearing(ABC):
 
     @property
     def strength(self) -> float:
-        """Factor by which `coefficient` is multiplied to be a force, or a damping.
+        """Factor that turns `coefficient` into a force, or for a viscous law into a damping.
 
         With friction and one normal force for all contacts it is that force. It is 1 for damping, and where each
-        contact has its own normal force, which `coefficient` then includes.
+        contact has a normal force of its own, which `coefficient` then includes.
         """
         one = np.ndim(self.normal_force) == 0 and self.law.quantities[0].is_friction
         return float(self.normal_force) if one else 1.0
 
     @cached_read_only
     def coefficient(self) -> np.ndarray:
-        """(R, E) first coefficient of the law: `strength` times it is the friction force, or the damping of a viscous
-        law."""
+        """(samples R, contacts E) first coefficient of the law: `strength` times it is the friction force, or the
+        damping of a viscous law.
+        """
         first = next(iter(self.named_coefficients.values()))
         each = np.ndim(self.normal_force) > 0 and self.law.quantities[0].is_friction
         return first * self.normal_force if each else first
 
     @property
     def _coefficients(self) -> Coefficients:
-        """The coefficients of the law, (R, E) each: `coefficient`, and after it the second one, if the law has two."""
-        _, *beside = self.named_coefficients.values()
-        return (self.coefficient, *beside)
+        """All coefficients of the law, a tuple of arrays (samples R, contacts E): first `coefficient`, then the second
+        one if the law has two.
+        """
+        _, *others = self.named_coefficients.values()
+        return (self.coefficient, *others)
 
     @cached_read_only
     def material(self) -> Coefficients:
-        """The coefficients that the functions of the law take, (R, E) each: friction as the force that a contact bears,
-        damping as force * time/length.
+        """The coefficients as the functions of the law take them, a tuple of arrays (samples R, contacts E): friction
+        multiplied by the normal force, so a force; damping in force * time/length.
 
-        Of lattices they are 0 at contacts between two driven spheres, which never slip there.
+        On lattices they are 0 at contacts between two driven spheres, which never slip there.
         """
         held, *beside = self._coefficients
         if self.driving.rubs:
@@ -128,35 +134,46 @@ class Bearing(ABC):
 
     @property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """The spin components that have to be found; at some minimum no contact slips by the others."""
+        """Numbers of the spin components that have to be solved for; some minimum has no slip from the others."""
         return self.driving.minimum_spin_axes
 
     @property
     def driven_speed(self) -> np.ndarray:
-        """(N, C) imposed u = R omega, length/time, 0 on free spheres; of lattices measured from the bottom's state."""
+        """(spheres N, components C) imposed surface speeds u = radius * spin, length/time; 0 on free spheres. On
+        lattices they are measured from those of the bottom plane.
+        """
         return self.driving.speed
 
     @cached_property
     def jump(self) -> float:
-        """How far the imposed carried spins differ, the natural unit of their differences; 0 where they agree."""
+        """Size of the difference between the imposed spins, which serves as unit of spin differences; 0 where all
+        agree.
+
+        It is measured in the form that solvers store: 1/time on lattices, radius * spin in length/time in other
+        packings.
+        """
         return self.driving.jump
 
     @cached_property
     def smallest_jump(self) -> float:
-        """Smallest, over the components in `minimum_spin_axes`, of the largest size of the imposed carried spins.
+        """Smallest, over the components in `minimum_spin_axes`, of the largest size of the imposed spins in that
+        component.
 
-        It is 0 where a component has no difference, and where no box is known to hold a minimum.
+        Spins are in the form that solvers store. The result is 0 if top and bottom agree in a component, and where
+        :meth:`box` knows no bounds.
         """
         return float(np.abs(self.box(self.minimum_spin_axes)).max(axis=0).min())
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The largest imposed spin of the top, and that of all other driven spheres; both as spins are carried."""
+        """The largest imposed spin of the top, and that of all other driven spheres: 1/time on lattices, else radius *
+        spin, length/time.
+        """
         return self.driving.sides
 
     @property
     def fastest(self) -> float:
-        """Size of the largest imposed spin: 1/time on lattices, else the surface speed R omega, length/time."""
+        """Size of the largest imposed spin: 1/time on lattices, else radius * spin, length/time."""
         return self.driving.fastest
 
     @property
@@ -171,70 +188,91 @@ class Bearing(ABC):
 
     @property
     def slip_radius(self) -> float:
-        """Factor that turns a difference of carried spins into a slip: the radius on lattices, 1 where u is carried."""
+        """Factor that turns a difference of stored spins into a slip: the radius on lattices; 1 elsewhere, where radius
+        * spin is stored.
+        """
         return self.driving.slip_radius
 
     @cached_read_only
     def is_cut_off(self) -> np.ndarray:
-        """(R,) mask: so many contacts are absent that no other one has to slip, whatever is imposed.
-
-        False where that is not so, and where it is not known.
+        """(samples R,) mask: True where present contacts do not connect bottom and top, so that no contact has to slip.
+        False otherwise, and where it is not known.
         """
         return self.driving.cut_off(self.coefficient > 0)
 
     def imposed_spins(self) -> Pair:
-        """Laboratory spins, 1/time, (*N) of discs or (*N, 3) of spheres, and what their rounding leaves out.
+        """Return laboratory spins, 1/time, (spheres *N) of discs or (*N, 3) of spheres, and an array of that shape with
+        their rounding errors, to be added for twice the precision.
 
-        Driven spheres have their imposed spins. Free spheres have spins without meaning, carried as 0.
+        Driven spheres have their imposed spins; the spins of free spheres mean nothing.
         """
         return self.driving.spins()
 
     @property
     def is_driven(self) -> np.ndarray:
-        """(*N) mask of the spheres whose spin is imposed."""
+        """(spheres *N) mask of the spheres whose spin is imposed."""
         return self.network.is_driven
 
     def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, R, *N) of laboratory spins; driven spheres get their imposed ones.
+        """Return the carried spins (C, samples R, spheres *N), in which solvers compute, of laboratory spins; driven
+        spheres get their imposed ones.
 
         spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
+        spin_axes : numbers of the C components to return, each 0, 1 or 2.
         """
         return self.driving.carried(spin, spin_axes)
 
     def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the laboratory spins, 1/time, of carried ones (C, R, *N): the inverse of :meth:`staggered_spin`.
+        """Return laboratory spins, 1/time, (samples R, spheres *N) of discs or (R, *N, 3) of spheres: the inverse of
+        :meth:`staggered_spin`.
 
-        Components that are not in `spin_axes` get values at which no contact slips by them, where there are such.
+        staggered : carried spins (components C, R, *N), the form in which solvers compute. spin_axes : numbers of their
+            C components.
+
+        Other components get values at which no contact slips by them, where there are such values.
         """
         return self.laboratory_pair(staggered, None, spin_axes)[0]
 
     def laboratory_pair(self, staggered: np.ndarray, rest: np.ndarray | None, spin_axes: tuple[int, ...]) -> Pair:
-        """Return laboratory spins, 1/time, in twice the precision: the nearest doubles, and what rounding leaves out.
+        """Return laboratory spins, 1/time, in twice the precision: the nearest doubles, and an array of what their
+        rounding leaves out.
 
-        staggered : carried spins (C, R, *N). rest : (C, R, *N), small numbers to add to these, or None for nothing.
+        staggered : carried spins (C, samples R, spheres *N), the form in which solvers compute. rest : (C, R, *N),
+            small numbers to add to these, or None for nothing. spin_axes : numbers of the C components.
         """
         return self.driving.laboratory(staggered, rest, spin_axes)
 
     def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, R, *N) with the state of the bottom added, from which lattices measure them.
+        """Return the carried spins (C, samples R, spheres *N) measured from 0 instead of from the spins of the bottom
+        plane.
 
-        Kinetic energies need these.
+        Solvers measure the spins of lattices from those of the bottom; kinetic energies need them from 0. spin_axes :
+        numbers of the C components.
         """
         return self.driving.absolute(staggered, spin_axes)
 
     def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Give driven spheres their imposed values in the carried spins (C, R, *N); return the same array."""
+        """Give driven spheres their imposed values in an array of carried spins (C, samples R, spheres *N), in place;
+        return the same array.
+
+        spin_axes : numbers of the C components.
+        """
         return self.driving.impose(staggered, spin_axes)
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(2, C) bounds between which each carried component lies at some minimum; 0 where none are known."""
+        """Return bounds (2, C), lower and upper: some minimum has all carried spins, the form in which solvers compute,
+        between them.
+
+        Both bounds are 0 where none are known. spin_axes : numbers of the C components.
+        """
         found = self.driving.box(spin_axes)
         return np.zeros((2, len(spin_axes))) if found is None else found
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, R, *N) clipped to :meth:`box`, or as they are where no box is known.
+        """Return the carried spins (C, samples R, spheres *N) clipped to the bounds of :meth:`box`, or as they are
+        where no bounds are known.
 
-        Clipping never raises the power (equations.md, 4).
+        Clipping never raises the power (equations.md, 4). spin_axes : numbers of the C components.
         """
         box = self.driving.box(spin_axes)
         if box is None:
@@ -243,41 +281,58 @@ class Bearing(ABC):
         return np.clip(staggered, low, high)
 
     def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(d, R, E) spin differences across all contacts of carried spins (C, R, *N).
+        """Return the spin differences (d, samples R, contacts E) across all contacts at carried spins (components C, R,
+        spheres *N); d is the number of slip components.
 
-        `slip_radius` times their length over the first axis is the slip speed.
+        The slip speed of a contact is `slip_radius` times the length of its difference. spin_axes : numbers of the C
+        components.
         """
         return self.network.differences(staggered, spin_axes)
 
     def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(C, R, *N) sums, over the contacts of each sphere, of the contact forces (d, R, E) along its components.
+        """Return for each sphere the sum (components C, samples R, spheres *N) of the forces of its contacts, by spin
+        component; times the radius it is the torque.
 
-        Times the radius they are torques.
+        force : (d, R, contacts E), contact forces along the d components of :meth:`differences`. spin_axes : numbers of
+            the C components.
         """
         return self.network.pulls(force, spin_axes)
 
     def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(R, E) slip speed |v| of every contact (paper Eq. 2) at carried spins (C, R, *N), length/time."""
+        """Return the slip speed (samples R, contacts E) of every contact (paper, Eq. 2), length/time.
+
+        staggered : carried spins (components C, R, spheres *N), the form in which solvers compute. spin_axes : numbers
+            of their C components.
+        """
         return self.slip_radius * vector_length(self.differences(staggered, spin_axes))
 
     def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(R,) dissipated power at carried spins (C, R, *N), energy/time (paper Eq. 4, each contact once)."""
+        """Return the dissipated power (samples R,), energy/time (paper, Eq. 4, with each contact counted once).
+
+        staggered : carried spins (components C, R, spheres *N), the form in which solvers compute. spin_axes : numbers
+            of their C components.
+        """
         return self.law.power(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(R,) value at carried spins (C, R, *N) of the function that the stationary state minimises, energy/time.
+        """Return the value (samples R,), energy/time, of the function that the stationary state minimises.
 
         It is the power, or the dissipation potential for a law whose power is no multiple of that. At any spins it is
         an upper bound on the minimum.
+
+        staggered : carried spins (components C, R, spheres *N), the form in which solvers compute. spin_axes : numbers
+            of their C components.
         """
         return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def sample(self: Kind, number: int) -> Kind:
-        """Return a bearing with one of the samples, counted from 0."""
+        """Return a bearing with one of the R samples. number : of the sample, from 0."""
         return self if self.replicas == 1 else self._as_samples(number, self.seeds[number : number + 1])
 
     def some(self: Kind, pick: slice) -> Kind:
-        """Return a bearing with several of the samples; this one must have more than one."""
+        """Return a bearing with several of the samples. pick : slice of their numbers. This bearing must have more than
+        one sample.
+        """
         return self._as_samples(pick, self.seeds[pick])
 
     def first(self: Kind, count: int) -> Kind:
@@ -285,15 +340,17 @@ class Bearing(ABC):
         return self if count == self.replicas else self.sample(0) if count == 1 else self.some(slice(count))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays that a file of a packing holds, by name; the bearing must have one sample."""
-        network, given = self.network, self.named_coefficients
+        """Return the arrays that a file of a packing holds, such as center and friction, by name. There must be one
+        sample only.
+        """
+        network, coefficients = self.network, self.named_coefficients
         force = np.broadcast_to(np.asarray(self.normal_force, dtype=float), (network.contacts,))
         found = {
             "center": network.center, "contact": network.contact.T, "driven": network.body,
             "spin": self.driving.spin, "radius": network.radius, "normal": network.normal,
-            "friction": given["coefficient"][0],
+            "friction": coefficients["coefficient"][0],
         }  # fmt: skip
-        found |= {name: values[0] for name, values in given.items() if name != "coefficient"}
+        found |= {name: values[0] for name, values in coefficients.items() if name != "coefficient"}
         return found | {"normal_force": force} | ({"schematic": np.array([1])} if self.schematic else {})
 
     @property
@@ -303,29 +360,32 @@ class Bearing(ABC):
 
     @cached_read_only
     def acting_coefficient(self) -> np.ndarray:
-        """(R, E) copy of `coefficient` with 0 at contacts between two driven spheres."""
+        """(samples R, contacts E) copy of `coefficient` with 0 at contacts between two driven spheres."""
         return np.where(self.network.has_free_end, self.coefficient, 0.0)
 
     @cached_read_only
     def positive_coefficient(self) -> np.ndarray:
-        """(R, E) copy of `coefficient` with ABSENT_COEFFICIENT times the mean at absent contacts.
+        """(samples R, contacts E) copy of `coefficient` in which absent contacts have ABSENT_COEFFICIENT times the mean
+        instead of 0.
 
-        It is for methods that can not do with spheres that nothing holds. Answers are judged with `coefficient`.
+        Some methods cannot handle spheres without any present contact and use it. Bounds are computed with
+        `coefficient`.
         """
         mean = self.coefficient.mean(axis=1, keepdims=True)
         return np.where(self.coefficient == 0, ABSENT_COEFFICIENT * np.where(mean > 0, mean, 1.0), self.coefficient)
 
     @cached_read_only
     def idle(self) -> np.ndarray:
-        """(R, E) mask of contacts that are absent, or between two driven spheres."""
+        """(samples R, contacts E) mask of the contacts that never count: absent ones, and those between two driven
+        spheres.
+        """
         absent = np.all([values == 0 for values in self._coefficients], axis=0)
         return np.asarray(absent | ~self.network.has_free_end)
 
     @cached_read_only
     def inverse_limit(self) -> np.ndarray:
-        """(R, E) inverse of `strength` times the coefficient, 0 for absent contacts and between two driven spheres.
-
-        With friction that is 1 over the largest friction force of each contact.
+        """(samples R, contacts E) one over `strength` times the coefficient, with friction one over the largest
+        friction force; 0 for contacts that are absent or between two driven spheres.
         """
         return inverse(self.strength * self.acting_coefficient)
 
@@ -337,12 +397,16 @@ class Bearing(ABC):
 
     @property
     def viscosities(self) -> np.ndarray | None:
-        """(R, E) slope of the force over the slip of every contact, force * time/length; None for friction alone."""
+        """(samples R, contacts E) slope of the force over the slip of every contact, force * time/length; None for
+        friction alone.
+        """
         return self.law.viscosity(self.material)
 
     @property
     def viscosity_beside_friction(self) -> np.ndarray | None:
-        """(R, E) slope of the force over the slip for laws that have friction as well; None for others."""
+        """(samples R, contacts E) slope of the force over the slip for laws that have friction as well; None for
+        others.
+        """
         return self.viscosities if self.law.holds else None
 
 
@@ -369,9 +433,10 @@ def vector_length(components: np.ndarray) -> np.ndarray:
 
 
 def _length(components: np.ndarray) -> np.ndarray:
-    """Return the lengths of vectors of one to three components, without those components that are 0 everywhere.
+    """Return the lengths (...) of vectors (d, ...) of one to three components.
 
-    Along each axis of a lattice one component of the slips is 0 at all contacts.
+    Components that are 0 everywhere are left out of the sum, which saves time: along each axis of a lattice one
+    component of the slips is 0 at all contacts.
     """
     size, *others = [part for part in components if part.any()] or components[:1]
     size = np.hypot(size, others[0]) if others else np.abs(size)

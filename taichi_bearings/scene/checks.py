@@ -27,13 +27,17 @@ LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # limits of coefficients, forces and radii;
 
 
 def _refuse(bad: Any, sentence: Callable[[int], str]) -> None:
-    """Raise InputError if any entry of the mask `bad` is True. sentence : the message about the entry of a number."""
+    """Raise InputError if any entry of the mask `bad` is True. sentence : function that returns the message about entry
+    number i.
+    """
     if bad.any():
         raise InputError(sentence(int(np.argmax(bad))))
 
 
 def places(values: Any) -> np.ndarray:
-    """Return the centres (N, D) of the spheres, length; no two may be the same."""
+    """Return the checked centres of the spheres, (spheres N, dimensions D), length; no two may be the same. values :
+    centres of the user.
+    """
     center = own_array("centres", values)
     if center.ndim != 2 or center.shape[1] not in (2, 3) or not 1 <= len(center) <= MOST_SPHERES:
         is_turned = center.ndim == 2 and len(center) in (2, 3) and center.shape[1] > 3
@@ -51,7 +55,9 @@ def places(values: Any) -> np.ndarray:
 
 
 def _array(name: str, values: Any) -> np.ndarray:
-    """Return the values as an array; raise InputError where lists of unequal lengths, or huge numbers, make none."""
+    """Return the values as an array; raise InputError where they make none, as lists of unequal lengths do. name : for
+    messages.
+    """
     try:
         return np.asanyarray(values)
     except (ValueError, OverflowError, TypeError):
@@ -80,7 +86,10 @@ def _integers(name: str, values: Any) -> np.ndarray:
 
 
 def pairs(values: Any, spheres: int) -> np.ndarray:
-    """Return the numbers (E, 2) of the first and the second sphere of each contact. spheres : N."""
+    """Return the numbers (contacts E, 2) of the first and the second sphere of each contact, checked. values : of the
+    user.
+    spheres : number N of spheres.
+    """
     contact = _integers("contact", values)
     contact = contact.reshape(0, 2) if contact.size == 0 else contact
     if contact.ndim != 2 or contact.shape[1] != 2 or len(contact) > MOST_CONTACTS:
@@ -99,7 +108,7 @@ def pairs(values: Any, spheres: int) -> np.ndarray:
 def bodies(values: Any, spheres: int) -> np.ndarray:
     """Return the number (N,) of the driven body of each sphere, -1 for free spheres.
 
-    values : such numbers, or a mask of the driven spheres, which then are body 0. spheres : N.
+    values : such numbers, or a mask of the driven spheres, which then are body 0. spheres : their number N.
     """
     array = _array("driven", values)
     is_mask = array.dtype.kind == "b" and not np.ma.is_masked(array)
@@ -112,7 +121,11 @@ def bodies(values: Any, spheres: int) -> np.ndarray:
 
 
 def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Return the arrays of a file by name, with columns (N, 1) or (E, 1) reshaped to (N,) or (E,)."""
+    """Return the arrays of a file of a packing by name, with columns (N, 1) or (E, 1) reshaped to (N,) or (E,).
+
+    found : the arrays by name, `center` and `contact` among them, which say how many spheres N and contacts E there
+        are.
+    """
     places, pairs = np.shape(found["center"]), np.shape(found["contact"])
     counts = {places[0] if places else 0, pairs[0] if pairs else 0}
     one = {"driven", "radius", "friction", "viscosity", "normal_force", *(["spin"] if places[-1:] == (2,) else [])}
@@ -123,7 +136,8 @@ def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
 def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.ndarray:
     """Return the imposed spins, (N, 3) of spheres or (N,) of discs, 1/time, with 0 for free spheres.
 
-    spheres : N. dimension : D. held : (N,) mask of the driven spheres.
+    values : spins of the user. spheres : number N of spheres. dimension : 2 or 3. held : (N,) mask of the driven
+        spheres.
     """
     spin = own_array("spins", values)
     shape = (spheres, 3) if dimension == 3 else (spheres,)
@@ -136,10 +150,9 @@ def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.nda
 
 
 def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = False) -> np.ndarray:
-    """Return (count,) positive numbers. A single one is repeated.
+    """Return positive numbers, (count,), one for each sphere or contact. A single number is repeated.
 
-    name : of the argument, for messages. what : "sphere" or "contact", that each number belongs to. may_vanish : True
-    to allow 0 as well.
+    name : of the argument, for messages. what : "sphere" or "contact". may_vanish : True to allow 0 as well.
     """
     array = own_array(f"values of {name}", values)
     if array.ndim == 0:
@@ -154,9 +167,9 @@ def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = Fals
 
 
 def pressing(values: Any, contacts: int) -> np.ndarray:
-    """Return the normal forces (E,), force. contacts : E.
+    """Return the normal forces (E,), force, with 0 in place of negative ones, of which a warning tells.
 
-    Negative ones, of contacts that pull and bear no friction, become 0 with a warning.
+    Contacts with a negative force pull and bear no friction. contacts : their number E.
     """
     array = own_array("values of normal_force", values)
     if array.shape == (contacts,) and (pulling := array < 0).any():
@@ -168,7 +181,10 @@ def pressing(values: Any, contacts: int) -> np.ndarray:
 
 
 def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
-    """Raise InputError if a row of the values is not finite, or too large. what : "sphere" or "contact" of a row."""
+    """Raise InputError if a row of the values is not finite, or too large.
+
+    name : of the values, for messages. values : one row for each sphere or contact. what : "sphere" or "contact".
+    """
     bad = ~(np.abs(values) <= MOST_SIZE).all(axis=tuple(range(1, values.ndim)))
     _refuse(bad, lambda i: f"{name} of {what} {i} is {shown(values[i])}; it must be finite and at most {MOST_SIZE:g}")
 
@@ -182,9 +198,10 @@ def misfit(size: float, reach: float) -> str:
 
 
 def normals(values: Any, packing: "Packing") -> tuple[np.ndarray, float]:
-    """Return the normals (E, D), scaled to unit length, and the largest error of their lengths as they were given.
+    """Return the normals (contacts E, dimensions D) of the contacts, scaled to unit length, and the largest error that
+    their lengths had before.
 
-    packing : centres and contacts of it are checked already, and say D and E.
+    values : normals of the user. packing : whose centres and contacts, which say D and E, are checked already.
     """
     normal, shape = own_array("normals", values), (packing.contacts, packing.dimension)
     normal = normal.reshape(shape) if normal.size == 0 == packing.contacts else normal

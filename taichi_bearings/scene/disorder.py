@@ -91,7 +91,9 @@ class Distribution:
             return self._draw(rng, shape)
 
     def _draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-        """Return an array of numbers drawn from the distribution; power laws invert their cumulative distribution."""
+        """Return an array of this shape with numbers drawn from the distribution; power laws are drawn by inverting
+        their cumulative distribution.
+        """
         p = self.parameters
         if self.name == "uniform":
             return rng.uniform(p[0], p[1], shape)
@@ -114,12 +116,13 @@ Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
 
 
 def draw_coefficients(lattice: Lattice, distribution: Draw, seed: int, second: bool = False) -> tuple[np.ndarray, ...]:
-    """Return the coefficients of all contacts of a lattice, one array an axis, drawn from ``default_rng(seed)``.
+    """Return random coefficients of all contacts of a lattice, one array for each axis, drawn from
+    ``default_rng(seed)``.
 
-    distribution : friction coefficients, pure numbers, or damping coefficients, force * time/length.
+    distribution : of friction coefficients, pure numbers, or damping coefficients, force * time/length.
     second : True to draw the second coefficient of a law that has two, the viscosity, from ``default_rng([seed, 2])``.
 
-    Raises InputError if a function of one's own returns an array of another shape.
+    Raises InputError if a function of the user returns an array of another shape.
     """
     rng, found = np.random.default_rng([seed, 2] if second else seed), []
     for shape in map(lattice.contact_shape, range(lattice.dimension)):

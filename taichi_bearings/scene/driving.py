@@ -49,22 +49,29 @@ SAME_DRIVING = 4  # imposed speeds that differ by no more than so many units in 
 
 
 class Driving:
-    """Spins that are imposed on driven spheres one by one. An instance never changes."""
+    """Spins that are imposed on driven spheres one by one, and the form in which solvers store spins. An instance never
+    changes.
+
+    That form is called *carried*: x = s l omega - x0 for each component of the spin omega. In this class x is the
+    surface speed R omega, so l is the radius R, s = 1 and x0 = 0. The subclass for lattices has other s, l and x0.
+    """
 
     rubs = True  # whether contacts between driven spheres may slip
 
     def __init__(self, network: "Network", spin: np.ndarray, contact: np.ndarray) -> None:
-        """Keep what is imposed on a network.
+        """Store what is imposed on a network.
 
         network : the spheres, their contacts, and which spheres are driven.
-        spin : (N, 3), of discs (N,), 1/time; imposed on driven spheres, ignored on others.
+        spin : (spheres N, 3), or (N,) for discs, 1/time; imposed on driven spheres, ignored on others.
         contact : (n,) numbers of the contacts that are present and have a free sphere.
         """
         self.network, self.spin, self.contact = network, spin, contact
 
     @property
     def sign(self) -> np.ndarray | None:
-        """The sign s of the sublattice of each sphere, (*N); None where s is 1 for all."""
+        """(spheres *N) factor s, +1 or -1, of each sphere in the carried spins s l omega - x0; None where s is 1 for
+        all.
+        """
         return None
 
     @property
@@ -74,7 +81,9 @@ class Driving:
 
     @property
     def length(self) -> np.ndarray | None:
-        """The factor l of each sphere, (*N), length; None where l is 1 for all."""
+        """(spheres *N) factor l of each sphere in the carried spins s l omega - x0, here the radius; None where l is 1
+        for all.
+        """
         return self.network.radius
 
     @property
@@ -84,47 +93,60 @@ class Driving:
 
     @property
     def every(self) -> tuple[int, ...]:
-        """All spin components: one for discs, three for spheres."""
+        """Numbers of all spin components: (0,) for discs, (0, 1, 2) for spheres."""
         return tuple(range(self.network.components))
 
     @property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """The spin components that have to be found; at some minimum no contact slips by the others."""
+        """Numbers of the spin components that have to be solved for, here all; some minimum has no slip from the
+        others.
+        """
         return self.every
 
     @property
     def places(self) -> list[Any]:
-        """Indices that pick the driven spheres out of an array (..., *N): one for all, or on lattices one a plane."""
+        """Indices that pick the driven spheres out of an array (..., *N): one index here; on lattices one for each
+        driven plane.
+        """
         return [(..., self.network.is_driven)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
-        """Return the imposed carried spins in twice the precision: for each of `places` (C, n) or (C, *plane)."""
+        """Return the imposed carried spins in twice the precision: a list with one pair for each index in `places`.
+
+        Each pair has the doubles, (C, n) for n driven spheres or (C, *plane) on lattices, and what their rounding
+        leaves out. spin_axes : numbers of the C components.
+        """
         u = self.speed[self.network.is_driven].T
         return [(u, np.zeros_like(u))]
 
     def origin(self, spin_axes: tuple[int, ...]) -> Pair | None:
-        """Return x0, (C, 1, *N) or with axes of length 1, in twice the precision; None where x0 is 0."""
+        """Return the offset x0 of the carried spins s l omega - x0 in twice the precision, (C, 1, spheres *N) or with
+        axes of length 1; None where it is 0, as here.
+
+        spin_axes : numbers of the C components.
+        """
         return None
 
     def left_out(self, component: int) -> np.ndarray:
-        """Return the carried values (*N) of a component that is not solved for: 0 here."""
+        """Return carried spins (spheres *N) for a component that is not solved for: 0 here. component : its number."""
         return np.zeros(self.shape)
 
     @cached_read_only
     def speed(self) -> np.ndarray:
-        """(N, C) surface speeds u = R omega of driven spheres, 0 on free ones; length/time.
+        """(spheres N, components C) surface speeds R omega of driven spheres, 0 on free ones; length/time.
 
-        Where the sizes of a component differ between spheres by rounding alone, all get the smallest.
+        Speeds of a component whose sizes differ by rounding alone all get the smallest of these sizes.
         """
         u = self.spin.reshape(self.network.spheres, -1) * self.network.radius[:, None]
         return as_one_driving(np.where(self.network.free[:, None], 0.0, u))
 
     @cached_property
     def jump(self) -> float:
-        """Diagonal of the smallest box that holds all imposed s u, length/time; 0 where nothing is driven.
+        """Diagonal of the smallest box that holds all imposed surface speeds times the signs of the sublattices,
+        length/time; 0 where nothing is driven.
 
-        s is the sign of the sublattice. Spheres in a piece of the network with odd loops, which has no sublattices,
-        enter with both signs.
+        Neighbours have opposite signs, +1 and -1. Pieces of the network with odd loops have no such signs; their
+        spheres enter with both.
         """
         held = ~self.network.free
         if not held.any():
@@ -136,18 +158,18 @@ class Driving:
 
     @property
     def is_top(self) -> np.ndarray:
-        """(N,) mask of the spheres of the driven body with the largest number, the top."""
+        """(spheres N,) mask of the spheres of the driven body with the largest number, the top."""
         return np.asarray(self.network.body == max(self.network.body.max(), 0))
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The largest imposed R omega of the top, and that of all other driven spheres, length/time."""
+        """The largest imposed surface speed R omega of the top, and that of all other driven spheres, length/time."""
         speed, top = np.linalg.norm(self.speed, axis=1), self.is_top
         return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
 
     @cached_property
     def fastest(self) -> float:
-        """The largest imposed R omega, length/time."""
+        """The largest imposed surface speed R omega, length/time."""
         return float(np.linalg.norm(self.speed, axis=1).max(initial=0.0))
 
     @property
@@ -162,29 +184,36 @@ class Driving:
         return float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray | None:
-        """Return bounds (2, C), lower and upper, between which some minimum has each carried component.
+        """Return bounds (2, C), lower and upper: some minimum has all carried spins between them; None where none are
+        known.
 
-        None where no bounds are known, as here, where normals may be oblique.
+        Here none are known, since normals may be oblique. spin_axes : numbers of the C components.
         """
         return None
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (R,): the contacts that are present join no spheres of different imposed spins.
+        """Return a mask (samples R,), True where the present contacts join no spheres of different imposed spins.
 
-        present : (R, E) mask. False also where it is not known, as here for all samples.
+        present : (R, contacts E) mask of these contacts. Where it is not known, as here, the mask is False.
         """
         return np.zeros(len(present), dtype=bool)
 
     def impose(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Give driven spheres their imposed values in the carried spins (C, R, *N); return the same array."""
+        """Give driven spheres their imposed values in an array of carried spins (C, samples R, spheres *N), in place;
+        return the same array.
+
+        spin_axes : numbers of the C components.
+        """
         for place, (high, _) in zip(self.places, self.imposed(spin_axes), strict=True):
             carried[place] = high[:, None]
         return carried
 
     def carried(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, R, *N) of laboratory spins; driven spheres get their imposed ones.
+        """Return the carried spins s l omega - x0, (components C, samples R, spheres *N), of laboratory spins omega;
+        driven spheres get their imposed ones.
 
-        spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
+        spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres. spin_axes : numbers of the C
+            components.
         """
         of_discs = spin.ndim == 1 + len(self.shape)
         parts = spin[..., None] if of_discs else spin if len(spin_axes) == 3 else spin[..., list(spin_axes)]
@@ -197,11 +226,12 @@ class Driving:
         return self.impose(found, spin_axes)
 
     def laboratory(self, carried: np.ndarray, rest: np.ndarray | None, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the laboratory spins of carried ones, (R, *N) of discs or (R, *N, 3) of spheres, 1/time, and what
-        their rounding leaves out.
+        """Return laboratory spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time, and an array of
+        what their rounding leaves out.
 
-        carried : (C, R, *N). rest : (C, R, *N), small numbers to add to these, or None for nothing. Those of driven
-        spheres are not used, as the imposed spins are known in twice the precision.
+        carried : spins (C, R, *N) in the form that solvers store. rest : (C, R, *N), small numbers to add to these, or
+            None for nothing; not used on driven spheres, whose imposed spins are known in twice the precision.
+            spin_axes : numbers of the C components.
         """
         every = self.every
         high = np.empty((len(every), carried.shape[1], *self.shape))
@@ -227,9 +257,11 @@ class Driving:
         return self.as_given(spin, rounding)
 
     def evenly(self) -> np.ndarray:
-        """Return the carried spins (C, 1, *N) of least power if all contacts in `contact` had the same viscosity.
+        """Return the carried spins (the form in which solvers compute; components C, 1, spheres *N) of least power if
+        all contacts in `contact` had the same viscosity.
 
-        They are found by conjugate gradients: a factorisation of the matrix would be large, and none runs on a GPU.
+        They solve a linear least-squares problem by conjugate gradients: the factors of its matrix would take much
+        memory, and none runs on a GPU.
         """
         from scipy.sparse.linalg import cg
 
@@ -243,23 +275,27 @@ class Driving:
         return self.impose(found.reshape(-1, network.components).T[:, None].copy(), self.every)
 
     def as_given(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
-        """Put the imposed spins, bit by bit as they were given, into laboratory spins and what rounding leaves out.
+        """Replace the laboratory spins of driven spheres by exactly those that the user gave; their rounding errors
+        become 0.
 
-        Both arrays, (R, *N) or (R, *N, 3), are changed in place and returned.
+        spin, rounding : (samples R, spheres *N) or (R, *N, 3), changed in place and returned.
         """
         held = self.network.is_driven
         spin[:, held], rounding[:, held] = self.spin[held], 0.0
         return spin, rounding
 
     def absolute(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, R, *N) plus x0, as kinetic energies need them."""
+        """Return the carried spins (C, samples R, spheres *N) plus their offset x0, as kinetic energies need them.
+        spin_axes : numbers of the C components.
+        """
         origin = self.origin(spin_axes)
         return carried if origin is None else carried + origin[0]
 
     def spins(self) -> Pair:
-        """Return laboratory spins, (*N) of discs or (*N, 3) of spheres, 1/time, and what their rounding leaves out.
+        """Return laboratory spins, (spheres *N) of discs or (*N, 3) of spheres, 1/time, and an array of what their
+        rounding leaves out.
 
-        Driven spheres have their imposed spins; free ones carry 0.
+        Driven spheres have their imposed spins; free ones have the carried spin 0.
         """
         at_rest = np.zeros((len(self.every), 1, *self.shape))
         spin, rest = self.laboratory(self.impose(at_rest, self.every), None, self.every)
@@ -268,7 +304,9 @@ class Driving:
 
 @dataclass(frozen=True)
 class BearingState:
-    """A staggered spin A + C x at the position x, in twice the precision.
+    """A bearing state: spins at which no contact of a lattice slips. Both fields are numbers in twice the precision.
+
+    In it the spin of a sphere at position x is A + C x, times -1 on every second sphere.
 
     spin : the three components of A, 1/time. rate : C, an array of one number, 1/(time length).
     """
@@ -277,13 +315,20 @@ class BearingState:
     rate: Pair
 
     def along(self, component: int, position: np.ndarray) -> Pair:
-        """Return component k of the state, (n,), 1/time, at n positions x_k. component : k. position : (n,), length."""
+        """Return component k of A + C x at n positions, (n,), 1/time, in twice the precision.
+
+        component : k. position : (n,), the components x_k of the positions, length.
+        """
         high, low = (np.repeat(part[component], len(position)) for part in self.spin)
         return add((high, low), multiply(self.rate, exactly(position))) if self.rate[0][0] else (high, low)
 
 
 class Planes(Driving):
-    """Bearing states that are imposed on the top and the bottom plane of a lattice."""
+    """Bearing states A + C x that are imposed on the top and the bottom plane of a lattice.
+
+    Solvers store the spin times the sign of the sublattice, +1 or -1, less the state of the bottom plane: the bottom is
+    then at rest, and the top has the difference of the two states.
+    """
 
     rubs = False
 
@@ -296,7 +341,7 @@ class Planes(Driving):
         in_units: BearingState | None = None,
         given: tuple[float, float] | None = None,
     ) -> None:
-        """Keep the states that are imposed on the two planes.
+        """Store the states that are imposed on the two planes.
 
         bottom : state of the bottom plane.
         difference : state of the top plane less that of the bottom.
@@ -309,9 +354,10 @@ class Planes(Driving):
 
     @classmethod
     def by_spins(cls, lattice: Lattice, top: float, bottom: float, direction: tuple[float, float, float]) -> "Planes":
-        """Return the driving of planes that turn with these spins, 1/time, about one axis (paper, Eq. 1).
+        """Return the driving of planes that turn about one axis (paper, Eq. 1).
 
-        direction : imposed axis, of any length but 0; ignored in 2D, where spins point along z.
+        top, bottom : their spins, 1/time. direction : the axis, of any length but 0; ignored in 2D, where spins point
+            along z.
         """
         axis = _unit_vector(np.array([0.0, 0.0, 1.0] if lattice.dimension == 2 else direction))
         at_rest, sign = exactly(np.zeros(1)), np.sign(top - bottom)
@@ -323,7 +369,7 @@ class Planes(Driving):
 
     @classmethod
     def by_states(cls, lattice: Lattice, top: tuple[float, ...], bottom: tuple[float, ...]) -> "Planes":
-        """Return the driving of planes in these bearing states: (A_x, A_y, A_z, C), in 2D (A_z,)."""
+        """Return the driving of planes in bearing states A + C x. top, bottom : (A_x, A_y, A_z, C), or in 2D (A_z,)."""
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (top, bottom))
         (high, rise), (low, fall) = ((np.array(state[:3]), np.array(state[3:])) for state in padded)
         states = BearingState(exactly(low), exactly(fall)), BearingState(two_sum(high, -low), two_sum(rise, -fall))
@@ -375,12 +421,17 @@ class Planes(Driving):
         return self.bottom_state(spin_axes)
 
     def left_out(self, component: int) -> np.ndarray:
-        """Return the carried values (*N) of a component that is not solved for: linear in the height from the bottom,
-        0, to the top. No contact slips by them in a component that `minimum_spin_axes` leaves out."""
+        """Return carried spins (spheres *N) for a component that is not solved for: they rise linearly with the height
+        from the bottom, 0, to the top.
+
+        No contact slips by them in a component that `minimum_spin_axes` leaves out. component : its number.
+        """
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
 
     def evenly(self) -> np.ndarray:
-        """Return carried spins (C, 1, *N) that are linear in the height: the viscous answer without disorder."""
+        """Return carried spins (the form in which solvers compute; components C, 1, spheres *N) that rise linearly with
+        the height: the minimum of a viscous law without disorder.
+        """
         height = np.linspace(0.0, 1.0, self.lattice.shape[-1])
         return self.imposed_on_top(self.every)[0][:, None, ..., None] * height
 
@@ -389,12 +440,13 @@ class Planes(Driving):
 
     @cached_read_only
     def spin(self) -> np.ndarray:
-        """Laboratory spins, (*N) of discs or (*N, 3) of spheres, 1/time; those of the two planes are imposed."""
+        """Laboratory spins, (spheres *N) of discs or (*N, 3) of spheres, 1/time; those of the two planes are imposed."""
         return self.spins()[0]
 
     @cached_read_only
     def speed(self) -> np.ndarray:
-        """(N, C) imposed u = R omega, length/time, measured from the state of the bottom, so 0 except on the top.
+        """(spheres N, components C) imposed u = R omega, length/time, measured from the state of the bottom, so 0
+        except on the top.
 
         Components that are not in `minimum_spin_axes` are 0.
         """
@@ -431,8 +483,9 @@ class Planes(Driving):
 
     @property
     def natural_spin(self) -> float:
-        """The spin that serves as unit of times and powers, 1/time: the size of that of the top, or of the bottom where
-        the top has none, or 1."""
+        """Unit of spins, 1/time, in which times and powers are reported: the size of the top's spin, of the bottom's if
+        the top has none, or 1.
+        """
         top, bottom = self.sides
         return abs(top) or abs(bottom) or 1.0
 
@@ -441,16 +494,19 @@ class Planes(Driving):
         return self.fastest
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return bounds (2, C), lower and upper, between which some minimum has each carried component (equations.md,
-        4): from the bottom, 0, to the extreme values of the top."""
+        """Return bounds (2, C), lower and upper: some minimum has all carried spins between them (equations.md, 4).
+
+        They are the smallest and largest of 0, the value of the bottom, and the values of the top. spin_axes : numbers
+        of the C components.
+        """
         top = self.imposed_on_top(spin_axes)[0].reshape(len(spin_axes), -1)
         return np.stack([top.min(axis=1, initial=0.0), top.max(axis=1, initial=0.0)])
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (R,): the contacts that are present do not connect the two planes.
+        """Return a mask (samples R,), True where the present contacts do not connect the two planes in any component of
+        `minimum_spin_axes`.
 
-        present : (R, E) mask. The contacts that slip by one component must connect them for that component; True means
-        that they do so for none of `minimum_spin_axes`.
+        In each component only those contacts count that slip by it. present : (R, contacts E) mask of the contacts.
         """
         if present.all():
             return np.zeros(len(present), dtype=bool)
@@ -470,11 +526,11 @@ class Planes(Driving):
         return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])
 
     def _of_layers(self, state: BearingState, spin_axes: tuple[int, ...], shape: tuple[int, ...]) -> Pair:
-        """Return a state at the spheres of the first layers along each axis, (C, *shape), in twice the precision,
-        1/time.
+        """Return a bearing state at the spheres of the first layers along each axis, (C, *shape), 1/time, in twice the
+        precision.
 
-        shape : number of layers along each axis, without the height for the top plane; the component along the height
-        is then that of the last layer.
+        state : the state. spin_axes : numbers of the C components. shape : number of layers along each axis; without
+            the height for the top plane, where the component along the height is that of the last layer.
         """
         found = np.empty((2, len(spin_axes), *shape))
         for slot, k in enumerate(spin_axes):
@@ -486,28 +542,33 @@ class Planes(Driving):
 
     @cached_property
     def _all_on_top(self) -> Pair:
-        """The state of the top less that of the bottom, at each sphere of the top plane, (C, *plane), 1/time, in twice
-        the precision; C are all components of the lattice."""
+        """State of the top less that of the bottom at each sphere of the top plane, (components C, *plane), 1/time, in
+        twice the precision, for all C spin components of the lattice.
+        """
         return self._of_layers(self.difference, self.lattice.all_spin_axes, self.lattice.shape[:-1])
 
     def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the carried spins of the top plane, (C, nx, ny), in 2D (C, nx), in twice the precision, 1/time."""
+        """Return the carried spins of the top plane, (C, nx, ny), in 2D (C, nx), 1/time, in twice the precision.
+        spin_axes : numbers of the C components.
+        """
         slots = [self.lattice.all_spin_axes.index(k) for k in spin_axes]
         high, low = self._all_on_top
         return high[slots], low[slots]
 
     def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
         """Return the carried spins of the top plane divided by `unit`, (C, nx, ny), in 2D (C, nx), in twice the
-        precision."""
+        precision. spin_axes : numbers of the C components.
+        """
         if self.in_units is not None:
             return self._of_layers(self.in_units, spin_axes, self.lattice.shape[:-1])
         high, low = self.imposed_on_top(spin_axes)
         return high / self.unit[0], low / self.unit[0]
 
     def bottom_state(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the staggered spin that the bottom's state has at all spheres, in twice the precision, 1/time.
+        """Return the state of the bottom plane, continued to all spheres, (C, 1, spheres *N), 1/time, in twice the
+        precision.
 
-        Its shape is (C, 1, *N), with axes of length 1 in place of *N where the state is the same everywhere.
+        Axes *N have length 1 where the state is the same everywhere. spin_axes : numbers of the C components.
         """
         varies = bool(self.bottom.rate[0][0])
         high, low = self._of_layers(
@@ -517,9 +578,10 @@ class Planes(Driving):
 
 
 def as_one_driving(u: np.ndarray) -> np.ndarray:
-    """Return imposed speeds (N, C) without differences that come from rounding; they are changed in place.
+    """Remove differences between imposed speeds that come from rounding, in place; return the same array.
 
-    Sizes of a component that differ by no more than `SAME_DRIVING` units in the last place all become the smallest.
+    u : (spheres N, components C), length/time. Sizes of a component that differ by no more than SAME_DRIVING units in
+        the last place all become the smallest of them.
     """
     for part in u.T:
         size, place = np.unique(np.abs(part), return_inverse=True)

@@ -34,9 +34,10 @@ NEAR = 0.1  # largest relative difference of a ratio from the 1/2 or 2 of diamet
 
 
 def agreed(center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: np.ndarray, error: float) -> np.ndarray:
-    """Return the normals (E, D), with those that were printed with few digits replaced by directions of the centres.
+    """Return the normals (contacts E, dimensions D), with those that were printed with few digits replaced by
+    directions of the centres.
 
-    center : (N, D), length. contact : (E, 2) numbers of the first and second sphere. radius : (N,), length.
+    center : (spheres N, D), length. contact : (E, 2) numbers of the first and second sphere. radius : (N,), length.
     normal : (E, D), unit vectors from the first to the second sphere.
     error : the largest error that the length of a normal had as it was given.
 
@@ -57,9 +58,10 @@ def agreed(center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: 
 
 
 def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Return normals (E, D), unit vectors from the centre of the first to that of the second sphere of each contact.
+    """Return normals (contacts E, dimensions D), unit vectors from the centre of the first to that of the second sphere
+    of each contact.
 
-    center : (N, D), length. contact : (E, 2) numbers of spheres. radius : (N,), length.
+    center : (spheres N, D), length. contact : (E, 2) numbers of spheres. radius : (N,), length.
 
     Raises InputError, with the likely remedy, if the spheres of a contact do not touch.
     """
@@ -79,14 +81,17 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
 
 
 class _Contacts:
-    """Contacts, and how far they agree with the centres of their spheres.
+    """Contacts of a packing, and how far they agree with the centres of their spheres.
 
+    center : (N, D), length. contact : (E, 2), numbers of the first and second sphere. radius : (N,), length.
     given : normals (E, D) of the user, or None. normal : these, or else `along`.
-    vector : (E, D), from the centre of the first to that of the second sphere. size : (E,), its length. along : (E, D),
-    its direction. reach : (E,), sum of the two radii.
+    vector : (E, D), length, from the centre of the first to that of the second sphere. size : (E,), its length. along :
+        (E, D), its direction.
+    reach : (E,), length, sum of the two radii.
     off : (E,), distance between the unit vectors `along` and `normal`.
-    touches : (E,), True where `size` is the sum of the radii but for a small gap or overlap.
-    is_direct : (E,), True where the spheres touch and the normal is along the centres: no periodic side is crossed.
+    touches : (E,) mask, True where `size` is the sum of the radii but for a small gap or overlap.
+    is_direct : (E,) mask, True where the spheres touch and the normal is along the centres, so that no periodic side is
+        crossed.
     """
 
     def __init__(self, center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: np.ndarray | None) -> None:
@@ -100,9 +105,11 @@ class _Contacts:
         self.is_direct = self.touches & (self.off <= SAME_LINE)
 
     def remedy(self) -> str:
-        """Return the words for the user's mistake that makes most contacts direct, if it is undone.
+        """Return words for a known mistake of the user, such as diameters given as radii, that would explain the
+        contacts which do not fit.
 
-        The text is empty if no known mistake makes more contacts direct than already are.
+        Of several mistakes it is the one whose correction makes most contacts direct (see the class). The text is empty
+        if none makes more contacts direct than already are.
         """
         turned = self.touches & (np.linalg.norm(self.along + self.normal, axis=1) <= SAME_LINE)
         found = [(int(turned.sum()), "normals seem to point from the second sphere to the first, so turn their signs")]
@@ -124,9 +131,10 @@ class _Contacts:
         return f"; {words}" if explained > self.is_direct.sum() else ""
 
     def refuse_mistakes(self) -> None:
-        """Raise InputError for a known mistake, and for touching spheres whose normal is not along their centres.
+        """Raise InputError for a known mistake (:meth:`remedy`), and for touching spheres whose normal is not along
+        their centres.
 
-        Two spheres with several contacts are left out here, as one of these may cross a periodic side.
+        Two spheres with several contacts are not judged here, as one of these may cross a periodic side.
         """
         if words := self.remedy():
             raise InputError(f"{self._misfit(self._first())}{words}")
@@ -138,7 +146,7 @@ class _Contacts:
             raise InputError(f"{self._misfit(own)}; are normals in the order of the contacts?")
 
     def refuse_strange_images(self) -> None:
-        """Raise InputError if the contacts that are not direct cannot all be contacts across periodic sides."""
+        """Raise InputError if the contacts that are not direct cannot all be contacts across periodic sides of one box."""
         # where the image of the other sphere is, from either end of the contact: no sphere may be there already
         across = np.flatnonzero(~self.is_direct)
         first, second = self.contact[across].T
@@ -172,9 +180,10 @@ class _Contacts:
                     )
 
     def _laid_over(self, period: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield numbers (pairs,) of first spheres and of second ones: the period shifts each first one onto a second.
+        """Yield pairs of spheres that would be at the same place if the first one were shifted by a period: numbers
+        (pairs,) of the first spheres, and of the second ones.
 
-        period : (D,), length.
+        period : (dimensions D,), length.
         """
         moved = self.center + period
         low, high = self.center.min(axis=0), self.center.max(axis=0)
@@ -187,6 +196,7 @@ class _Contacts:
         return int(np.argmin(self.is_direct))
 
     def _pair(self, e: int) -> str:
+        """Return the two spheres of contact number e, "3 and 7", for messages."""
         return " and ".join(map(str, self.contact[e].tolist()))
 
     def _misfit(self, e: int) -> str:
@@ -198,10 +208,13 @@ class _Contacts:
 
 
 def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.ndarray, int | None]:
-    """Return periods (k, D), length, of which all shifts are sums, and None; or else the number of a shift that is not.
+    """Return periods (k, dimensions D), length, of which all shifts are sums, and None; or, if there are none, the
+    number of a shift that is not a sum.
 
-    shift : (X, D), length. slack : (X,), length, by which each may miss such a sum. least : the shortest length that a
-    period may have. The shortest shift that is no sum becomes another period, until there are more than D.
+    shift : (X, D), length, shifts of the contacts across periodic sides. slack : (X,), length, by which each may miss
+        such a sum. least : the shortest length that a period may have.
+
+    The shortest shift that is no sum becomes a further period, until there are more than D.
     """
     periods, own = np.zeros((0, shift.shape[1])), 0
     order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")
@@ -219,10 +232,11 @@ def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.nda
 
 
 def _with(periods: np.ndarray, more: np.ndarray, slack: float) -> np.ndarray:
-    """Return the shortest vectors that make the same lattice of points as these periods and one more together.
+    """Return the shortest vectors (k, dimensions D) that generate the same lattice of points as some periods and one
+    more vector together.
 
-    periods : (k, D), length. more : (D,). slack : vectors up to this length are taken as 0 and left out. If more than D
-    vectors come out, they make no lattice.
+    periods : (k, D), length. more : (D,), length, the further vector. slack : length up to which vectors count as 0 and
+        are left out. If more than D vectors come out, they generate no lattice.
     """
     found = reduced(np.vstack([periods, more]))
     while len(kept := found[np.linalg.norm(found, axis=1) > slack]) < len(found):

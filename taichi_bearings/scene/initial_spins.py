@@ -18,9 +18,10 @@ from taichi_bearings.words import meant, shown
 
 
 def random_spin(bearing: Bearing) -> np.ndarray:
-    """Return random spins, each component uniform in [-w, w] with w the largest imposed spin.
+    """Return random laboratory spins, 1/time: each component uniform in [-w, w], with w the largest imposed spin.
 
-    Those of each sample are drawn from ``default_rng([seed, 1])`` with its seed.
+    Their shape is (samples R, spheres *N) for discs, (R, *N, 3) for spheres. Each sample is drawn from
+    ``default_rng([seed, 1])`` with its seed.
     """
     largest, shape = bearing.driving.largest_spin, zero_spin(bearing).shape[1:]
     draws = [np.random.default_rng([seed, 1]).uniform(-largest, largest, shape) for seed in bearing.seeds]
@@ -28,20 +29,25 @@ def random_spin(bearing: Bearing) -> np.ndarray:
 
 
 def linear_spin(bearing: Bearing) -> np.ndarray:
-    """Return the spins of least power if all contacts had the same viscosity: on a lattice linear in the height."""
+    """Return the laboratory spins, 1/time, of least power if all contacts had the same viscosity.
+
+    On a lattice they change linearly with the height. Their shape is (samples R, spheres *N) for discs, (R, *N, 3) for
+    spheres.
+    """
     even, every = bearing.driving.evenly(), bearing.driving.every
     full = np.broadcast_to(even, (len(every), bearing.replicas, *even.shape[2:]))
     return bearing.laboratory_spin(full, every)
 
 
 def zero_spin(bearing: Bearing) -> np.ndarray:
-    """Return spins that are 0."""
+    """Return laboratory spins that are 0, (samples R, spheres *N) of discs or (R, *N, 3) of spheres."""
     shape = (bearing.replicas, *bearing.network.shape)
     return np.zeros(shape if bearing.network.components == 1 else (*shape, 3))
 
 
 def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
-    """Return the spins of two rigid domains, one in the state of the bottom and one in that of the top.
+    """Return the laboratory spins, 1/time, of two rigid domains, one in the state of the bottom and one in that of the
+    top.
 
     Of all such pairs of domains these have the least objective, which is the power, or what else the stationary state
     minimises. Raises InputError for packings that have no such pair.
@@ -62,7 +68,7 @@ STARTS: dict[str, Callable[[Bearing], np.ndarray]] = {
 
 
 def initial_spin(bearing: Bearing, start: str | np.ndarray, called: str = "initial") -> np.ndarray:
-    """Return laboratory spins, (R, *N) of discs or (R, *N, 3) of spheres, 1/time.
+    """Return laboratory spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time.
 
     start : "random", "zero", "linear" or "minimum-cut"; or the path of a file with an array or data set ``spin`` (npy,
         npz, or HDF5 such as run.h5); or such an array. An array without the axis R serves all samples.
@@ -79,9 +85,10 @@ def initial_spin(bearing: Bearing, start: str | np.ndarray, called: str = "initi
 
 
 def _fitting(bearing: Bearing, given: Any, source: str) -> np.ndarray:
-    """Return spins of users with the axis R; raise InputError for a wrong shape or a value that is not finite.
+    """Return the spins of a user with an axis for the samples; raise InputError for a wrong shape or a value that is
+    not finite.
 
-    given : array of spins, 1/time. source : where they come from, for messages.
+    given : array of spins, 1/time, with or without that axis. source : where they come from, for messages.
     """
     spin = own_array(f"the spins in {source}", given)
     expected = zero_spin(bearing).shape

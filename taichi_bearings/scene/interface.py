@@ -28,11 +28,15 @@ STATE_ROUNDING = 2.0**-48  # relative rounding of R omega: a dozen roundings of 
 
 
 def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the signs s of the sublattices, (N,), and the two bearing states, s u of all spheres, (2, N, C).
+    """Return the signs of the sublattices, (spheres N,), +1 or -1, and the two bearing states of a bearing with two
+    driven bodies, (2, N, components C).
 
-    The first state is that of the first driven body, the second that of the second. None if the network has odd loops,
-    or another number of driven bodies, or a body that is in no bearing state, or if a contact slips in one of the
-    states, as some do across a periodic side.
+    A bearing state is a set of spins at which no contact slips, given as sign * radius * spin of all spheres,
+    length/time. The first state is that of the first driven body, continued to all spheres; the second that of the
+    second body.
+
+    None if the network has odd loops, or another number of driven bodies, or if a body is in no bearing state, or if a
+    contact slips in one of the states, as some do across a periodic side.
     """
     (odd, sign), bodies = bearing.network.sublattices, bearing.network.bodies
     if odd.any() or len(bodies) != 2:
@@ -51,9 +55,11 @@ def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarray | None:
-    """Return the bearing state A + c x of a driven body at all spheres, (N, C), with c = 0 where that fits; or None.
+    """Return the bearing state A + c x of a driven body, continued to all spheres, (spheres N, components C),
+    length/time; None if the body is in none.
 
-    center : (N, D), length. turned : s u, (N, C). own : (N,) mask of the spheres of the body, whose s u are fitted.
+    center : (N, dimensions D), positions x, length. turned : (N, C), sign * radius * spin, length/time. own : (N,) mask
+        of the spheres of the body, to whose values A and c are fitted. Where c = 0 fits, it is 0.
     """
     value = turned[own][0]
     if (turned[own] == value).all():
@@ -97,13 +103,15 @@ class Interface:
 
     @property
     def unique(self) -> bool:
-        """True if every other interface is proven to be heavier, and this one has a power above 0."""
+        """True if this interface has a power above 0 and every other one is proven to be heavier."""
         return self.power > 0 and not self.between.any()
 
     @classmethod
     def of(cls, bearing: Bearing) -> "Interface | None":
-        """Return the lightest interface of a packing with one sample; None without two bearing states, or if no contact
-        between them has a weight."""
+        """Return the lightest interface of a packing with one sample.
+
+        None if there are not two driven bodies in bearing states, or if no contact between them has a weight.
+        """
         states = bearing_states(bearing)
         if states is None:
             return None
@@ -135,21 +143,25 @@ class Interface:
 
 
 def _needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
-    """Return u (N, C), length/time, for the components that are not needed, and a mask (C,) of those that are.
+    """Return known surface speeds (spheres N, components C), length/time, and a mask (C,) of the spin components that
+    have to be solved for.
 
-    A component is not needed if all spheres can have values in it by which no contact slips, the driven ones their
-    imposed values. That is looked for only where normals lie along the axes.
+    The speeds are those of the other components: there all spheres can have values by which no contact slips, the
+    driven ones their imposed values. This is looked for only where normals lie along the axes.
     """
     known, wanted, _ = bearing.network.needed(bearing.driven_speed, bearing.acting, bearing.network.free)
     return known, np.asarray(wanted.any(axis=0))
 
 
 def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:
-    """Return how far the sum of the weights of some contacts may be off, energy/time.
+    """Return a bound on the error of the sum of the weights of some contacts, energy/time.
 
-    contact : (n,) numbers of the contacts. across : (E,) slip of each contact on the interface, length/time.
-    states : (2, N, C), s u of the two bearing states, length/time. These are fitted to imposed spins, so they are
-    uncertain by rounding, and by as much as the imposed spins miss them.
+    contact : (n,) numbers of the contacts. across : (contacts E,) slip of each contact if it is on the interface,
+    length/time.
+        states : (2, spheres N, components C), the two bearing states as sign * radius * spin, length/time.
+
+    The states are fitted to imposed spins, so they are uncertain by rounding, and by as much as the imposed spins miss
+    them.
     """
     bodies, sign = bearing.network.bodies, bearing.network.sublattices[1]
     turned, largest = sign[:, None] * bearing.driven_speed, np.abs(states).max()
@@ -163,11 +175,10 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
 
 
 def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
-    """Return the lightest interface of one sample, that of the least objective.
+    """Return the lightest interface between two rigid domains of one sample: the minimum cut, with the least objective.
 
-    replica : number of the sample, from 0.
-
-    None for packings without two driven bodies in bearing states. Every lattice has them: its two planes.
+    replica : number of the sample, from 0. The result is None for packings without two driven bodies in bearing states;
+        the two planes of a lattice always are.
     """
     bearing = bearing.sample(replica)
     if bearing.network.lattice is None:
@@ -190,9 +201,10 @@ def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
 
 
 def _interface_slips(scene: Scene) -> np.ndarray:
-    """Return the slip (E,) of each contact of a lattice, if it is on the interface, length/time.
+    """Return the slip (contacts E,) that each contact of a lattice has if it is on the interface, length/time.
 
-    It is computed from the jump, as laboratory spins lose the digits of a jump that is small beside them.
+    It is computed from the difference of the two imposed states: laboratory spins would lose its digits where it is
+    small.
     """
     axes = scene.minimum_spin_axes
     jump = scene.top_spin(axes).reshape(len(axes), -1)[:, scene.lattice.column]
@@ -200,7 +212,9 @@ def _interface_slips(scene: Scene) -> np.ndarray:
 
 
 def cut_of(scene: Scene) -> MinimumCut:
-    """Return the lightest interfaces of a lattice, of all samples, as minimum cuts with weights in :func:`cut_unit`."""
+    """Return the minimum cuts of all samples of a lattice: the lightest interfaces, with weights in units of
+    :func:`cut_unit`.
+    """
     weight, rounding = scene.lattice.by_axis(cut_weights(scene)), cut_rounding(scene)
     cut = minimum_cut(weight, rounding)
     return with_exact_ties(cut, weight, rounding) if rounding or scene.periodic else cut
@@ -215,17 +229,21 @@ def cut_rounding(scene: Scene) -> float:
 
 
 def _cut_speed(scene: Scene) -> float:
-    """Return the unit, 1/time, in which :func:`cut_weights` measures the jump: for discs the jump itself, if not 0."""
+    """Return the unit, 1/time, of the spin differences in :func:`cut_weights`.
+
+    For discs it is the difference between top and bottom itself, if that is not 0; else a number near it.
+    """
     if scene.lattice.dimension == 2 and scene.jump:
         return scene.jump
     return float(scene.driving.unit[0][0])
 
 
 def cut_weights(scene: Scene) -> np.ndarray:
-    """Return the weight of each contact of a lattice, (R, E): its part of the objective over :func:`cut_unit`.
+    """Return the weight (samples R, contacts E) of each contact of a lattice: what it adds to the objective if it is on
+    the interface, in units of :func:`cut_unit`.
 
-    A contact on the interface slips by r |J x n|: r is the radius, J the jump of the imposed states at its place, and n
-    its axis. J is taken without the component along the height, which can change from bottom to top layer by layer
+    Such a contact slips by r |J x n|, with r the radius, n its axis, and J the difference of the two imposed states at
+    its place. J is taken without the component along the height, which can change from bottom to top layer by layer
     without any slip. The objective of a viscous contact grows with the square of its slip; with friction and viscosity
     it is the sum of both parts. :func:`cut_rounding` bounds the rounding errors.
     """
@@ -250,10 +268,10 @@ def cut_unit(scene: Scene) -> float:
 
 
 def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:
-    """Return the carried spins (C, R, *N) of the two rigid domains at the lightest interface of each sample.
+    """Return carried spins (C, samples R, spheres *N), in the form that solvers store, of the two rigid domains at the
+    lightest interface of each sample.
 
-    C are the components in `bearing.minimum_spin_axes`, *N is the shape of arrays over the spheres.
-    None if some sample has no such interface.
+    C are the components in `bearing.minimum_spin_axes`. None if some sample has no such interface.
     """
     if bearing.network.lattice is not None:
         scene = of_lattice(bearing)

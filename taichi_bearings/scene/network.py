@@ -67,7 +67,7 @@ class Network:
         return found
 
     def __getattr__(self, name: str) -> np.ndarray:
-        """Return an array of a lattice that is asked for the first time, and keep it."""
+        """Return an array of the network of a lattice when it is asked for the first time, and store it for later."""
         if name not in OF_LATTICE:
             raise AttributeError(f"a network has no attribute {name!r}")
         values = vars(self)[name] = read_only(OF_LATTICE[name](vars(self)["lattice"]))
@@ -75,7 +75,7 @@ class Network:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape *N of arrays over the spheres: that of the lattice, or (N,)."""
+        """Shape *N of arrays over the spheres: that of the lattice, or (spheres N,)."""
         return (len(self.body),) if self.lattice is None else self.lattice.shape
 
     @property
@@ -100,12 +100,12 @@ class Network:
 
     @cached_read_only
     def free(self) -> np.ndarray:
-        """(N,) mask of the free spheres, which are not driven."""
+        """(spheres N,) mask of the free spheres, which are not driven."""
         return self.body < 0
 
     @cached_read_only
     def is_driven(self) -> np.ndarray:
-        """(*N) mask of the spheres whose spin is imposed."""
+        """(spheres *N) mask of the spheres whose spin is imposed."""
         return ~self.free if self.lattice is None else self.lattice.is_driven
 
     @cached_read_only
@@ -115,12 +115,14 @@ class Network:
 
     @cached_read_only
     def has_free_end(self) -> np.ndarray:
-        """(E,) mask of the contacts of which at least one sphere is free."""
+        """(contacts E,) mask of the contacts of which at least one sphere is free."""
         return self.free[self.contact].any(axis=0) if self.lattice is None else ~self.lattice.between_driven
 
     @cached_read_only
     def tangents(self) -> np.ndarray:
-        """(d, E, C) unit vectors that span the slips: two of them across each normal; for discs the number 1."""
+        """Unit vectors (d, contacts E, components C) along which the slip of each contact is measured: d = 2 at right
+        angles to its normal; for discs the number 1.
+        """
         if self.dimension == 2:
             return np.ones((1, self.contacts, 1))
         axis = np.eye(3)[np.argmin(np.abs(self.normal), axis=1)]
@@ -130,28 +132,33 @@ class Network:
 
     @cached_read_only
     def sublattices(self) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) mask of the spheres in pieces with odd loops; and (N,) signs +1 or -1, which differ across each contact
-        of the other pieces."""
+        """Two arrays (spheres N,): a mask of the spheres in connected pieces with odd loops, and signs, +1 or -1, that
+        differ across each contact of the other pieces.
+        """
         return odd_pieces(self.spheres, *self.contact)
 
     def across(self, vectors: np.ndarray, contact: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Return the sizes (n,) of vectors (n, C) without their parts along the normals.
+        """Return the lengths (n,) of vectors after their parts along the normals of n contacts are removed.
 
-        contact : numbers of the n contacts, or a slice; all by default. In 2D vectors have one component, across the
-        plane, and the size is its absolute value.
+        vectors : (n, C), one for each contact; in 2D, with C = 1, they are at right angles to the plane and nothing is
+            removed. contact : numbers of the n contacts, or a slice; by default all.
         """
         turned = vectors if self.dimension == 2 else np.cross(vectors, self.normal[contact])
         return np.asarray(np.linalg.norm(turned, axis=1))
 
     def slips(self, u: np.ndarray) -> np.ndarray:
-        """Return the slip speeds (E,) at u = R omega, (N, C); both length/time."""
+        """Return the slip speeds of all contacts, (contacts E,), length/time. u : radius * spin of the spheres,
+        (spheres N, components C), length/time.
+        """
         return self.across(u[self.contact].sum(axis=0))
 
     def operator(self, contact: np.ndarray, unknown: np.ndarray) -> sparse.csr_array:
-        """Return the matrix K, (d * n, unknowns), by which unknown components of u give slips y = T (u_i + u_j).
+        """Return the sparse matrix K, (d * n, unknowns), that turns unknown spin components into slips: y = K u.
+
+        u is radius * spin. The slips of a contact are the components of u_i + u_j along its d tangents.
 
         contact : (n,) numbers of contacts. The rows of all their first tangents come first, then those of the second.
-        unknown : (N, C), the column of each component of u, -1 for a component without a column.
+        unknown : (spheres N, components C), the column of each component of u; -1 for a component without a column.
         """
         across = self.tangents[:, contact]
         d, count, components = across.shape
@@ -169,7 +176,10 @@ class Network:
 
     @cached_property
     def whole(self) -> sparse.csr_array:
-        """The matrix K, (d * E, N * C), of all contacts and all spheres; column = sphere * C + component."""
+        """The sparse matrix K, (d * E, N * C), that turns radius * spin of all spheres into the slips of all contacts.
+
+        Column = sphere * C + component; see :meth:`operator` for the rows.
+        """
         every = np.arange(self.spheres * self.components).reshape(-1, self.components)
         return self.operator(np.arange(self.contacts), every)
 
@@ -179,10 +189,13 @@ class Network:
         return self.whole.T.tocsr()
 
     def differences(self, spins: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return vectors (d, R, E) across all contacts: the slips y = K u, or on lattices differences of spins.
+        """Return vectors (tangents d, samples R, contacts E) across all contacts: slips, length/time; on lattices
+        differences of spins, 1/time.
 
-        spins : (C, R, *N). On lattices staggered spins; a slip is then the radius times the length of a vector, and d
-        is the number C of components in `spin_axes`. Else u = R omega in all components.
+        spins : (C, R, spheres *N). On lattices staggered spins; a slip is then the radius times the length of a vector,
+            and d is the number C of components in `spin_axes`. In other packings radius * spin in all components, and d
+            counts tangents.
+        spin_axes : numbers of the C components.
         """
         if self.lattice is not None:
             return contact_differences(spins, self.lattice, spin_axes)
@@ -191,9 +204,11 @@ class Network:
         return (self.whole @ columns).reshape(shape).transpose(0, 2, 1)
 
     def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the sum of the contact forces on each sphere, (C, R, *N): minus the transpose of :meth:`differences`.
+        """Return the sum of the contact forces on each sphere, (C, samples R, spheres *N); times the radius it is a
+        torque.
 
-        force : (d, R, E), along the vectors of that method. The result times the radius is a torque.
+        force : (tangents d, R, contacts E), along the vectors of :meth:`differences`. The result is minus the transpose
+            of that linear map. spin_axes : numbers of the C components.
         """
         if self.lattice is not None:
             return torques(force, self.lattice, spin_axes)
@@ -204,7 +219,8 @@ class Network:
     def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
         """Return an upper bound on the eigenvalues of M^-1 K^T W K over the free spheres.
 
-        weight : diagonal of W, (E,), one number for all tangents of a contact. inertia : diagonal of M, (N,).
+        weight : diagonal of W, (contacts E,), one number for all tangents of a contact. inertia : diagonal of M,
+        (spheres N,).
 
         For any vector x > 0 no eigenvalue of a matrix A exceeds the largest (|A| x)_i / x_i (Collatz and Wielandt; x =
         1 gives Gershgorin's circles). Here x comes near the best such vector by steps of the power method.
@@ -223,11 +239,17 @@ class Network:
         return least * (1 + 1e-9)
 
     def along_axes(self, contact: np.ndarray) -> bool:
-        """Return True if spin components do not mix: in 2D, or if the normals of these contacts lie along the axes."""
+        """Return True if spin components do not mix in the slips of these contacts: in 2D, or if all normals lie along
+        the axes.
+
+        contact : (n,) numbers of the contacts.
+        """
         return self.dimension == 2 or bool(((self.normal[contact] != 0).sum(axis=1) == 1).all())
 
     def reached(self, contact: np.ndarray) -> np.ndarray:
-        """Return a mask (N,) of the free spheres that chains of these contacts connect to a driven sphere."""
+        """Return a mask (spheres N,) of the free spheres that chains of contacts connect to a driven sphere. contact :
+        (n,) numbers of the contacts that chains may use.
+        """
         first, second = self.contact[:, contact]
         inner = self.free[first] & self.free[second]
         label = pieces(self.spheres, first[inner], second[inner])
@@ -241,9 +263,10 @@ class Network:
     ) -> tuple[np.ndarray, np.ndarray, int | None]:
         """Return which components of the spins have to be found, and those that are known beforehand.
 
-        Three things are returned: u (N, C) of driven spheres, and of components by which no contact needs to slip; a
-        mask (N, C) of the components that have to be found; and the number of independent motions without slip, None
-        where normals are oblique. In each such motion one spin is held at 0, so that it is not to be found.
+        Three things are returned: u (spheres N, components C) of driven spheres, and of components by which no contact
+        needs to slip; a mask (N, C) of the components that have to be found; and the number of independent motions
+        without slip, None where normals are oblique. In each such motion one spin is held at 0, so that it is not to be
+        found.
 
         imposed : u (N, C) of driven spheres, 0 of others, length/time. contact : numbers of the contacts to consider.
         moves : (N,) mask of the spheres whose spins are asked for.
@@ -277,9 +300,13 @@ class Network:
         return known, wanted, number
 
     def order(self, contact: np.ndarray, free: np.ndarray) -> Parts:
-        """Return an order in which all spheres may be eliminated, by nested dissection, with the tree of its regions.
+        """Return an order in which the unknowns of all spheres can be eliminated, by nested dissection, as the tree of
+        its regions.
 
-        contact : numbers of contacts, of which those between free spheres couple two of them. free : (N,) mask.
+        The result is a list with, for each region, the numbers of its spheres and those of the regions inside it.
+
+        contact : (n,) numbers of contacts, of which those between two free spheres couple unknowns. free : (spheres N,)
+            mask of the free spheres.
         """
         ends = self.contact[:, contact]
         first, second = np.sort(ends[:, free[ends].all(axis=0)], axis=0)
@@ -289,9 +316,10 @@ class Network:
         return [(part.nodes, part.children) for part in dissected(graph, self.center.T, LEAF_SPHERES)]
 
     def motions(self, slips: sparse.csr_array, sphere: np.ndarray, contact: np.ndarray, free: np.ndarray) -> Motions:
-        """Return the spins at which `slips` times the unknown spins is 0: the motions without slip.
+        """Return the motions without slip: spins that the matrix `slips` maps to 0.
 
         slips : (rows, unknowns), a matrix of :meth:`operator`. sphere : (unknowns,), number of the sphere of each
-        unknown. contact : (n,) numbers of contacts, and free : (N,) mask of free spheres, as of :meth:`order`.
+            unknown. contact : (n,) numbers of contacts; free : (spheres N,) mask of the free spheres, both as for
+            :meth:`order`.
         """
         return slipless_motions(slips, sphere, self.order(contact, free))

@@ -142,7 +142,9 @@ class Packing(Bearing):
         self._take_coefficients()
 
     def _checked_normals(self) -> np.ndarray:
-        """Return the normals (E, D), from the centres if none are given; raise InputError where the two disagree."""
+        """Return the normals (contacts E, dimensions D), computed from the centres if none are given; raise InputError
+        where given ones contradict the centres.
+        """
         places = (self.center, self.contact, self.radius)
         if self.normal is None:
             normal = geometry.from_places(*places)
@@ -157,7 +159,7 @@ class Packing(Bearing):
         object.__setattr__(self, name, value)
 
     def _take_coefficients(self) -> None:
-        """Set friction and viscosity to checked arrays, drawn from the seed where none are given."""
+        """Check friction and viscosity, or draw them from the seed where none are given, and store both as arrays (E,)."""
         two = len(self.law.quantities) > 1
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
@@ -200,21 +202,24 @@ class Packing(Bearing):
 
     @property
     def named_coefficients(self) -> dict[str, np.ndarray]:
-        """The coefficients of the law, (R, E) each: `friction` under the name "coefficient", and "viscosity"."""
+        """The coefficients of the law, (samples R, contacts E) each: `friction` under the name "coefficient", and
+        "viscosity".
+        """
         given = {"coefficient": self.friction, "viscosity": self.viscosity}
         return {name: np.reshape(v, (self.replicas, -1)) for name, v in given.items() if v is not None}
 
     def slip_speeds(self, spin: np.ndarray) -> np.ndarray:
-        """Return the slip speed of each contact, (E,), length/time.
+        """Return the slip speed of each contact, (contacts E,), length/time.
 
-        spin : laboratory spins, (N, 3) of spheres or (N,) of discs, 1/time.
+        spin : laboratory spins, (spheres N, 3) of spheres or (N,) of discs, 1/time.
         """
         return self.network.slips(spin.reshape(self.spheres, -1) * self.network.radius[:, None])
 
     def spins_of(self, u: Pair) -> Pair:
-        """Return laboratory spins u / R, (N, 3) of spheres or (N,) of discs, 1/time, in twice the precision.
+        """Return laboratory spins u / R, (spheres N, 3) of spheres or (N,) of discs, 1/time, in twice the precision.
 
-        u : surface speeds (N, C), length/time, in twice the precision. Driven spheres get exactly their imposed spins.
+        u : surface speeds (N, components C), length/time, in twice the precision. Driven spheres get exactly their
+        imposed spins.
         """
         held, shape = self.is_driven, self.spin.shape
         spin, rest = (part.reshape(shape) for part in divide(u, exactly(self.network.radius[:, None])))
@@ -222,7 +227,7 @@ class Packing(Bearing):
         return spin, rest
 
     def inertias(self, mass: float, inertia: float | None, density: Any = None) -> np.ndarray:
-        """Return moments of inertia over squared radii, (N,), mass.
+        """Return moments of inertia over squared radii, (spheres N,), mass.
 
         mass : of a sphere of the mean radius, if neither of the others is given. Masses grow with the radius to the D.
         inertia : moment of inertia of a sphere of the mean radius, mass * length^2, or None.
@@ -240,11 +245,13 @@ class Packing(Bearing):
         return (shape * mass if inertia is None else inertia / mean**2) * (radius / mean) ** self.dimension
 
     def as_stepped(self, spins: np.ndarray, at_rest: np.ndarray) -> "Packing":
-        """Return a copy without contacts that are absent or between driven spheres, for methods that step all contacts.
+        """Return a copy with only those contacts that can slip, for methods that step all contacts.
 
-        spins : u at the start, (C, 1, N), length/time; its largest size is the unit of speeds if imposed spins do not
-        differ.
-        at_rest : (R,) mask of the samples for which a state without any slip is proven to exist.
+        Contacts that are absent or between driven spheres are left out.
+
+        spins : radius * spin at the start, (components C, 1, spheres N), length/time; its largest size is the unit of
+            speeds if imposed spins do not differ.
+        at_rest : (samples R,) mask of the samples for which a state without any slip is proven to exist.
         """
         own = self.acting
         of = {name: None if (v := getattr(self, name)) is None else v[..., own] for name in OF_SAMPLES}
@@ -280,13 +287,15 @@ class Packing(Bearing):
         return first._with(**stacked, seeds=tuple(one.seed for one in samples))
 
     def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Packing":
-        """Return a copy with some of the samples. pick : number of one, or a slice. seeds : of these samples."""
+        """Return a copy with some of the samples. pick : number of one sample, or a slice of several. seeds : of these
+        samples.
+        """
         given = {name: getattr(self, name) for name in OF_SAMPLES}
         some = {name: None if values is None else values[pick] for name, values in given.items()}
         return self._with(**some, seed=seeds[0], seeds=seeds)
 
     def _with(self, **changes: Any) -> "Packing":
-        """Return a copy with other values of some fields, which are not checked. It shares the network."""
+        """Return a copy in which some fields have other values, by name; these are not checked. Both share the network."""
         other = object.__new__(type(self))
         vars(other).update({item.name: getattr(self, item.name) for item in fields(self)} | changes)
         vars(other)["network"] = self.network
@@ -444,9 +453,13 @@ class Packing(Bearing):
     def _between_sides(cls, size: Any, found: Built, unit: float, seed: int, others: dict[str, Any]) -> "Packing":
         """Return the packing of spheres whose lowest and highest ones are driven.
 
-        size : radius of each sphere, (N,) or one, in units of the argument `radius`. found : places, contacts, normals,
-        signs of the sublattice, and driven bodies. unit : unit of the places, in the same units. seed : of the
-        coefficients. others : arguments of the caller, from which what is used here is taken out.
+        size : radius of each sphere, (spheres N,) or one number, in units of the argument `radius`.
+        found : places (N, dimensions D), contacts (contacts E, 2), normals (E, D), signs of the sublattice (N,), and
+        driven bodies (N,).
+        unit : unit of the places, in units of the argument `radius`, too.
+        seed : of the coefficients.
+        others : arguments of the caller by name; those that are used here are removed, the rest are fields of the
+            packing.
 
         Raises InputError for an argument that is unknown.
         """
@@ -458,7 +471,8 @@ class Packing(Bearing):
         spin = spin if place.shape[1] == 3 else spin[:, 2]
         known = {f.name for f in fields(cls) if f.init} - {"center", "contact", "driven", "spin", "normal", "radius"}
         if strange := [name for name in others if name not in known]:
-            raise InputError(f"{strange[0]} is no part of a lattice{meant(strange[0], known)}")
+            allowed = ", ".join(sorted(known))
+            raise InputError(f"unknown argument {strange[0]!r}{meant(strange[0], known)}; allowed are {allowed}")
         spin = spin / size if at_surface else spin
         return cls(unit * radius * place, contact, body, spin, radius * size, normal, seed=seed, **others)
 
@@ -610,7 +624,8 @@ class Packing(Bearing):
 def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
     """Return the bearing states of bottom and top, (2, 4): A_x, A_y, A_z in 1/time, and C in 1/(time length).
 
-    given : arguments of the caller; `spin_bottom`, `spin_top`, `direction`, `bottom` and `top` are taken out.
+    given : arguments of the caller by name; `spin_bottom`, `spin_top`, `direction`, `bottom` and `top` are removed from
+        it. dimension : 2 or 3.
     """
     spins = [finite_number(n, given.pop(n, d)) for n, d in (("spin_bottom", 0.0), ("spin_top", 1.0))]
     direction = np.array(imposed_direction(given.pop("direction", (1.0, 1.0, 0.0))))
@@ -623,7 +638,7 @@ def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
 
 
 def _in_space(place: np.ndarray) -> np.ndarray:
-    """Return places (N, 2) or (N, 3) as (N, 3), with z = 0 in 2D."""
+    """Return places (spheres N, 2) or (N, 3) as (N, 3), with z = 0 in 2D."""
     return place if place.shape[1] == 3 else np.column_stack([place, np.zeros(len(place))])
 
 

@@ -25,10 +25,11 @@ class Box:
 
     @classmethod
     def of_bounds(cls, rows: np.ndarray, periodic: list[bool] | None) -> "Box | None":
-        """Return the box that three rows of LAMMPS describe; None if they describe none.
+        """Return the box that three rows of a LAMMPS dump describe; None if they describe none.
 
-        rows : (3, 2), low and high of each axis; or (3, 3), the bounds of a tilted box with its tilts xy, xz and yz; or
-        (3, 4), one edge vector a row and a component of the origin.
+        rows : (3, 2), low and high end along each axis; or (3, 3), the bounds of a tilted box with its tilts xy, xz and
+            yz; or (3, 4), one edge vector and a component of the origin in each row. periodic : for each edge, whether
+            it is a period; None if not known.
         """
         if not (np.abs(rows) <= MOST_SIDE).all():
             return None
@@ -44,11 +45,13 @@ class Box:
         return cls(origin, edges, periodic)
 
     def places(self, shares: np.ndarray) -> np.ndarray:
-        """Return the places (N, 3), length, of points that are given as fractions (N, 3) of the edges."""
+        """Return the places (spheres N, 3), length, of points that are given as fractions (N, 3) of the edges."""
         return np.asarray(self.origin + shares @ self.edges)
 
     def periods(self, dimension: int) -> np.ndarray:
-        """Return the periodic edges among the first `dimension` ones, with so many components: (k, dimension)."""
+        """Return the periodic ones among the first `dimension` edges, as vectors with so many components: (k,
+        dimension), length.
+        """
         return self.edges[[axis for axis in range(dimension) if self.periodic and self.periodic[axis]], :dimension]
 
     def is_as(self, other: "Box") -> bool:
@@ -59,10 +62,11 @@ class Box:
 
 
 def reduced(periods: np.ndarray) -> np.ndarray:
-    """Return the shortest vectors (k, D) whose sums give the same lattice of points as these periods (k, D).
+    """Return the shortest vectors (k, dimensions D) that generate the same lattice of points as these periods (k, D).
 
-    Sums of the others are taken from each vector until none gets shorter. From an image that is not the nearest one,
-    a step of -1, 0 or 1 along each such vector leads to a nearer one (Minkowski, for k up to 3).
+    Sums of the other vectors are subtracted from each vector until none gets shorter. Then, from an image of a sphere
+    that is not its nearest one, a step of -1, 0 or 1 along each vector leads to a nearer one (Minkowski, for k up to
+    3).
     """
     periods = np.array(periods, dtype=float)
     for _ in range(1000):
@@ -84,10 +88,11 @@ def reduced(periods: np.ndarray) -> np.ndarray:
 
 
 def nearest_images(vector: np.ndarray, periods: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vectors (E, D) to the nearest images, and a mask (E,): a second image is no farther than `reach`.
+    """Return the shortest vectors (contacts E, dimensions D), length, between pairs of places in a periodic box, and a
+    mask (E,): True where another image is no farther than `reach`, so that two are possible.
 
     vector : (E, D), length, from one place to another, whichever images these are. periods : (k, D), length, linearly
-    independent. reach : (E,), length.
+        independent. reach : (E,), length.
     """
     found, doubtful = np.array(vector, dtype=float), np.zeros(len(vector), dtype=bool)
     if not len(periods):

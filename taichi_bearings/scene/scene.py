@@ -167,15 +167,16 @@ class Scene(Bearing):
         return scene.drawn_from(texts if len(texts) == len(sources) else {})
 
     def drawn_from(self, distributions: Mapping[str, str]) -> "Scene":
-        """Mark this scene as drawn from its seeds, and return it. Copies with changes do not have the mark.
+        """Record the distributions from which the coefficients were drawn, and return this scene.
 
-        distributions : by the name of the option of `bearings run`; empty to take the mark away.
+        distributions : by the name of the option of `bearings run`; an empty mapping for coefficients that were not
+            drawn. Copies of the scene with other values do not inherit the record.
         """
         object.__setattr__(self, "drawn", distributions)
         return self
 
     def read_from(self, file: str) -> "Scene":
-        """Keep the name of the file that the coefficients were read from, and return this scene."""
+        """Store the name of the file from which the coefficients were read, and return this scene."""
         object.__setattr__(self, "file", file)
         return self
 
@@ -228,7 +229,11 @@ class Scene(Bearing):
             check_law(self.law, self.material, self.lattice.radius * (self.jump or 1.0))
 
     def _read_states(self) -> None:
-        """Set `top` and `bottom` to tuples of 1 (2D) or 4 numbers if one is given; then no spins may be given."""
+        """Check `top` and `bottom`, the bearing states of the planes, if one is given, and store both as tuples of 1
+        (2D) or 4 numbers.
+
+        Raises InputError if spins are given, too.
+        """
         if self.top is None and self.bottom is None:
             return
         for name in self.BY_SPINS:
@@ -292,18 +297,24 @@ class Scene(Bearing):
 
     @cached_property
     def coefficient(self) -> np.ndarray:
-        """(R, E) first coefficient of the law at all contacts: friction, a pure number, or damping."""
+        """(samples R, contacts E) first coefficient of the law at all contacts: friction, a pure number, or damping,
+        force * time/length.
+        """
         return self._of_contacts(self.coefficients)
 
     def _of_contacts(self, parts: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Return coefficients that are given axis by axis as one array (R, E)."""
+        """Return coefficients of all contacts as one array (samples R, contacts E). parts : one array for each axis, in
+        the layout of `coefficients`.
+        """
         values = self.lattice.flat(parts).reshape(self.replicas, -1)
         values.setflags(write=False)
         return values
 
     @cached_property
     def named_coefficients(self) -> dict[str, np.ndarray]:
-        """The coefficients of the law, (R, E) each, by name: "coefficient", and "viscosity" if the law has both."""
+        """The coefficients of the law, (samples R, contacts E) each, by name: "coefficient", and "viscosity" if the law
+        has both.
+        """
         beside = {"viscosity": self._of_contacts(self.viscosity)} if self.viscosity else {}
         return {"coefficient": self.coefficient, **beside}
 
@@ -320,7 +331,9 @@ class Scene(Bearing):
 
     @cached_property
     def driving(self) -> Planes:
-        """What is imposed on the two planes, and how laboratory spins become staggered ones."""
+        """The states that are imposed on the two planes, with the conversion from laboratory spins to those that
+        solvers store.
+        """
         if self.top is not None and self.bottom is not None:
             return Planes.by_states(self.lattice, self.top, self.bottom)
         return Planes.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
@@ -334,7 +347,9 @@ class Scene(Bearing):
 
     @property
     def imposed(self) -> tuple[float, float]:
-        """The imposed spins of top and bottom, 1/time; of bearing states the largest sizes on the two planes."""
+        """The imposed spins of top and bottom, 1/time; where bearing states are imposed, their largest sizes on the two
+        planes.
+        """
         return self.driving.sides
 
     def with_top(self, strength: float) -> "Scene":
@@ -348,25 +363,32 @@ class Scene(Bearing):
         return replace(self, law=COULOMB, viscosity=())
 
     def top_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the staggered spin of the top plane, (C, nx, ny), in 2D (C, nx), 1/time; that of the bottom is 0.
+        """Return the imposed spin of the top plane, (C, nx, ny), in 2D (C, nx), 1/time, in the form that solvers store.
 
-        All staggered spins are measured from the bottom's bearing state, in which no contact slips (equations.md, 1).
-        So slips keep their digits if bottom and top are driven nearly alike.
+        That is the *staggered* spin, times +1 or -1 so that it has one sign for neighbours that roll on each other,
+        measured from the bearing state of the bottom, in which no contact slips (equations.md, 1). So slips keep their
+        digits even if bottom and top are driven nearly alike. spin_axes : numbers of the C components.
         """
         return self.driving.imposed_on_top(spin_axes)[0]
 
 
 def _drawn(lattice: Lattice, source: Draw, seeds: tuple[int, ...], second: bool) -> tuple[np.ndarray, ...]:
-    """Return coefficients drawn from `source`, one array an axis, with a leading axis of samples if seeds are several.
+    """Return coefficients drawn at random, one array for each axis, with a leading axis of samples if there are several
+    seeds.
 
-    second : True for the second coefficient of a law that has two, the viscosity.
+    source : distribution, a function (rng, shape) -> array. second : True for the second coefficient of a law that has
+        two, the viscosity.
     """
     parts = zip(*(draw_coefficients(lattice, source, seed, second) for seed in seeds), strict=True)
     return tuple(np.stack(part) if len(seeds) > 1 else part[0] for part in parts)
 
 
 def imposed_direction(given: Any) -> tuple[float, float, float]:
-    """Return a direction as three finite numbers, not all 0; raise InputError for anything else."""
+    """Return the direction of the imposed spins as a tuple of three finite numbers, not all 0; raise InputError for
+    anything else.
+
+    given : what the user has passed.
+    """
     try:
         parts = tuple(finite_number("direction", part) for part in given)
     except (TypeError, InputError):
@@ -400,9 +422,9 @@ def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
 
 
 def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tuple[str, ...]:
-    """Return the names of axes in their order; raise InputError for names that are not allowed.
+    """Return the names of the periodic axes, in the order of the axes; raise InputError for names that are not allowed.
 
-    given : one name, several in a list, or several in one text, "x,y".
+    given : one name, a list of several, or a text such as "x,y". allowed : the names that are.
     """
     parts = (given.split(",") if given else ()) if isinstance(given, str) else given
     is_one = not isinstance(parts, Iterable) or (isinstance(parts, np.ndarray) and parts.ndim == 0)
@@ -414,7 +436,9 @@ def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tupl
 
 
 def _seeds(given: Any) -> tuple[int, ...]:
-    """Return seeds as integers; raise InputError for anything else."""
+    """Return the seeds of the samples as a tuple of integers; raise InputError for anything else. given : what the user
+    has passed.
+    """
     try:
         return tuple(SEED.read(seed) for seed in given)
     except (TypeError, ValueError, OverflowError):
@@ -422,9 +446,9 @@ def _seeds(given: Any) -> tuple[int, ...]:
 
 
 def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
-    """Return coefficients of users, one array an axis, as read-only copies.
+    """Return coefficients of the user as read-only copies, one array for each axis.
 
-    kind : "coefficients" or "viscosities", for messages.
+    kind : "coefficients" or "viscosities", for messages. given : the arrays.
     """
     is_one = isinstance(given, str) or (isinstance(given, np.ndarray) and given.ndim == 0)
     if is_one or not isinstance(given, Iterable):

@@ -22,17 +22,17 @@ CROSSED_BOUND = 1e-11  # rounding may put a lower bound above the power by this,
 
 
 def is_crossed(value: float | None, bound: float | None, gap: float | None) -> bool:
-    """Return True if a lower bound lies above the value that it bounds by more than rounding.
+    """Return True if a lower bound lies above the value that it should bound, by more than rounding can explain.
 
-    value, bound : energy/time. gap : relative, negative if the bound lies above. None and not-a-number stand for
-    unknown numbers.
+    value, bound : energy/time. gap : (value - bound) / value, which is negative in that case. Each may be None or
+        not-a-number if it is unknown.
     """
     above = value is not None and bound is not None and value > 0 and bound > value * (1 + CROSSED_BOUND)
     return above or (gap is not None and gap < -CROSSED_BOUND)
 
 
 class Status(Enum):
-    """How a run ended. Only CERTIFIED claims the minimum."""
+    """How a run ended. Only CERTIFIED claims that the minimum was found, within the tolerance."""
 
     CERTIFIED = "certified"  # the proven gap is within the tolerance
     STATIONARY = "stationary"  # a dynamics has come to rest: power, slips and torques no longer change
@@ -64,13 +64,16 @@ SLIPLESS, SLIPPING, UNDECIDED, DRIVEN, TIED = ContactState
 
 @dataclass(frozen=True)
 class Energy:
-    """Energy balance of a dynamics since its start, (R,) each, energy. No account is computed from the others.
+    """Energy balance of a dynamics since its start; each field is an array (R,), one number for each sample, in units
+    of energy.
 
     kinetic : kinetic energy of the free spheres.
     spring : energy of the elongated springs at the contacts.
     injected : work of the driven spheres since the start.
     dissipated : work done on the contacts since the start that is not in their springs.
     at_start : kinetic and spring energy at time 0.
+
+    Each is integrated on its own, so that their balance (`residual`) tests the dynamics.
     """
 
     kinetic: np.ndarray
@@ -81,7 +84,8 @@ class Energy:
 
     @property
     def residual(self) -> np.ndarray:
-        """(R,) error of the balance, at_start + injected - dissipated - kinetic - spring, relative to the turnover.
+        """(samples R,) error of the balance, at_start + injected - dissipated - kinetic - spring, relative to the
+        turnover.
 
         The turnover is at_start + abs(injected), or abs(dissipated) if that is larger.
         """
@@ -104,34 +108,36 @@ class Snapshots:
 
 @dataclass(frozen=True)
 class Progress:
-    """State of a method at one check; all numbers are float64 on the host.
+    """State of a method at one check of its progress. Numbers are in double precision, on the CPU. Shapes: R samples, E
+    contacts, C spin components, d slip components, *N the shape of arrays over the spheres.
 
     iteration : iterations so far.
-    staggered : carried spins (C, R, *N) at this check (scene/driving.py); `spin_axes` names their components.
+    staggered : spins (C, R, *N) in the form that solvers store (scene/driving.py). spin_axes : numbers of their
+        components.
     rest : (C, R, *N), small numbers to add to them, from a method that knows its spins beyond rounding, else None.
     force : contact forces (d, R, E), along the spin differences of the contacts.
     objective : (R,), energy/time, at these spins. lower_bound : (R,), energy/time, on the minimum of the objective.
-    proof : the forces from which lower_bound follows, shaped as `force`, if these are others.
+    proof : forces, shaped as `force`, from which lower_bound follows; None if it follows from `force` itself.
     time : simulated time of a dynamics, else None.
-    energy : energy balance, of a dynamics that keeps one.
+    energy : energy balance, of a dynamics that has one.
     slipping : (R,), number of contacts that slip at this moment of a dynamics.
     resolution : slip speed, length/time, below which the method cannot tell slip from rest; one number or (R,).
     largest_balance_residual : (R,), largest unbalanced torque on a free sphere, force * length.
     at_rest : True if a dynamics has come to rest.
     exhausted : True if further iterations bring the method no closer in its precision.
     halted : True if a dynamics cannot make another step.
-    state : contact states (R, E) that the method has established, else None; TIED is a guess of the method.
+    state : contact states (R, E) that the method has established, else None; TIED is then a guess of the method.
     slip : slip speeds (R, E), length/time, where they are more precise than those of the spins, else None.
-    settled : (R,) mask of the replicas whose states are final.
-    states_believed : (R,) mask of the replicas whose states the method takes for those of every minimum; the proof is
+    settled : (R,) mask of the samples whose states are final.
+    states_believed : (R,) mask of the samples whose states the method takes for those of every minimum; the proof is
         made elsewhere.
     settles_more : True if further iterations would settle more contact states, whatever the gap.
-    findings : other numbers that the method has found, by name, (R,) each. columns : numbers of this check for the
-        history, by name, (R,) each.
-    falls_to : the gap down to which each further stretch of time reduces the gap by at least the same factor; 0 if
-        that is not known.
+    findings : other results of the method, by name, (R,) each. columns : numbers of this check for the history, by
+        name, (R,) each.
+    falls_to : gap down to which each further stretch of time reduces the gap by at least the same factor; 0 if not
+        known.
     falls_as : exponent k, if the gap falls about as iteration^-k, else 0.
-    ended : (R,), the iteration at which each replica was done, of a method that steps them one by one, else None.
+    ended : (R,), iteration at which each sample was done, of a method that steps them one by one, else None.
     """
 
     iteration: int
@@ -162,7 +168,9 @@ class Progress:
     ended: np.ndarray | None = None
 
     def where(self, better: np.ndarray, other: "Progress") -> "Progress":
-        """Return a state that has the numbers of this one where the mask `better`, (R,), is True, else of `other`."""
+        """Return a state with the numbers of this one in the samples where `better`, a mask (samples R,), is True, and
+        of `other` elsewhere.
+        """
         if better.all():
             return self
         mixed = {name: _picked(better, axis, getattr(self, name), getattr(other, name)) for name, axis in OF_REPLICAS}
@@ -179,9 +187,10 @@ OF_REPLICAS = (
 
 
 def _picked(better: np.ndarray, axis: int, new: Any, old: Any) -> Any:
-    """Return `new` in the replicas where `better` is True and `old` in the others; None if either is None.
+    """Return an array with the entries of `new` in the samples where `better` is True, and of `old` in the others; None
+    if either array is None.
 
-    better : (R,) mask. axis : number of the axis of both arrays that counts the replicas.
+    better : (samples R,) mask. axis : number of the axis of both arrays that counts the samples.
     """
     if new is None or old is None:
         return None
@@ -268,18 +277,18 @@ class Solution:
 
     @property
     def unproven(self) -> np.ndarray:
-        """(R,) number of the contacts whose state is not proven."""
+        """(samples R,) number of the contacts whose state is not proven."""
         return np.asarray((~self.proven).sum(axis=1))
 
     @property
     def states_proven(self) -> np.ndarray:
-        """(R,) mask of the replicas in which the state of every contact is proven."""
+        """(samples R,) mask of the replicas in which the state of every contact is proven."""
         return np.asarray(self.proven.all(axis=1))
 
     @property
     def minimum_is_unique(self) -> list[bool | None]:
-        """For each replica, True if it is proven that no other slips have the least power, False if it is proven that
-        others have, None if neither is.
+        """A list with one entry for each sample: True if it is proven that all minima have the same slips, False if it
+        is proven that they differ, None if neither is proven.
 
         It is never True for packings: contacts that slip at every minimum may do so at several speeds there.
         """
@@ -288,9 +297,9 @@ class Solution:
         return [False if ties else True if known else None for ties, known in zip(tied, proven, strict=True)]
 
     def sample(self, number: int) -> "Solution":
-        """Return the answer of one replica, counted from 0, as if it had been solved alone.
+        """Return the answer of one sample, as if it had been solved alone. number : of the sample, from 0.
 
-        Where its own time is not known, it is an equal share of the time of all.
+        Where its own time is not known, it gets an equal share of the time of all.
         """
         scene, one = self.scene, slice(number, number + 1)
         if scene.replicas == 1:
@@ -393,10 +402,10 @@ class Solution:
 
 
 def stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Return arrays of all replicas, by name, stacked along a new first axis.
+    """Return arrays by name, those of all samples stacked along a new first axis.
 
-    each : arrays by name, for each replica. Arrays that are shorter than the longest are filled up with their last
-    entry; a replica that lacks one gets not-a-number.
+    each : for each sample, its arrays by name. Arrays shorter than the longest are filled up with their last entry. A
+        sample that lacks an array gets not-a-number.
     """
     found = {}
     for name in {name: None for one in each for name in one}:

@@ -18,7 +18,7 @@ def near_pairs(
 
     Each piece that is yielded has the numbers of the first spheres, (pairs,), and of the second ones, (pairs,).
 
-    places, sizes : centres (A, D) and radii (A,) of the first set, length.
+    places, sizes : centres (A, dimensions D) and radii (A,) of the first set, length.
     center, radius : centres (B, D) and radii (B,) of the second set, length.
     factor : two spheres are near if their centres are no farther apart than this factor times the sum of their radii.
 
@@ -45,11 +45,12 @@ def near_pairs(
 
 
 def images(center: np.ndarray, radius: np.ndarray, periods: np.ndarray, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the images of spheres that may touch a sphere: their spheres' numbers (I,), and shifts (I, D), length.
+    """Return the images of spheres that may touch a sphere: their spheres' numbers (I,), and shifts (I, dimensions D),
+    length.
 
     An image is a copy of a sphere shifted by a sum of periods; the spheres themselves, with shift 0, are among them.
 
-    center : (N, D), length, at most half a period from the middle. radius : (N,), length.
+    center : (spheres N, D), length, at most half a period from the middle. radius : (N,), length.
     periods : (k, D), length, along axes, each longer than the largest sphere.
     factor : spheres touch up to this factor times the sum of their radii.
     """

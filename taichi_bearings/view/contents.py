@@ -28,10 +28,11 @@ KEPT |= {"betweenness": "f4", "state": "u1"}
 
 
 def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
-    """Return the arrays that are drawn, by name.
+    """Return the arrays of the interactive page by name: places, radii, colours and columns of spheres and contacts.
 
-    float32 has the six digits that the page shows. Arrays take a form that compresses well: vectors are written one
-    axis after the other, ends of contacts as differences. The distance of two sites of a lattice is 1.
+    Numbers are float32, which has the six digits that the page shows. The arrays are arranged so that they compress
+    well: vectors one axis after the other, ends of contacts as differences. On a lattice the distance of two neighbours
+    is 1.
     """
     network = drawn.network
     center, radius, ends = network.center - network.center[0], network.radius, network.contact.T
@@ -71,9 +72,10 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
 
 
 def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
-    """Return spins (S, N, 3) of a sample without components that no contact depends on (:meth:`Structure.shown_spin`).
+    """Return spins (snapshots S, spheres N, 3) of S snapshots without rotations that no contact resists
+    (:meth:`Structure.shown_spin`).
 
-    S is the number of snapshots, N of spheres.
+    drawn : the sample. spins : (S, N, 3).
     """
     if not drawn.is_lattice or drawn.network.dimension == 2:
         return spins
@@ -82,19 +84,21 @@ def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
 
 
 def _colour_map(name: str, first: float, last: float) -> np.ndarray:
-    """Return 256 colours (256, 3) of a map of matplotlib, between two places of it."""
+    """Return 256 colours (256, 3), bytes, of a colour map of matplotlib between two places in it, from 0 to 1."""
     return np.round(255 * colormaps[name](np.linspace(first, last, 256))[:, :3]).astype(np.uint8)
 
 
 def _shown_snapshots(moments: Moments) -> np.ndarray:
-    """Return the numbers of the snapshots that are shown: all, or as many at even distances as a page can hold."""
+    """Return the numbers of the snapshots that the page shows: all, or as many at even distances as fit into
+    MOST_BYTES.
+    """
     each = 4 * (moments.spin[0].size + moments.slip[0].size)
     most = max(2, int(MOST_BYTES / each))
     return np.unique(np.linspace(0, len(moments.time) - 1, min(most, len(moments.time))).round().astype(int))
 
 
 def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
-    """Return numbers and words of the page, in types that JSON has."""
+    """Return the numbers and words that the page shows, by name, in types that JSON has."""
     structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.scene.law
     own, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
@@ -122,8 +126,8 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
 
 
 def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
-    """Return what the page says of a lattice alone; its largest imposed spin; its power in its natural unit; its
-    bound.
+    """Return four things that the page says of a lattice: entries of its facts by name; the largest imposed spin,
+    1/time; the power in its natural unit, in words; and the bound, in words.
     """
     scene, gap = of_lattice(drawn.answer.scene), float(drawn.answer.gap[0])
     lattice, unit = scene.lattice, scene.strength * scene.lattice.radius * abs(scene.imposed[0])
@@ -147,8 +151,8 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
 
 
 def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
-    """Return what the page says of a packing alone; its largest imposed R omega over the median radius; ""; its
-    bound.
+    """Return four things that the page says of a packing: entries of its facts by name; the largest imposed radius *
+    spin over the median radius, 1/time; an empty text; and the bound, in words.
     """
     network, law = drawn.network, drawn.structure.scene.law
     within, proof = f"within {drawn.answer.gap[0]:.1e}", drawn.answer.findings["proof"][0]
@@ -174,17 +178,19 @@ def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
 
 
 def _name_of_minimum(law: Law) -> str:
-    """Return the name of what the law minimises, with "its", if that is not the power."""
+    """Return words for what the stationary state of a law minimises, "its potential "; empty if that is the power."""
     return "" if law.minimises == "power" else f"its {law.minimises} "
 
 
 def _median(radius: np.ndarray) -> float:
-    """Return the middle one of the radii."""
+    """Return the median radius; of an even number of radii the upper one of the two in the middle."""
     return float(np.sort(radius)[len(radius) // 2])
 
 
 def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
-    """Return where the scales of colours end. fastest : the largest imposed spin, of a sphere of median size."""
+    """Return where the scales of colours begin and end, by name. fastest : the largest imposed spin, of a sphere of
+    median size, 1/time.
+    """
     moments, end = drawn.moments, drawn.spheres["spin"].values[None]
     spins = _shown_spins(drawn, end if moments is None else moments.spin[_shown_snapshots(moments)])
     speed = np.linalg.norm(spins, axis=-1) * (drawn.network.radius / _median(drawn.network.radius))
@@ -198,7 +204,9 @@ def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
 
 
 def _snapshots(moments: Moments | None) -> dict[str, Any]:
-    """Return the times of the snapshots that are shown, and which are left out."""
+    """Return the times of the snapshots that the page shows, and words for those left out, by name. moments : the
+    snapshots; None without.
+    """
     if moments is None:
         return {"times": [], "left_out": "", "snapshot_threshold": 0.0}
     chosen = _shown_snapshots(moments)

@@ -29,13 +29,14 @@ NUMBER_TYPES = {"float32": "f4", "int32": "i4", "uint8": "u1"}  # types of array
 def view(
     run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
 ) -> dict[str, Any]:
-    """Write the page of one sample of a run directory or its run.h5, and return facts about it.
+    """Write one sample of a run as an interactive HTML page, and return facts about the page.
 
-    out : the file; an earlier one is replaced with `force` only. By default it is view.html in the run directory, and
+    run : a run directory or its run.h5.
+    out : the file; an earlier one is replaced only with `force`. By default it is view.html in the run directory, and
         an earlier one is replaced.
-    replica : which sample, counted from 0.
-    analyse : compute the structure; otherwise the page has of it what the run file holds.
-    returns : the file, its size, the number of snapshots, and whether it shows the structure.
+    replica : number of the sample, from 0.
+    analyse : True to compute the structure of the sample; otherwise the page shows of it what the run file holds.
+    returns : the file, its size, the number of snapshots, and whether it shows the structure, by name.
 
     Raises InputError or FileError before anything is computed.
     """
@@ -51,8 +52,10 @@ def view(
 
 
 def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the text of a page that needs no other file. facts, arrays : what :mod:`taichi_bearings.view.contents`
-    finds.
+    """Return the HTML text of a page that needs no other file.
+
+    facts : numbers and words by name. arrays : what is drawn, by name. Both come from
+        :mod:`taichi_bearings.view.contents`.
     """
     packed, places = _joined_bytes(arrays)
     words = json.dumps({**facts, "arrays": places}, allow_nan=False).replace("<", "\\u003c")
@@ -70,7 +73,7 @@ def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def _text(name: str) -> str:
-    """Return the text of a file of the page."""
+    """Return the text of a file, such as a script, from which the page is made. name : of the file."""
     return (files("taichi_bearings.view") / "page" / name).read_text(encoding="utf-8")
 
 
@@ -80,7 +83,9 @@ def _compressed_text(content: bytes) -> str:
 
 
 def _joined_bytes(arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[dict[str, Any]]]:
-    """Return all arrays as bytes, one after the other, and where each lies: little-endian, longer numbers first."""
+    """Return all arrays as bytes, one after the other, little-endian and longer numbers first; and where each lies, a
+    list with name, type, offset in bytes and length.
+    """
     joined, places = b"", []
     for name, values in sorted(arrays.items(), key=lambda item: -item[1].dtype.itemsize):
         kind = NUMBER_TYPES[values.dtype.name]

@@ -51,7 +51,8 @@ Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def built(
     kind: str, cells: tuple[int, ...], periodic: Any
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, set[int]]:
-    """Return places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,), and the periodic axes.
+    """Return places (spheres N, dimensions D), contacts (contacts E, 2), normals (E, D), signs of the sublattice (N,),
+    and the periodic axes.
 
     kind : key of KINDS. cells : number of cells along each axis. periodic : names of the periodic axes.
 
@@ -78,9 +79,9 @@ def built(
 
 
 def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarray:
-    """Return the body of each sphere, (N,): 0 for the bottom, 1 for the top, -1 for free spheres.
+    """Return the body of each sphere, (spheres N,): 0 for the bottom, 1 for the top, -1 for free spheres.
 
-    place : (N, D), diameters. closed : numbers of the periodic axes.
+    place : (N, dimensions D), diameters. closed : numbers of the periodic axes.
     driven : "planes", "walls" or "shaft:r", as of `Packing.lattice`; InputError is raised for anything else.
     """
     kind, _, size = driven.partition(":") if isinstance(driven, str) else ("", "", "")
@@ -113,16 +114,19 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
 
 
 def _ends(place: np.ndarray, axis: int, side: int) -> np.ndarray:
-    """Return a mask (N,) of the spheres at the end of an axis, or at its beginning if `side` is -1 instead of 1."""
+    """Return a mask (spheres N,) of the spheres at the upper end of an axis (`side` 1) or at its lower end (`side` -1).
+
+    place : (N, dimensions D), diameters. axis : its number.
+    """
     height = side * place[:, axis]
     return np.asarray(height > height.max() - 1e-6)
 
 
 def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-    """Yield the bonds of a cell: numbers of the first and the second sphere within their cells, the step to the cell of
-    the second, and the unit vector (D,) from the first to the second.
+    """Yield the bonds of a cell, each once: the numbers within their cells of its first and second sphere, the step
+    (dimensions D,) in whole cells to the cell of the second, and the unit vector (D,) from the first to the second.
 
-    Of each bond and its reverse only the one with `_leads_up` is taken.
+    Of a bond and its reverse only the one that leads upwards (`_leads_up`) is taken.
     """
     basis, size = np.array(cell.basis), np.array(cell.size)
     steps = [np.array(step[::-1]) for step in product((0, 1, -1), repeat=len(size))]
@@ -134,7 +138,7 @@ def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
 
 
 def _leads_up(vector: np.ndarray) -> bool:
-    """Return True if the last component that is not 0 is positive."""
+    """Return True if the last component of a vector that is not 0 is positive. A component up to 1e-9 counts as 0."""
     others = vector[np.abs(vector) > 1e-9]
     return bool(others[-1] > 0)
 
@@ -155,10 +159,12 @@ def _of_bond(
     step: np.ndarray,
     vector: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the contacts (E, 2) that one bond makes in all cells, and its unit vector.
+    """Return the contacts (contacts E, 2) that one bond of a cell makes in all cells, and the unit vector (dimensions
+    D,) of all of them.
 
-    grid : positions of all cells, in whole numbers. cells : number of cells along each axis. closed : numbers of the
-    periodic axes. each : number of spheres in a cell. first, second, step, vector : the bond, as of :func:`_bonds`.
+    grid : (cells, D), positions of all cells, in whole numbers. cells : number of cells along each axis. closed :
+        numbers of the periodic axes. each : number of spheres in a cell. first, second, step, vector : the bond, as
+        `_bonds` yields it.
     """
     there = grid + step
     for axis in closed:

@@ -34,10 +34,13 @@ when it was found."""
 
 
 class _Heap:
-    """The spheres placed so far, and the pockets for spheres of each size, lowest first.
+    """The spheres placed so far, and the pockets (places for a further sphere that touches D others), lowest first.
 
-    place : (N, D), centres. radius : (N,). sides : (D,), lengths of the periodic sides, infinite along the height.
-    count : number of spheres placed so far. made : number of pockets made so far. pockets : by radius of the sphere.
+    place : (N, D), centres. radius : (N,). Lengths are in radii of the small spheres.
+    sides : (D,), lengths of the periodic sides, infinite along the height. sizes : the two radii.
+    count : number of spheres placed so far. made : number of pockets made so far.
+    pockets : for each radius of the sphere to come a heap of pockets: height, number, place, numbers of the D spheres
+        that form it, and number of spheres when it was made.
     """
 
     def __init__(self, count: int, width: float, ratio: float, dimension: int) -> None:
@@ -48,7 +51,9 @@ class _Heap:
         self.pockets: dict[float, list[Pocket]] = {size: [] for size in self.sizes}
 
     def away(self, place: np.ndarray, since: int = 0) -> np.ndarray:
-        """Return vectors (n, D) from a place to the nearest images of the spheres with numbers from `since` on."""
+        """Return vectors (n, dimensions D) from a place (D,) to the nearest images of the spheres with numbers from
+        `since` on.
+        """
         vector = self.place[since : self.count] - place
         vector[:, :-1] -= self.sides[:-1] * np.round(vector[:, :-1] / self.sides[:-1])
         return vector
@@ -90,11 +95,11 @@ class _Heap:
 
 
 def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return places (P, D) where a new sphere touches a sphere at 0 and D - 1 others, and the numbers (P, D - 1) of
-    these others.
+    """Return places (P, dimensions D) where a new sphere touches a sphere at 0 and D - 1 others, and the numbers (P, D
+    - 1) of these others.
 
     vector : (n, D), centres of the others. first : distance of the new centre from 0. reach : (n,), its distances from
-    the others.
+        the centres of the others.
     """
     count, dimension = vector.shape
     others = np.arange(count)[:, None] if dimension == 2 else np.column_stack(np.triu_indices(count, 1))
@@ -121,8 +126,8 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
 def built(
     spheres: int, dimension: int, ratio: float, large: float, width: float | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, Built]:
-    """Return radii (N,) and the packing: places, contacts, normals, signs, which are all 1, and bodies, 0 for the
-    floor, 1 for spheres at the surface, -1 for others.
+    """Return radii (spheres N,) and the packing: places, contacts, normals, signs, which are all 1, and bodies, 0 for
+    the floor, 1 for spheres at the surface, -1 for others.
 
     spheres, dimension, ratio, large, width : as of `Packing.random`. rng : generator of the random numbers.
     Raises InputError for arguments that are not allowed, or if no pocket is left for a sphere.

@@ -28,8 +28,8 @@ TANGENT = 1e-9  # gap of discs that touch, over the sum of their radii
 
 
 def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray, Built]:
-    """Return radii (N,) and the bearing: places (N, 2), contacts (E, 2), normals (E, 2), signs (N,) of the two kinds,
-    and bodies (N,), 0 for discs on the lower line, 1 for those on the upper one, -1 for others.
+    """Return radii (spheres N,) and the bearing: places (N, 2), contacts (contacts E, 2), normals (E, 2), signs (N,) of
+    the two kinds, and bodies (N,), 0 for discs on the lower line, 1 for those on the upper one, -1 for others.
 
     m, n, least_radius, periods : as of `Packing.space_filling`. Heights are from 0 to 1, x is periodic, and large discs
     come first. Raises InputError for arguments that are not allowed.
@@ -54,9 +54,10 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
 
 
 def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
-    """Return the discs with centres from x = 0 to a, (N, 4): x, y, radius, and kind, +1 or -1; and a.
+    """Return the discs of the strip with centres in half a period, x = 0 to a, as (spheres N, 4): x, y, radius, and
+    sense of turning, +1 or -1; and the length a.
 
-    least : radius of the smallest discs that are kept.
+    m, n : numbers of the family. least : radius of the smallest discs that are kept.
     """
     share_m, share_n = (cos(pi / (count + 3)) ** 2 for count in (m, n))
     square = 1 / (1 / share_m + 1 / share_n - 1)
@@ -74,13 +75,19 @@ def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
 
 
 def _folded(discs: np.ndarray, a: float) -> np.ndarray:
-    """Return discs moved to x from 0 to a by reflections in x = 0 and x = a."""
+    """Return discs (spheres N, 4) moved into half a period, x from 0 to a, by reflections in x = 0 and x = a. The first
+    column is x.
+    """
     x = np.mod(discs[:, 0], 2 * a)
     return np.column_stack([np.where(x > a, 2 * a - x, x), discs[:, 1:]])
 
 
 def _unlike(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return the new discs, each once, that are not among those found, up to this distance of centres."""
+    """Return those new discs, each once, that are not among the discs found already.
+
+    found, new : (spheres N, 4), columns x, y, radius and sense of turning. tolerance : distance of centres up to which
+        two discs are the same.
+    """
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
     once = np.ones(len(new), dtype=bool)
@@ -91,10 +98,11 @@ def _unlike(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, least: float) -> np.ndarray:
-    """Return the mirror images, in the circle of radius `size` about (x, y), of all copies of discs outside the circle.
+    """Return the mirror images, in a circle, of all copies of discs that lie outside it: (spheres N, 4), columns x, y,
+    radius and sense of turning.
 
-    discs : (N, 4), of which copies are made by reflection in x = 0 and by shifts of 2 a. least : radius of the smallest
-    images that are kept.
+    discs : (N, 4); copies are made by reflection in x = 0 and by shifts of 2 a. x, y, size : centre and radius of the
+        circle. least : radius of the smallest images that are kept.
 
     Each disc of the bearing is orthogonal to the circle, inside it or outside. Those inside are images of larger ones
     outside, so none is missed.
@@ -111,7 +119,7 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
 
 
 def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return contacts (E, 2) and normals (E, 2) of discs on a strip that is periodic along x with this length."""
+    """Return contacts (contacts E, 2) and normals (E, 2) of discs on a strip that is periodic along x with this length."""
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
     count = len(place)

@@ -24,10 +24,12 @@ FLAGS = {0: "", 3: "", 5: "abc origin", 6: "xy xz yz"}  # words before the three
 
 @dataclass(frozen=True)
 class Frame:
-    """One timestep. names : of its columns. box : None where the dump has none.
+    """One timestep of a dump, a text file of LAMMPS.
 
-    table : (rows, columns), those that were wanted. line : of the file, before the first row. is_rounded : true where
-    whole numbers are printed as 1e+06, so that they may have lost digits.
+    path : of the file. step : number of the timestep. names : of all columns. box : None where the dump has none.
+    table : (rows, columns), the columns that were asked for. line : number of the line of the file before the first
+        row.
+    is_rounded : True where whole numbers are printed like 1e+06, so that they may have lost digits.
     """
 
     path: Path
@@ -39,15 +41,16 @@ class Frame:
     is_rounded: bool
 
     def at(self, row: int) -> str:
-        """Where a row stands, for messages."""
+        """Return where a row of the table stands, "line 12 of atoms.dump", for messages."""
         return f"line {self.line + row + 1} of {self.path}"
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Where the timesteps of a dump begin. starts : timestep and line of each, in the order of the file.
+    """Where the timesteps of a dump begin.
 
-    cut : what the file lacks at its end; None if nothing.
+    path : of the file. starts : pairs of a timestep and the number of lines before it, in the order of the file. cut :
+        the error for what is missing at the end of the file; None if nothing is.
     """
 
     path: Path
@@ -56,7 +59,9 @@ class Frames:
 
     @classmethod
     def of(cls, path: Path) -> "Frames":
-        """Raises FileError for a file that cannot be read or has no timestep."""
+        """Return where the timesteps of a dump begin; raise FileError for a file that cannot be read or has no
+        timestep.
+        """
         starts, line, cut = list[tuple[int, int]](), 0, None
         with closing(read_text_lines(path)) as lines:
             try:
@@ -78,25 +83,30 @@ class Frames:
         return cls(path, starts, cut)
 
     def of_step(self, step: int) -> list[int]:
-        """Lines before a timestep that may be there several times, the last one first."""
+        """Return the numbers of lines before a timestep, which may be in the file several times, the last one first."""
         return [line for own, line in reversed(self.starts) if own == step]
 
 
 def read_frame(
     path: Path, step: int, start: int, items: str, most: int, wanted: Callable[[Sequence[str]], list[str]], whole: int
 ) -> Frame:
-    """The timestep that begins after line `start`.
+    """Return the timestep of a dump that begins after line `start`.
 
-    items : "ATOMS", or "" for whatever a dump of local data calls its rows. most : rows that are read. wanted : the
-    names of the columns to read, of those that the dump has; the first `whole` of them hold whole numbers.
+    path : of the file. step : number of the timestep.
+    items : "ATOMS", or "" for whatever a dump of local data calls its rows. most : largest number of rows that is read.
+    wanted : function that is given the names of all columns and returns the names of those to read; the first `whole`
+        of them hold whole numbers.
 
-    Raises CutOff if it is not all there, FileError with the line at fault if it is damaged.
+    Raises CutOff if a part of the timestep is missing, and FileError with the line at fault if it is damaged.
     """
     with closing(read_text_lines(path)) as lines:
         return _Reader(path, islice(lines, start, None), start).read(step, items, most, wanted, whole)
 
 
 def _integer(path: Path, line: int, text: bytes, least: int, most: int) -> int:
+    """Return the whole number in the text of a line; raise FileError if there is none from `least` to `most`. path,
+    line : for messages.
+    """
     digits = text.strip()
     if not digits.isdigit() or len(digits) > 20 or not least <= int(digits) <= most:
         raise FileError(f"{path} is damaged or no dump: line {line} must be a whole number from {least} to {most}")
@@ -104,12 +114,17 @@ def _integer(path: Path, line: int, text: bytes, least: int, most: int) -> int:
 
 
 class _Reader:
-    """Reads the lines of one timestep. line : how many lines of the file are read."""
+    """Reader of the lines of one timestep.
+
+    path : of the file. lines : the lines that follow. line : number of lines read so far. is_rounded : True once a
+        whole number was printed like 1e+06.
+    """
 
     def __init__(self, path: Path, lines: Iterator[bytes], line: int) -> None:
         self.path, self.lines, self.line, self.is_rounded = path, lines, line, False
 
     def read(self, step: int, items: str, most: int, wanted: Callable[[Sequence[str]], list[str]], whole: int) -> Frame:
+        """Return the timestep whose lines come next; the arguments are those of :func:`read_frame`."""
         self._next("ITEM: TIMESTEP")
         self._next("a timestep")
         kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
@@ -128,6 +143,9 @@ class _Reader:
         return Frame(self.path, step, names, box, table, line, self.is_rounded)
 
     def _next(self, expected: str) -> bytes:
+        """Return the next line; raise CutOff if the file or the timestep ends before it. expected : what the line
+        should be, for the message.
+        """
         line = next(self.lines, None)
         self.line += 1
         if line is None or (line.startswith(TIMESTEP) and not expected.startswith("ITEM: TIMESTEP")):
@@ -135,9 +153,13 @@ class _Reader:
         return line
 
     def _wrong(self, expected: str) -> FileError:
+        """Return the error for the line read last. expected : what it should be."""
         return FileError(f"{self.path} is damaged or no dump: line {self.line} must be {expected}")
 
     def _header(self, begin: str, expected: str) -> list[str]:
+        """Return the words of the next line after "ITEM: " and `begin`; raise FileError for another line. expected :
+        what it should be, for the message.
+        """
         words = self._next(expected).decode("latin-1").strip()
         found = words[len(f"ITEM: {begin}") :].split()
         if not words.startswith(f"ITEM: {begin}") or not found:
@@ -145,7 +167,9 @@ class _Reader:
         return found
 
     def _box(self, words: list[str]) -> Box:
-        """The box of three lines. words : what follows ITEM: BOX BOUNDS; older dumps have nothing there."""
+        """Return the box that the next three lines describe. words : what follows ITEM: BOX BOUNDS; nothing in older
+        dumps.
+        """
         flags, kind = words[-3:], " ".join(words[:-3])
         if FLAGS.get(len(words)) != kind or any(len(flag) != 2 or set(flag) - set("pfsm") for flag in flags):
             raise self._wrong("ITEM: BOX BOUNDS with three flags such as pp ff pp, after xy xz yz of a triclinic box")
@@ -157,7 +181,11 @@ class _Reader:
         return box
 
     def _numbers(self, line: bytes, places: list[int], width: int, whole: int) -> list[float]:
-        """The numbers at these places of a line of so many words, the first `whole` of them whole."""
+        """Return the numbers at some places of a line; raise FileError if the line is damaged.
+
+        places : indices of the words to read. width : number of words that the line must have. whole : so many of the
+            first numbers must be whole.
+        """
         words = line.split()
         try:
             if len(words) != width:
@@ -177,6 +205,11 @@ class _Reader:
         return numbers
 
     def _rows(self, names: list[str], count: int, wanted: list[str], whole: int) -> np.ndarray:
+        """Return the wanted columns of the rows that come next, (count, columns).
+
+        names : of all columns. count : number of rows. wanted : names of the columns to read; the first `whole` of them
+            hold whole numbers. Raises FileError if a column is missing, or if more rows follow than the timestep says.
+        """
         if lacking := [name for name in wanted if names.count(name) != 1]:
             raise FileError(f"{self.path} must have one column {lacking[0]}; it has {' '.join(names)}")
         places, values = [names.index(name) for name in wanted], array("d")

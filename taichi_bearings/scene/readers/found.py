@@ -23,9 +23,10 @@ SIDES = 2  # bodies: the bottom is 0, the top 1
 
 @dataclass(frozen=True)
 class Sides:
-    """How the bottom, body 0, and the top, body 1, are driven.
+    """How the two driven bodies of a packing are driven: the bottom, number 0, and the top, number 1.
 
-    spin_bottom, spin_top : imposed spins, 1/time. direction : their axis, of any length but 0; ignored for discs.
+    spin_bottom, spin_top : imposed spins, 1/time. direction : their common axis, of any length but 0; ignored for
+        discs.
     """
 
     spin_bottom: float = 0.0
@@ -33,7 +34,7 @@ class Sides:
     direction: Any = (1.0, 1.0, 0.0)
 
     def spins(self, driven: np.ndarray, dimension: int) -> np.ndarray:
-        """Return the imposed spins, (N, 3) of spheres or (N,) of discs, 1/time.
+        """Return the imposed spins, (spheres N, 3) of spheres or (N,) of discs, 1/time.
 
         driven : (N,) number of the body of each sphere, -1 for free ones. dimension : D. Raises InputError for a body
         that is neither bottom nor top.
@@ -57,9 +58,10 @@ def from_centers(
 
     Here d is the distance of two centres.
 
-    center : (N, D), length. radius : (N,) or one for all, length. tolerance : relative gap or overlap of spheres that
-    touch. given : `driven`, (N,), or `spin`, if they are known; without `driven`, spheres within `tolerance` radii of
-    the lowest and of the highest one along the last axis are driven. sides : their spins, unless `spin` is given.
+    center : (spheres N, dimensions D), length. radius : (N,) or one for all, length. tolerance : relative gap or
+    overlap of spheres that touch. given : `driven`, (N,), or `spin`, if they are known; without `driven`, spheres
+    within `tolerance` radii of the lowest and of the highest one along the last axis are driven. sides : their spins,
+    unless `spin` is given.
     periodic : (D,), lengths of the periodic sides, 0 or None along other axes.
 
     Raises InputError for spheres that overlap by more, and where nothing touches or it is not clear what is driven.
@@ -98,7 +100,11 @@ def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic
 
 
 def told(contact: np.ndarray, spheres: int, tolerance: float) -> tuple[str, int]:
-    """Return a sentence on the contacts (E, 2) that were found, and the number of spheres that have none."""
+    """Return a sentence on the contacts that were found, for a log, and the number of spheres without a contact.
+
+    contact : (contacts E, 2), spheres of each contact. spheres : their number. tolerance : gap or overlap, relative to
+        the sum of two radii, up to which spheres touch.
+    """
     alone = spheres - len(np.unique(contact))
     of = f"{counted(len(contact), 'contact')} of {counted(spheres, 'sphere')} found within {tolerance:g} of touching"
     none = f"{counted(alone, 'sphere')} touch{'es' if alone == 1 else ''} nothing" if alone else "each touches another"
@@ -106,7 +112,11 @@ def told(contact: np.ndarray, spheres: int, tolerance: float) -> tuple[str, int]
 
 
 def _lengths(periodic: Any, dimension: int, largest: float) -> np.ndarray:
-    """Return the lengths (D,) of the periodic sides, 0 along other axes; raise InputError for anything else."""
+    """Return the lengths (dimensions D,) of the periodic sides, 0 along other axes; raise InputError for anything else.
+
+    periodic : what the user has passed, or None. dimension : D. largest : the largest radius; sides must be longer than
+        spheres.
+    """
     if periodic is None:
         return np.zeros(dimension)
     values = [0.0 if value is None else value for value in np.atleast_1d(np.array(periodic, dtype=object)).tolist()]
@@ -123,9 +133,14 @@ def _lengths(periodic: Any, dimension: int, largest: float) -> np.ndarray:
 def _contacts(
     center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return contacts (E, 2), ordered by their spheres, and normals (E, D).
+    """Return the contacts (contacts E, 2) of spheres that touch, ordered by their spheres, and the normals (E,
+    dimensions D).
 
-    Raises InputError if spheres overlap more than the tolerance allows, or if none touch.
+    center : (spheres N, D), length. radius : (N,), length. share : largest gap or overlap, relative to the sum of two
+    radii.
+        length : (D,), lengths of the periodic sides, 0 along other axes.
+
+    Raises InputError if spheres overlap by more, or if none touch.
     """
     inside, closed = np.array(center), length > 0
     inside[:, closed] = np.mod(inside[:, closed], length[closed])
@@ -152,9 +167,9 @@ def _contacts(
 
 
 def _leads_up(shift: np.ndarray) -> np.ndarray:
-    """Return a mask (X,) of the shifts (X, D) whose last component that is not 0 is positive.
+    """Return a mask (X,) of the shifts (X, dimensions D) whose last component other than 0 is positive.
 
-    Of the two images by which a pair of spheres touches, it picks one.
+    Two spheres that touch across a periodic side do so by two opposite shifts; this picks one of them.
     """
     up = np.zeros(len(shift), dtype=bool)
     for component in shift.T:
@@ -163,10 +178,13 @@ def _leads_up(shift: np.ndarray) -> np.ndarray:
 
 
 def _ends(center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarray) -> np.ndarray:
-    """Return the bodies (N,): 0 for the lowest spheres along the last axis, 1 for the highest, -1 for others.
+    """Return the driven body of each sphere, (spheres N,): 0 for the lowest ones along the last axis, 1 for the
+    highest, -1 for others.
 
-    share : spheres within so many of their radii of the extreme centres belong to these. length : (D,), lengths of the
-    periodic sides. Raises InputError if the last axis is periodic, or if all spheres are at one height.
+    center : (N, dimensions D), length. radius : (N,), length. share : spheres within so many of their radii of the
+        lowest or highest centre are driven. length : (D,), lengths of the periodic sides, 0 along other axes.
+
+    Raises InputError if the last axis is periodic, or if all spheres are at one height.
     """
     height, name = center[:, -1], "xyz"[center.shape[1] - 1]
     if length[-1]:

@@ -53,26 +53,30 @@ class Asked:
 
     @property
     def kinds(self) -> list[str]:
-        """The column of types in a list, empty if types are not needed."""
+        """A list with the column of the atom types; empty if types are not needed."""
         return ["type"] if self.driven_types is not None else []
 
     @property
     def rates(self) -> list[str]:
-        """The columns of spins, empty if these are not needed."""
+        """A list with the columns of spins; empty if these are not needed."""
         return [] if self.spin is not None else list(SPIN if self.dimension == 3 else SPIN[2:])
 
     def size(self, names: Sequence[str]) -> list[str]:
-        """Return the column of radii or diameters in a list, empty if it is not needed. names : columns of the dump."""
+        """Return a list with the column of radii or diameters; empty if it is not needed. names : columns of the dump."""
         return ["radius" if "radius" in names else "diameter"] if self.radius is None else []
 
     def place(self, names: Sequence[str]) -> list[str]:
-        """The columns of places: of the first kind of which all axes are there; z too of discs that have it."""
+        """Return the names of the columns of positions. names : columns of the dump.
+
+        LAMMPS has four kinds of positions, KINDS_OF_PLACES; the first kind whose columns are all there is taken. The z
+        of discs is read too, if it is there.
+        """
         needed = AXIS_NAMES[: self.dimension]
         kind = next((kind for kind in KINDS_OF_PLACES if all(kind.format(axis) in names for axis in needed)), "{}")
         return [name for axis in AXIS_NAMES if (name := kind.format(axis)) in names or axis in needed]
 
     def columns(self, names: Sequence[str]) -> list[str]:
-        """Return all columns of atoms that are read. names : columns of the dump."""
+        """Return the names of all columns of atoms that are read. names : columns of the dump."""
         return ["id", *self.kinds, *self.size(names), *self.place(names), *self.rates]
 
 
@@ -109,8 +113,11 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
 
 
 def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tuple[Frame, Frame]:
-    """The timestep of both dumps: the one that is asked for, or the last one that is whole in both. A warning says
-    what is left out for that."""
+    """Return one timestep of both dumps: the one that is asked for, or the last one that is complete in both.
+
+    atoms, contacts : the two files. columns : names of the columns of contacts. asked : options of the user. A warning
+        tells of later timesteps that are left out.
+    """
     first, second = Frames.of(atoms), Frames.of(contacts)
     cut = [str(part.cut) for part in (first, second) if part.cut is not None]
     for step in dict.fromkeys(own for own, _ in reversed(first.starts)):
@@ -136,7 +143,11 @@ def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tu
 
 
 def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
-    """The last one of this timestep that is whole; CutOff if none is."""
+    """Return the last complete copy of a timestep, which a dump may hold several times; raise CutOff if none is
+    complete.
+
+    frames : where the timesteps begin. step : number of the timestep. of : further arguments of `read_frame`.
+    """
     error = CutOff(frames.path, 0, f"it has no timestep {step}")
     for start in frames.of_step(step):
         try:
@@ -159,7 +170,11 @@ MOST_INTEGER_OR_SIZE = max(MOST_SIZE, 2.0**53)
 
 
 def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) -> np.ndarray:
-    """Centres (N, D), length. names : of the columns `place`, which are lengths or shares of the box."""
+    """Return the centres of the atoms, (spheres N, dimensions D), length.
+
+    names : of the columns of positions, which are lengths or fractions of the box. place : (N, columns), their numbers.
+        asked : options of the user.
+    """
     if "s" in names[0]:
         if frame.box is None:
             raise FileError(f"{frame.path} has scaled coordinates (xs, ys, zs), but no box at timestep {frame.step}")
@@ -173,7 +188,11 @@ def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) ->
 
 
 def _radii(frame: Frame, column: np.ndarray, asked: Asked) -> np.ndarray:
-    """Return the radii (N,) from the column of radii or diameters, or the one radius that `asked` gives."""
+    """Return the radii (spheres N,), length.
+
+    frame : the timestep of the atoms. column : its column of radii or diameters, if it is needed. asked : options of
+        the user, which may give one radius for all instead.
+    """
     if asked.radius is None:
         return column * (1.0 if "radius" in frame.names else 0.5)
     if own := [name for name in ("radius", "diameter") if name in frame.names]:
@@ -182,6 +201,10 @@ def _radii(frame: Frame, column: np.ndarray, asked: Asked) -> np.ndarray:
 
 
 def _refuse_sizes(frame: Frame, order: np.ndarray, radius: np.ndarray) -> None:
+    """Raise FileError for a radius that is out of range.
+
+    frame : the timestep of the atoms. order : (spheres N,), row of each atom. radius : (N,), in the same order.
+    """
     wrong = ~((radius >= LEAST_SIZE) & (radius <= MOST_SIZE))
     if wrong.any():
         row = int(order[np.argmax(wrong)])
@@ -192,7 +215,12 @@ def _refuse_sizes(frame: Frame, order: np.ndarray, radius: np.ndarray) -> None:
 def _contacts(
     rows: Frame, frame: Frame, number: np.ndarray, spheres: Mapping[str, np.ndarray], asked: Asked
 ) -> dict[str, np.ndarray]:
-    """Contacts, normals and, where columns give them, normal forces, of atoms with these numbers (N,)."""
+    """Return arrays of the contacts by name: contact (contacts E, 2), normal (E, dimensions D) and, where columns give
+    it, normal_force (E,).
+
+    rows : timestep of the dump of contacts. frame : the same timestep of the dump of atoms. number : (spheres N,), ids
+        of the atoms in the order of the spheres. spheres : centres and radii by name. asked : options of the user.
+    """
     if frame.box is not None and rows.box is not None and not frame.box.is_as(rows.box):
         raise FileError(f"{rows.path} has another box than {frame.path} at timestep {frame.step}; are they of one run?")
     strange = ~np.isfinite(rows.table).all(axis=1)
@@ -216,7 +244,14 @@ def _normals(
     rows: Frame, row: np.ndarray, contact: np.ndarray, number: np.ndarray, frame: Frame,
     spheres: Mapping[str, np.ndarray], asked: Asked,
 ) -> np.ndarray:  # fmt: skip
-    """Normals (E, D) of contacts (E, 2), which are rows (E,) of the dump, the shortest way around periodic sides."""
+    """Return the normals (contacts E, dimensions D) of the contacts, along the shortest way around periodic sides.
+
+    rows, frame : timesteps of the dumps of contacts and of atoms. row : (E,), row of each contact in its dump. contact
+        : (E, 2), numbers of its spheres. number : (spheres N,), ids of the atoms. spheres : centres and radii by name.
+        asked : options of the user.
+
+    Raises InputError for two atoms that do not touch, touch both ways around a periodic side, or come twice.
+    """
     center, reach = spheres["center"], spheres["radius"][contact].sum(axis=1)
     vector = center[contact[:, 1]] - center[contact[:, 0]]
     vector, is_doubtful = nearest_images(vector, _periods(frame, asked), (1 + GAP) * reach)
@@ -241,7 +276,9 @@ def _normals(
 
 
 def _periods(frame: Frame, asked: Asked) -> np.ndarray:
-    """Return the vectors (k, D) of the periodic sides."""
+    """Return the vectors (k, dimensions D) of the periodic sides, length. frame : the timestep of the atoms. asked :
+    options of the user.
+    """
     box = frame.box
     if asked.periodic is not None:
         closed = set(axis_numbers(periodic_axes(asked.periodic, AXIS_NAMES[: asked.dimension])))
@@ -259,10 +296,11 @@ def _periods(frame: Frame, asked: Asked) -> np.ndarray:
 
 
 def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
-    """Forces (E,) that press spheres together, 0 for those that do not act; a warning says how many of all `count`
-    rows are left out for that.
+    """Return forces (n,) that press spheres together: those given, with 0 in place of forces that pull. A warning says
+    how many rows are left out for want of such a force.
 
-    force : positive where it presses. If all pull, the file counts forces the other way, and they are turned.
+    rows : timestep of the dump of contacts, for messages. force : (n,), positive where it presses. If all are negative,
+        the file counts forces the other way, and their signs are changed. count : number of rows of the dump.
     """
     warn = logging.getLogger(__name__).warning
     if (force < 0).any() and not (force > 0).any():
@@ -276,9 +314,13 @@ def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
 
 
 def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> np.ndarray:
-    """Return contacts (E, 2) as positions in the array of ids of all atoms.
+    """Return the contacts (contacts E, 2) as numbers of spheres, which are positions in the array of the ids of all
+    atoms.
 
-    rows : dump of the contacts. row : (E,), numbers of the rows that are contacts. number : (N,), ids of the atoms.
+    rows : timestep of the dump of contacts. row : (E,), its rows that are contacts. frame : timestep of the atoms.
+        number : (spheres N,), their ids.
+
+    Raises FileError for an id that no atom has, or that fits several atoms because it was printed with too few digits.
     """
     ids = rows.table[row, :2].astype(np.int64)
     keys, place = number, np.arange(len(number))
@@ -307,7 +349,11 @@ def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> 
 
 
 def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
-    """Return the body of each atom, (N,), -1 for free ones. number : (N,), ids. kind : (N,), types of the atoms."""
+    """Return the driven body of each atom, (spheres N,), -1 for free ones.
+
+    number : (N,), ids of the atoms. asked : options of the user, which name driven atoms by id or by type. kind : (N,),
+        types of the atoms.
+    """
     if asked.driven is not None and not isinstance(asked.driven, Mapping):
         return np.asarray(asked.driven)
     table, keys = (asked.driven_types or {}, kind) if asked.driven is None else (asked.driven, number)
@@ -320,7 +366,11 @@ def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
 
 
 def _imposed(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.ndarray:
-    """Return the imposed spins of driven atoms, (N, 3) or (N,) for discs, 1/time; 0 for others. spin : by body."""
+    """Return the imposed spins of driven atoms, (spheres N, 3) or (N,) for discs, 1/time; 0 for others.
+
+    body : (N,), driven body of each atom, -1 for free ones. spin : imposed spin by number of the body. dimension : 2 or
+        3.
+    """
     values = np.zeros((len(body), 3) if dimension == 3 else len(body))
     for own in np.unique(body[body >= 0]).tolist():
         if own not in spin:

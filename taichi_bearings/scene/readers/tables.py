@@ -77,10 +77,11 @@ def read_contacts(path: Path, ids: np.ndarray | None, spheres: int) -> dict[str,
 
 
 def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the columns (rows,) of a table by name; raise FileError if it cannot be read.
+    """Return the columns of a table by the names of the arrays that they become, (rows,) each; raise FileError if it
+    cannot be read.
 
-    names : columns that it may have, with the names of the arrays. most : number of rows that it may have. needed :
-    names of arrays that it must have.
+    names : columns that the table may have, each with the name of its array. most : largest number of rows. needed :
+        names of arrays that it must have.
     """
     head, rows, delimiter = None, list[list[float]](), None
     for line, text in enumerate(read_text_lines(path), start=1):
@@ -106,12 +107,16 @@ def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]
 
 
 def _cells(words: str, delimiter: str | None) -> list[str]:
+    """Return the words of a line that a delimiter separates, without spaces and quotes around them."""
     return [cell.strip().strip('"').strip() for cell in words.split(delimiter)]
 
 
 def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], needed: Sequence[str]) -> list[str]:
-    """Return the names of the arrays for the cells of a header; raise FileError for a column that is unknown, missing
-    or there twice."""
+    """Return the names of the arrays for the cells of a header line.
+
+    path, line : file and line, for messages. cells : the words of the header. names, needed : as for :func:`_read`.
+        Raises FileError for a column that is unknown, missing, or there twice.
+    """
     known = [cell.lower() for cell in cells]
     if strange := [name for name in known if name not in names]:
         allowed = ", ".join(names)
@@ -128,7 +133,11 @@ def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], nee
 
 
 def _row(path: Path, line: int, cells: list[str], names: Sequence[str]) -> list[float]:
-    """Return the numbers of a row; raise FileError, with the line and what is wrong in it, for anything else."""
+    """Return the numbers of a row; raise FileError for anything else, with the line and what is wrong in it.
+
+    path, line : file and line, for messages. cells : the words of the row. names : names of the arrays, one for each
+        cell.
+    """
     if len(cells) != len(names):
         raise FileError(f"line {line} of {path} has {len(cells)} cells, and its header {len(names)}")
     numbers = []
