@@ -108,7 +108,9 @@ class Bottlenecks:
 
     @cached_property
     def betweenness(self) -> Betweenness:
-        """The loads of links and spheres by shortest paths, for which only links of the backbone have to be searched."""
+        """The loads of links and spheres by shortest paths, for which only links of the backbone have to be
+        searched.
+        """
         return betweenness(self.network, self.backbone)
 
     @property

@@ -148,7 +148,9 @@ class SliplessNetwork:
 
     @cached_property
     def spanning(self) -> np.ndarray:
-        """Mask of the spheres in connected pieces that join driven bodies, in the shape of the lattice or (spheres,)."""
+        """Mask of the spheres in connected pieces that join driven bodies, in the shape of the lattice or
+        (spheres,).
+        """
         label = self.pieces()
         several = np.bincount(label[self.held], minlength=len(label)) > 1
         return np.asarray(several[self.component])
@@ -178,7 +180,9 @@ class SliplessNetwork:
         return int(maximum_flow(self.graph(), *self.held).flow_value) if len(self.held) == 2 else None
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return an array (contacts,) over all contacts: the values of the edges, and 0 elsewhere. values : (edges,)."""
+        """Return an array (contacts,) over all contacts: the values of the edges, and 0 elsewhere. values :
+        (edges,).
+        """
         spread = np.zeros(self.slipless.shape, dtype=values.dtype)
         spread[self.slipless] = values
         return spread

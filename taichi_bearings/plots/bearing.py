@@ -223,7 +223,9 @@ def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarra
 
 
 def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, **look: Any) -> None:
-    """Draw the colour bar for spheres that are coloured by :func:`speed_of`. look : arguments of matplotlib's colorbar."""
+    """Draw the colour bar for spheres that are coloured by :func:`speed_of`. look : arguments of matplotlib's
+    colorbar.
+    """
     label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
     colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
 

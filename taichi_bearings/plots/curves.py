@@ -77,7 +77,9 @@ def courses_of(solution: Solution) -> list[Solution]:
 
 
 def _steps(solution: Solution) -> int:
-    """Return the number of rows of the history after the start; for several samples of a packing that of all together."""
+    """Return the number of rows of the history after the start; for several samples of a packing that of all
+    together.
+    """
     return int((solution.history.get("iteration", np.zeros(0)) > 0).sum())
 
 

@@ -61,7 +61,9 @@ class NotebookFigure(Figure):
             self.dpi = printed
 
     def draw(self, renderer: Any) -> None:
-        """Lay out the figure twice and draw it: titles above axes of a fixed aspect have their final place only then."""
+        """Lay out the figure twice and draw it: titles above axes of a fixed aspect have their final place only
+        then.
+        """
         if engine := self.get_layout_engine():
             engine.execute(self)
         super().draw(renderer)
@@ -226,7 +228,9 @@ def larger_spin(spin_top: float, spin_bottom: float) -> str:
 
 
 def driving(scene: Bearing) -> tuple[float, str]:
-    """Return the imposed spin that serves as unit of times and powers, 1/time, and its symbol; for packings 1 and ""."""
+    """Return the imposed spin that serves as unit of times and powers, 1/time, and its symbol; for packings 1
+    and "".
+    """
     natural = scene.natural_spin
     return (1.0, "") if natural is None else (natural, SPEED_OF[bool(scene.sides[0])])
 

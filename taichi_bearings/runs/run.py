@@ -444,7 +444,9 @@ PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")  # files that o
 
 
 def _drawn(path: Path) -> list[str]:
-    """Return the names of files in a run directory that show an earlier answer: figures, histograms, films and exports."""
+    """Return the names of files in a run directory that show an earlier answer: figures, histograms, films and
+    exports.
+    """
     from taichi_bearings.runs.figures import FIGURE_KINDS
 
     pictures = [f"{name}.{ending}" for name in (*FIGURE_KINDS, "power_histogram") for ending in ("png", "pdf")]

@@ -113,7 +113,9 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
 
 
 def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Result:
-    """Return the result in an opened run.h5. path, attributes : of the file; the attributes hold settings and numbers."""
+    """Return the result in an opened run.h5. path, attributes : of the file; the attributes hold settings and
+    numbers.
+    """
     if "scene" not in attributes:
         raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
     try:
@@ -263,7 +265,9 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     replicas, apart = scene.replicas, not is_lattice and scene.replicas > 1
 
     def number(name: str) -> np.ndarray:
-        """Return an attribute with one value for each replica, (samples R,); not-a-number where it is missing or empty."""
+        """Return an attribute with one value for each replica, (samples R,); not-a-number where it is missing or
+        empty.
+        """
         value = attributes.get(name, "")
         values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
         kinds = "UO" if name == "proof" else "biuf"

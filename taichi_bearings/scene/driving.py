@@ -440,7 +440,9 @@ class Planes(Driving):
 
     @cached_read_only
     def spin(self) -> np.ndarray:
-        """Laboratory spins, (spheres *N) of discs or (*N, 3) of spheres, 1/time; those of the two planes are imposed."""
+        """Laboratory spins, (spheres *N) of discs or (*N, 3) of spheres, 1/time; those of the two planes are
+        imposed.
+        """
         return self.spins()[0]
 
     @cached_read_only

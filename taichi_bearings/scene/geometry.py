@@ -146,7 +146,9 @@ class _Contacts:
             raise InputError(f"{self._misfit(own)}; are normals in the order of the contacts?")
 
     def refuse_strange_images(self) -> None:
-        """Raise InputError if the contacts that are not direct cannot all be contacts across periodic sides of one box."""
+        """Raise InputError if the contacts that are not direct cannot all be contacts across periodic sides of
+        one box.
+        """
         # where the image of the other sphere is, from either end of the contact: no sphere may be there already
         across = np.flatnonzero(~self.is_direct)
         first, second = self.contact[across].T

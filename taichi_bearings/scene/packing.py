@@ -159,7 +159,9 @@ class Packing(Bearing):
         object.__setattr__(self, name, value)
 
     def _take_coefficients(self) -> None:
-        """Check friction and viscosity, or draw them from the seed where none are given, and store both as arrays (E,)."""
+        """Check friction and viscosity, or draw them from the seed where none are given, and store both as
+        arrays (E,).
+        """
         two = len(self.law.quantities) > 1
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
@@ -295,7 +297,9 @@ class Packing(Bearing):
         return self._with(**some, seed=seeds[0], seeds=seeds)
 
     def _with(self, **changes: Any) -> "Packing":
-        """Return a copy in which some fields have other values, by name; these are not checked. Both share the network."""
+        """Return a copy in which some fields have other values, by name; these are not checked. Both share the
+        network.
+        """
         other = object.__new__(type(self))
         vars(other).update({item.name: getattr(self, item.name) for item in fields(self)} | changes)
         vars(other)["network"] = self.network

@@ -119,7 +119,9 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
 
 
 def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return contacts (contacts E, 2) and normals (E, 2) of discs on a strip that is periodic along x with this length."""
+    """Return contacts (contacts E, 2) and normals (E, 2) of discs on a strip that is periodic along x with this
+    length.
+    """
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
     count = len(place)

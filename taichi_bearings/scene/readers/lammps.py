@@ -62,7 +62,9 @@ class Asked:
         return [] if self.spin is not None else list(SPIN if self.dimension == 3 else SPIN[2:])
 
     def size(self, names: Sequence[str]) -> list[str]:
-        """Return a list with the column of radii or diameters; empty if it is not needed. names : columns of the dump."""
+        """Return a list with the column of radii or diameters; empty if it is not needed. names : columns of the
+        dump.
+        """
         return ["radius" if "radius" in names else "diameter"] if self.radius is None else []
 
     def place(self, names: Sequence[str]) -> list[str]:
