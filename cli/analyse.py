@@ -19,7 +19,10 @@ REPORTED = ("power", "slipless", "slipping", "tied", "undecided", "minimum_is_un
     help="Treat contacts that slip no faster than this as not slipping. [default: the contact states of the run]",
 )  # fmt: skip
 @click.option(
-    "--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds is drawn, counted from 0."
+    "--replica",
+    type=click.IntRange(0),
+    default=0,
+    help="Number of the sample to draw, counted from 0, if the run solved several seeds together.",
 )
 @click.option("--figures/--no-figures", default=True, help="Draw the figures. [default: on]")
 @title_option
@@ -56,16 +59,20 @@ def describe(report: dict[str, Any], times: str) -> str:
     on where the time went.
     """
     from taichi_bearings.quantities import COLUMNS, STRUCTURE
-    from taichi_bearings.words import listed
+    from taichi_bearings.words import counted, listed
 
     states = {"proven": "proven", "decided": "decided by slip and friction, not proven"}.get(report["states"])
     states = states or f"slipless up to a slip of {report['threshold']:g}"
     lines = [f"{solved(report)}; contact states: {states}"]
     ended, seeds = listed(report["status"]), listed(report.get("seed"))
     if open_ends := [status for status in ended if status != "certified"]:
-        lines.append(f"not certified, {len(open_ends)} of {len(ended)} ({', '.join(sorted(set(open_ends)))})")
+        statuses = ", ".join(sorted(set(open_ends)))
+        lines.append(f"not certified: {len(open_ends)} of {counted(len(ended), 'sample')} ({statuses})")
     if len(seeds) > 1:
-        lines.append(f"{len(seeds)} samples, seeds {seeds[0]} ... {seeds[-1]}: mean, least, largest; or how many")
+        samples, first, last = len(seeds), seeds[0], seeds[-1]
+        lines.append(
+            f"{samples} samples, seeds {first} ... {last}; a line has mean, least and largest, or how many samples"
+        )
     for title, rows in {"contacts": [COLUMNS[name] for name in REPORTED], **STRUCTURE}.items():
         found = lines_of(rows, report)
         if title == "bottlenecks" and not any(listed(report["spans"])):

@@ -19,24 +19,45 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
 @click.option(
     "--parts",
     metavar="NAME[,NAME...]",
-    help="speed: kernels, methods, scans or dynamics. [default: all]",
-)
-@click.option("--law", multiple=True, metavar="LAW", help="methods: coulomb, viscous or coulomb-viscous; repeatable.")
-@click.option("--seed", default="0", show_default=True, metavar="N", help="methods: seed of the disorder.")
-@click.option("--methods", metavar="NAME[,NAME...]", help="methods: those to compare. [default: all]")
-@click.option(
-    "--peers/--no-peers", default=True, show_default=True, help="methods: Clarabel and SCS too, if installed."
+    help="With `speed`: parts to measure, of kernels, methods, scans and dynamics. [default: all]",
 )
 @click.option(
-    "--time-limit", metavar="SECONDS", help="methods: limit for each of them. [default: 10, --quick 1, --full 60]"
+    "--law",
+    multiple=True,
+    metavar="LAW",
+    help="Part methods: contact law, coulomb, viscous or coulomb-viscous; may be repeated.",
 )
-@click.option("--precision", metavar="f64|f32", help="kernels: precision. [default: both, --quick f64]")
+@click.option("--seed", default="0", show_default=True, metavar="N", help="Part methods: seed of the samples.")
 @click.option(
-    "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Lattice to measure on instead of the usual ones; repeatable."
+    "--methods", metavar="NAME[,NAME...]", help="Part methods: names of the methods to compare. [default: all]"
+)
+@click.option(
+    "--peers/--no-peers", default=True, show_default=True, help="Part methods: run Clarabel and SCS too, if installed."
+)
+@click.option(
+    "--time-limit",
+    metavar="SECONDS",
+    help="Part methods: time limit of each. [default: 10, with --quick 1, with --full 60]",
+)
+@click.option(
+    "--precision",
+    metavar="f64|f32",
+    help="Part kernels: double (f64) or single (f32) precision. [default: both, with --quick f64]",
+)
+@click.option(
+    "--shape",
+    multiple=True,
+    metavar="NX,NY[,NZ]",
+    help="Lattice to measure on instead of the usual ones; may be repeated.",
 )
 @click.option("--threads", metavar="N[,N...]", help="Numbers of CPU threads. [default: 1 and all; --full: 1, 2, 4 ...]")
-@click.option("--quick", "budget", flag_value="quick", help="Measure small lattices alone; takes some minutes at most.")
-@click.option("--full", "budget", flag_value="full", help="Go on to 128,128,128 and 4096,4096; takes hours.")
+@click.option("--quick", "budget", flag_value="quick", help="Measure small lattices only; takes a few minutes.")
+@click.option(
+    "--full",
+    "budget",
+    flag_value="full",
+    help="Measure large lattices too, up to 128,128,128 and 4096,4096; takes hours.",
+)
 @out_options("Folder for the files. [default: outputs/<time>-benchmark-<id>]")
 @json_option
 @click.pass_context
@@ -78,7 +99,8 @@ def command(
     benchmarks = {name: BENCHMARKS[name] for name in chosen("parts", PARTS[what] or parts, BENCHMARKS)}
     for name, part in USED_BY.items():
         if part not in benchmarks and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            raise InputError(f"--{name.replace('_', '-')} belongs to the part {part}, which is not measured here")
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} belongs to the part {part}, which is not measured here; leave --{option} out")
     plan, here = planned(**asked), machine()
     folder = out or default_run_path("benchmark")
     others = [f"{name}.{ending}" for name in benchmarks for ending in ("csv", "png")]

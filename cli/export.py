@@ -55,7 +55,7 @@ def command(run: Path, replica: int, analyse: bool, form: str, out: Path | None,
 
     if analyse and form != "vtkhdf":
         raise InputError(
-            f"analyse is given, but a problem in {form} holds nothing of the structure; leave --analyse out"
+            f"analyse is given, but a problem in the format {form} has no place for the structure; leave --analyse out"
         )
     with Display():
         report = (

@@ -21,14 +21,17 @@ from taichi_bearings_cli.progress import Display
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...|SCAN...", type=FILE_PATH)
 @click.option(
     "--bins-per-decade", type=click.IntRange(1, 100), default=5, show_default=True,
-    help="Number of bins a decade of power; with a scan 1, 2, 4, 5, 10 or 20.",
+    help="Number of bins for each factor 10 of power; for a scan 1, 2, 4, 5, 10 or 20.",
 )  # fmt: skip
 @click.option(
     "--normalise", type=Choice(["none", "mean"]), default="none", show_default=True,
-    help="mean: power in units of the mean power of a contact of its sample.",
+    help="none: power as it is; mean: power over the mean power of the contacts of the same sample.",
 )  # fmt: skip
 @click.option(
-    "--by", metavar="KEY", default=None, help="Overlay one histogram for each value of this column or setting."
+    "--by",
+    metavar="KEY",
+    default=None,
+    help="Draw one histogram for each value of this column or setting into one figure.",
 )
 @click.option(
     "--format", "ending", type=Choice(["png", "pdf", "svg"]), default="png", show_default=True,
@@ -63,9 +66,11 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     lines = []
     for part in report.get("groups", [report]):
         name = f"{by} {part[by]}: " if by else ""
-        kinds = ", ".join([f"{part['slipless']:,} slipless", *other_contacts(part["tied"], part["undecided"])])
-        lines.append(f"{name}{part['slipping']:,} slipping contacts, {kinds}, {part['census']}")
+        others = ", ".join([f"{part['slipless']:,} slipless", *other_contacts(part["tied"], part["undecided"])])
+        slipping, of_samples = part["slipping"], part["census"]
+        lines.append(f"{name}{slipping:,} slipping contacts, {others}, {of_samples}")
     if report["slipping"]:
         units = "" if normalise == "none" else f" in units of {report['units']}"
-        lines.append(f"power from {report['smallest_power']:.2e} to {report['largest_power']:.2e}{units}")
+        smallest, largest = report["smallest_power"], report["largest_power"]
+        lines.append(f"power of the slipping contacts from {smallest:.2e} to {largest:.2e}{units}")
     answer(report, as_json, lambda: "\n".join([*lines, *report["files"]]))

@@ -97,7 +97,9 @@ def main() -> None:
     )  # files are replaced in one move; some systems have no locks
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # users need no messages on its font cache
     if os.path.lexists("matplotlibrc"):  # perhaps a stranger's file: some settings start programs
-        click.echo("bearings: the matplotlibrc of this folder is not read; MATPLOTLIBRC can name one that is", err=True)
+        click.echo(
+            "bearings: the file matplotlibrc in this folder is ignored; MATPLOTLIBRC can name one to use", err=True
+        )
         here = os.getcwd()
         os.chdir(os.sep)
         try:

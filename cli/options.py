@@ -64,7 +64,7 @@ class SettingsCommand(click.Command):
         """Return all options: the settings of a run, the command's own, and --help-all."""
         everything = click.Option(
             ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_everything,
-            help="Show the options that few need too, and exit.",
+            help="Show all options, those that few people need too, and exit.",
         )  # fmt: skip
         return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context), everything]
 
@@ -163,11 +163,14 @@ def replica_shown(report: Mapping[str, Any]) -> str:
 
 run_argument = click.argument("run", metavar="RUN", type=FILE_PATH)
 replica_option = click.option(
-    "--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds, counted from 0."
+    "--replica",
+    type=click.IntRange(0),
+    default=0,
+    help="Number of the sample, counted from 0, if the run solved several seeds together.",
 )
 analyse_option = click.option(
     "--analyse", is_flag=True,
-    help="Compute the structure of the run. [default: what `bearings analyse` has written into it, if anything]",
+    help="Find the structure of the run first. [default: use what `bearings analyse` has written into it, if anything]",
 )  # fmt: skip
 json_option = click.option("--json", "as_json", is_flag=True, help="Print exactly one JSON object on stdout.")
 
@@ -179,7 +182,7 @@ dpi_option = click.option(
     "--dpi", type=click.IntRange(30, 2400), default=300, show_default=True,
     help="Resolution in dots an inch of PNG, and of images inside PDF and SVG.",
 )  # fmt: skip
-title_option = click.option("--title/--no-title", default=True, help="Titles above figures. [default: on]")
+title_option = click.option("--title/--no-title", default=True, help="Put titles above figures. [default: on]")
 
 
 def out_options(

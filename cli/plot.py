@@ -33,24 +33,36 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
     "--y",
     metavar="COLUMN[/COLUMN]",
     default=None,
-    help="scan: column to draw, or A/B for the ratio of the means of two.",
+    help="scan: column of scan.csv on the y axis, or A/B for the mean of A over the mean of B.",
 )
-@click.option("--x", metavar="COLUMN", default=None, help="scan: column that it is drawn against.")
+@click.option("--x", metavar="COLUMN", default=None, help="scan: column of scan.csv on the x axis, or L, the height.")
 @click.option(
     "--by", metavar="COLUMN", multiple=True, help="scan: draw one curve for each value of this column. May be repeated."
 )
 @click.option(
-    "--where", metavar="KEY=VALUE", multiple=True, help="scan: use only samples with this value. May be repeated."
+    "--where",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="scan: use only samples whose column KEY has this VALUE. May be repeated.",
 )
-@click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: which axes are logarithmic.")
+@click.option(
+    "--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: make the x axis, the y axis or both logarithmic."
+)
 @width_option
 @dpi_option
 @title_option
 @click.option(
-    "--plane", "planes", metavar="AXIS=N", multiple=True, help="3D: a plane to show, such as y=5. May be repeated."
+    "--plane",
+    "planes",
+    metavar="AXIS=N",
+    multiple=True,
+    help="3D: lattice plane to show, such as y=5. May be repeated.",
 )
 @click.option(
-    "--view", metavar="ELEVATION,AZIMUTH", default=None, help="3D: from where it is seen, in degrees, such as 22,-55."
+    "--view",
+    metavar="ELEVATION,AZIMUTH",
+    default=None,
+    help="3D: elevation and azimuth of the viewer in degrees, such as 22,-55.",
 )
 @out_options(
     "PNG, PDF or SVG. [default: KIND.pdf in the run directory; KIND.png if the PDF had more than 1 MB]", "FILE",

@@ -15,7 +15,7 @@ from taichi_bearings_cli.progress import Display
     "--samples", type=click.IntRange(1, 100_000), default=None,
     help="Number of samples for each statistical claim. [default: 200, with --quick 20]",
 )  # fmt: skip
-@click.option("--quick", is_flag=True, help="Take five minutes: fewer samples, sizes and iterations.")
+@click.option("--quick", is_flag=True, help="Quick version of about five minutes: fewer samples, sizes and iterations.")
 @title_option
 @out_options("Folder for the files. [default: outputs/<time>-reproduce-<id>]")
 @json_option
@@ -77,7 +77,8 @@ def command(
         report = reproduce(figures, folder, effort, tell=lambda line: click.echo(line, err=True), **asked)
     answer(report, as_json, lambda: describe(report, display.times()))
     if report["missing"] and not as_json:
-        click.echo(f"missing: {', '.join(report['missing'])}; the same command with --out {folder} goes on", err=True)
+        missing = ", ".join(report["missing"])
+        click.echo(f"not computed yet: {missing}; the same command with --out {folder} continues", err=True)
     context.exit(130 if report["interrupted"] else 1 if report["refuted"] else 0)
 
 

@@ -31,7 +31,7 @@ LAST_COLUMNS = (
     "Run directory. [default: outputs/<time>-run-<id>]", force="Replace an existing run directory.", kind=FILES
 )
 @click.option(
-    "--resume", metavar="RUN", type=FILES, help="Go on with a run that has a checkpoint, and keep its directory."
+    "--resume", metavar="RUN", type=FILES, help="Continue this run from its last checkpoint, in the same directory."
 )
 @click.option(
     "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
@@ -78,8 +78,9 @@ def command(
             found = solve(title=title)
         except KeyboardInterrupt as error:
             goes_on = f"`bearings run --resume {error}` goes on from the last checkpoint"
-            kept = goes_on if error.args else "nothing is kept"
-            raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
+            what_is_kept = goes_on if error.args else "nothing is kept"
+            sentence = f"bearings: interrupted before a first result was reached; {what_is_kept}"
+            raise KeyboardInterrupt(sentence) from None
         if verify and not found.interrupted:
             from taichi_bearings.runs.verify import verify as verdict_of
 
@@ -112,7 +113,9 @@ def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], a
     from taichi_bearings.runs.run import cost
 
     if resumed:
-        raise InputError(f"resume is {resumed!r}: how far that run has come is not known; leave out --dry-run")
+        raise InputError(
+            f"resume is {resumed!r}: the time that a resumed run will take is not known; leave out --dry-run"
+        )
     report = cost(_settings(scene, given)[0]).report
     answer(report, as_json, lambda: describe_cost(report))
 
@@ -160,7 +163,9 @@ def _task(
 
     if resumed:
         if scene or out or force:
-            raise InputError(f"resume is {resumed!r}: a resumed run keeps its scene and its directory; leave them out")
+            raise InputError(
+                f"resume is {resumed!r}: such a run keeps scene and directory; leave out SCENE, --out and --force"
+            )
         return partial(resume, Path(resumed), given), resumed
     settings, stored_out = _settings(scene, given)
     out = out or stored_out
@@ -187,9 +192,9 @@ def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None
         values = {key: value for key, value in values.items() if key not in Scene.DRAWN}
     stored_out = values.pop("out", None)
     if values.pop("force", False) is not False:
-        raise InputError(f"force in {scene}: a file replaces nothing; give --force on the command line")
+        raise InputError(f"force is set in {scene}; only the command line can allow to overwrite files, by --force")
     if not isinstance(stored_out, str | None):
-        raise InputError(f"out is {stored_out!r}; it must be a text")
+        raise InputError(f"out in {scene} is {stored_out!r}; it must be the name of a directory, in quotes")
     return RunSettings.from_mapping(values | given, scene or "the options"), stored_out
 
 

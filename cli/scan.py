@@ -17,23 +17,31 @@ from taichi_bearings.words import counted
 @click.argument("scan", metavar="SCAN", type=FILE_PATH)
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
-    help="Fix a key of run for all samples, or scan it with scan.KEY=LIST or RANGE; wins over the file. Repeatable.",
+    help="Set a key of `run` for all samples, or vary it by scan.KEY=LIST or RANGE; overrides SCAN. May be repeated.",
 )  # fmt: skip
 @click.option(
-    "--workers", type=click.IntRange(1), default=None, help="Largest number of processes. [default: one a processor]"
+    "--workers",
+    type=click.IntRange(1),
+    default=None,
+    help="Largest number of processes. [default: one for each processor]",
 )
 @click.option(
     "--scheduler", metavar="ADDRESS", default=None,
-    help="Solve on a Dask cluster: address of its scheduler, such as tcp://node:8786, or its scheduler file.",
+    help="Solve on the Dask cluster with this scheduler: an address such as tcp://node:8786, or a scheduler file.",
 )  # fmt: skip
-@click.option("--part", metavar="I/N", default=None, help="Solve part I of N alone, as in a job array; then --merge.")
-@click.option("--merge", is_flag=True, help="Solve nothing; write scan.h5 and scan.csv from all parts in the folder.")
+@click.option(
+    "--part",
+    metavar="I/N",
+    default=None,
+    help="Solve only part I of N, as a job of an array; --merge then combines all.",
+)
+@click.option("--merge", is_flag=True, help="Solve nothing; combine all parts in the folder into scan.h5, scan.csv.")
 @click.option(
     "--dry-run", is_flag=True, help="Solve nothing; print the number of samples, and the time and memory to expect."
 )
 @click.option(
     "--out", metavar="DIR", type=FILE_PATH,
-    help="Folder of the scan; a scan that it holds is completed. [default: outputs/<time>-scan-<id>]",
+    help="Folder of the scan; if it holds one already, what is missing is solved. [default: outputs/<time>-scan-<id>]",
 )  # fmt: skip
 @json_option
 @click.pass_context
@@ -76,9 +84,9 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     folder = scan if scan.is_dir() and folder is None else folder  # goes on there
     merge, one_part, scheduler = asked["merge"], asked["part"] is not None, asked["scheduler"] is not None
     if scheduler and asked["workers"] is not None:
-        raise InputError("--scheduler has workers already; leave out --workers")
+        raise InputError("--scheduler brings the workers of its cluster; leave out --workers")
     if merge and (one_part or scheduler):
-        raise InputError("--merge solves nothing; leave out --part and --scheduler")
+        raise InputError("--merge only combines what is solved; leave out --part and --scheduler")
     if folder is None and (merge or one_part):
         raise _without_folder(scan)
     folder, workers = folder or default_run_path("scan"), asked["workers"] or 0
@@ -113,8 +121,10 @@ def describe_estimate(expected: dict[str, Any]) -> str:
     if expected["missing"] < expected["samples"]:
         lines[0] += f", of which {expected['missing']:,} are missing"
     time = "unknown" if expected["seconds"] is None else f"about {duration(expected['seconds'])}"
-    lines.append(f"time: {time} with {counted(expected['workers'], 'worker')} (to a factor of three)")
-    lines.append(f"memory: about {expected['bytes'] / 1e9:.1f} GB")
+    workers = counted(expected["workers"], "worker")
+    lines.append(f"time: {time} with {workers} (right within a factor of three)")
+    gigabytes = expected["bytes"] / 1e9
+    lines.append(f"memory: about {gigabytes:.1f} GB")
     return "\n".join(lines)
 
 

@@ -11,22 +11,26 @@ from taichi_bearings_cli.progress import Display
 @click.option(
     "--quick", is_flag=True, help="Quick version: two or three values per parameter, smaller samples, about a minute."
 )
-@click.option("--only", metavar="AXIS[,AXIS...]", help="Parameters (axes) to try. [default: all]")
-@click.option("--method", metavar="NAME[,NAME...]", help="Methods to stress. [default: all, and auto]")
-@click.option("--law", metavar="LAW[,LAW...]", help="Laws to try. [default: all]")
+@click.option("--only", metavar="AXIS[,AXIS...]", help="Parameters (axes) to try, such as contrast. [default: all]")
+@click.option("--method", metavar="NAME[,NAME...]", help="Methods to try. [default: all, and auto]")
+@click.option("--law", metavar="LAW[,LAW...]", help="Contact laws to try. [default: all]")
 @click.option(
     "--seed", default=0, show_default=True, metavar="N", type=click.IntRange(0), help="First seed of the samples."
 )
 @click.option("--time-limit", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
-              help="Limit for a solve; some axes take a multiple. [default: 2, 1 with --quick]")  # fmt: skip
+              help="Time limit of a solve; some axes take a multiple of it. [default: 2, with --quick 1]")  # fmt: skip
 @click.option(
-    "--workers", default=0, metavar="N", type=click.IntRange(0), help="Number of processes. [default: one a processor]"
+    "--workers",
+    default=0,
+    metavar="N",
+    type=click.IntRange(0),
+    help="Number of processes. [default: one for each processor]",
 )
 @click.option(
     "--out",
     metavar="DIR",
     type=FILE_PATH,
-    help="Folder of the report; what it holds is continued. [default: outputs/<time>-stress-<id>]",
+    help="Folder of the report; if it holds one already, that is continued. [default: outputs/<time>-stress-<id>]",
 )
 @json_option
 @click.pass_context

@@ -79,8 +79,6 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         lines.append(f"  friction: {balanced}, {inside}" if law.is_rate_independent else f"  damping: {balanced}")
     lines += [f"contradiction: {sentence}" for sentence in report["contradictions"]]
     lines = [printable(line) for line in lines]  # a line each, whatever the names and words in the file
-    lines.append(
-        f"{'verified' if report['verified'] else 'NOT verified'} in {report['seconds']:.1f} s: "
-        f"{'the file proves' if report['verified'] else 'the file does not prove'} what it claims"
-    )
+    verdict, proves = ("verified", "proves") if report["verified"] else ("NOT verified", "does not prove")
+    lines.append(f"{verdict} in {report['seconds']:.1f} s: the file {proves} what it claims")
     return "\n".join([*lines, *([times] if times else [])])

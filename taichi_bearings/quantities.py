@@ -146,7 +146,7 @@ exceeds the friction limit."""
 SPHERES = _named(
     [
         Quantity("spin", "1/time", "angular velocity in the laboratory frame", lambda s: s.spin),
-        Quantity("spin_rounding", "1/time", "what rounding leaves out of the spins: they are the sums of both",
+        Quantity("spin_rounding", "1/time", "part of the spins that doubles cannot hold: they are the sums of both",
                  lambda s: s.spin_rounding if s.spin_rounding.any() else None),
     ]
 )
@@ -166,18 +166,18 @@ CONTACTS = _named(
 CHECK_ROWS = _named(
     [
         Quantity("iteration", "1", "iterations done"),
-        Quantity("seconds", "s", "wall time of the solve, compilation apart"),
+        Quantity("seconds", "s", "wall time of the solve, without compilation"),
         Quantity("time", "time", "simulated time"),
         Quantity("power", "energy/time", "power dissipated by the spins"),
-        Quantity("potential", "energy/time", "dissipation potential of the spins, of which the lower bound is"),
-        Quantity("lower_bound", "energy/time", "best proven lower bound so far"),
+        Quantity("potential", "energy/time", "dissipation potential of the spins, which the lower bound bounds"),
+        Quantity("lower_bound", "energy/time", "best lower bound on the least power (or potential) proven so far"),
         Quantity("slipping", "1", "contacts that slip at this moment"),
         Quantity("kinetic_energy", "energy", "kinetic energy of the free spheres"),
-        Quantity("spring_energy", "energy", "energy in the elongations of the contacts"),
+        Quantity("spring_energy", "energy", "energy stored in the springs of the contacts"),
         Quantity("injected_energy", "energy", "work of the driven spheres since the start"),
         Quantity("dissipated_energy", "energy", "energy dissipated at the contacts since the start"),
-        Quantity("energy_residual", "1", "what the energy balance leaves unexplained, over the energy gone through it"),
-        Quantity("largest_balance_residual", "force*length", "largest torque left over on a free sphere"),
+        Quantity("energy_residual", "1", "error of the energy balance, as a share of the energy put in or dissipated"),
+        Quantity("largest_balance_residual", "force*length", "largest torque out of balance on a free sphere"),
     ]
 )
 """Columns of the history, with one value for each check during a solve."""
@@ -186,11 +186,11 @@ SAMPLES = _named(
     [
         Quantity("power", "energy/time", "power dissipated by the spins, an upper bound on the least power",
                  lambda a: a.solution.power, "P"),
-        Quantity("potential", "energy/time", "dissipation potential, of which the lower bound and the gap are",
+        Quantity("potential", "energy/time", "dissipation potential; lower bound and gap are of it, not of the power",
                  lambda a: None if a.solution.scene.law.minimises == "power" else a.solution.objective),
-        Quantity("lower_bound", "energy/time", "proven: no spins dissipate less; or, have a lower potential",
+        Quantity("lower_bound", "energy/time", "proven lower bound on the least power, or on the least potential",
                  lambda a: a.solution.lower_bound, r"P_\mathrm{low}"),
-        Quantity("gap", "1", "(power - lower_bound) / power, or the same of the potential; 0 where"
+        Quantity("gap", "1", "(power - lower_bound) / power, or with the potential instead of the power; 0 where"
                  " a state without any slip is proven to exist",
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
         Quantity("status", "1", "how it ended: certified (the gap is within the tolerance), stationary or finished"
@@ -203,13 +203,15 @@ SAMPLES = _named(
         Quantity("spheres", "1", "spheres of a packing", _in_lists(lambda network: network.spheres)),
         Quantity("driven_spheres", "1", "driven spheres of a packing",
                  _in_lists(lambda network: int((~network.free).sum()))),
-        Quantity("seed", "1", "seed of the disorder", lambda a: list(a.solution.scene.seeds)),
+        Quantity("seed", "1", "seed from which the coefficients are drawn", lambda a: list(a.solution.scene.seeds)),
         Quantity("iterations", "1", "iterations of the method",
                  _of_lattice(lambda a: a.solution.iterations,
                              lambda a: a.solution.own.get("iterations", a.solution.iterations))),
-        Quantity("seconds", "s", "wall time of the solve, compilation apart; of seeds solved together a share",
+        Quantity("seconds", "s", "wall time of the solve, without compilation; an equal share for seeds solved"
+                 " together",
                  lambda a: a.solution.seconds, r"t_\mathrm{solve}"),
-        Quantity("seconds_compile", "s", "wall time to load and compile", lambda a: a.solution.seconds_compile),
+        Quantity("seconds_compile", "s", "wall time to load and compile the kernels",
+                 lambda a: a.solution.seconds_compile),
         Quantity("contacts", "1", "contacts that take part: all but those between driven spheres and absent ones; their"
                  " sum is that of slipping, slipless, tied and undecided ones",
                  lambda a: _contacts(a.solution), r"N_\mathrm{contacts}"),
@@ -219,7 +221,8 @@ SAMPLES = _named(
                  lambda a: count(a.solution.state, ContactState.SLIPLESS), r"N_\mathrm{slipless}"),
         Quantity("tied", "1", "contacts that slip at some minima and not at others, proven",
                  lambda a: count(a.solution.state, ContactState.TIED)),
-        Quantity("undecided", "1", "contacts of which slip and friction say different things, and nothing is proven",
+        Quantity("undecided", "1", "contacts whose state is not proven, and whose slip and friction hint at different"
+                 " states",
                  lambda a: count(a.solution.state, ContactState.UNDECIDED)),
         Quantity("states_proven", "1", "whether the state of every contact is proven",
                  lambda a: a.solution.states_proven),
@@ -229,29 +232,31 @@ SAMPLES = _named(
                  _of_lattice(lambda a: _separation(a).largest_slipless)),
         Quantity("smallest_slipping_slip", "length/time", "smallest slip of a slipping contact",
                  _of_lattice(lambda a: _separation(a).smallest_slipping)),
-        Quantity("separation_decades", "1", "decades of slip between slipping and slipless contacts",
+        Quantity("separation_decades", "1", "orders of magnitude from the largest slipless to the smallest slipping"
+                 " slip",
                  _of_lattice(_decades)),
         Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
-        Quantity("largest_balance_residual", "force*length", "largest component of the torque left over on a free"
-                 " sphere, of packings over its radius",
+        Quantity("largest_balance_residual", "force*length", "largest component of the torque out of balance on"
+                 " a free sphere; for packings divided by its radius",
                  lambda a: a.solution.largest_balance_residual),
         Quantity("spin_top", "1/time", "spin of the top plane",
                  _of_lattice(lambda a: of_lattice(a.solution.scene).imposed[0]), r"\omega_T"),
         Quantity("spin_bottom", "1/time", "spin of the bottom plane",
                  _of_lattice(lambda a: of_lattice(a.solution.scene).imposed[1]), r"\omega_B"),
-        Quantity("normal_force", "force", "force at every contact",
+        Quantity("normal_force", "force", "normal force at every contact",
                  _of_lattice(lambda a: a.solution.scene.normal_force), "F_n"),
         Quantity("radius", "length", "radius of the spheres", _of_lattice(lambda a: a.solution.scene.slip_radius), "R"),
         Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force radius |spin_top|)",
                  _of_lattice(lambda a: _normalised(a.solution)), r"P\,/\,(F_n R\,\omega_T)"),
-        Quantity("minimum_is_unique", "1", "no other slips have the least power, proven either way",
+        Quantity("minimum_is_unique", "1", "true: proven that no other slips have the least power; false: proven that"
+                 " others do",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time", _at_end("time")),
         Quantity("duration", "time", "simulated time that was asked for",
                  lambda a: a.asked.duration if "time" in a.solution.history else None),
-        Quantity("energy_residual", "1", "what the energy balance leaves unexplained",
+        Quantity("energy_residual", "1", "error of the energy balance, as a share of the energy put in or dissipated",
                  _at_end("energy_residual")),
     ]
 )
@@ -262,38 +267,42 @@ FINDINGS = _named(
     [
         Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
         Quantity("driven_power", "energy/time", "power of the contacts between driven spheres of a packing"),
-        Quantity("slipless_motions", "1", "motions of the free spheres that driven ones reach in a packing, at which"
-                 " nothing slips while driven spheres rest"),
+        Quantity("slipless_motions", "1", "independent motions without any slip, while the driven spheres rest, of"
+                 " the free"
+                 " spheres that contacts connect to driven ones; of packings"),
         Quantity("cut_is_unique", "1", "whether the minimum cut is the only one: every other cut is heavier"),
         Quantity("next_cut_over_minimum", "1", "weight of the lightest other cut over that of the minimum cut"),
-        Quantity("step_error", "1", "error of the spins by the length of the time step, over the largest spin"),
+        Quantity("step_error", "1", "estimated error of the spins due to the time step, over the largest spin"),
         Quantity("accurate_time_step", "time", "time step that keeps that error below 0.01"),
         Quantity("elastic_share", "1",
-                 "longest spring over the distance that the driven planes slid past each other"),
+                 "largest elongation of a spring over the distance that the driven planes slid past each other"),
         Quantity("rest_time", "time", "simulated time at which the motion came to rest"),
-        Quantity("yields", "1", "whether the torque is more than friction can hold"),
-        Quantity("yield_torque", "force*length", "torque beyond which friction is proven not to hold"),
-        Quantity("yield_torque_lower_bound", "force*length", "torque that friction is proven to hold"),
-        Quantity("amplitude", "1", "strength of the motion under the torque, 1 for that of the run; 0 where it holds"),
-        Quantity("newton_steps", "1", "factorisations of a dynamics in the rigid limit"),
+        Quantity("yields", "1", "whether the torque is more than friction can withstand, so that the top moves"),
+        Quantity("yield_torque", "force*length", "torque above which the top is proven to move"),
+        Quantity("yield_torque_lower_bound", "force*length", "torque up to which friction is proven to hold the top"
+                 " at rest"),
+        Quantity("amplitude", "1", "speed of the motion under the torque over the imposed one; 0 where friction holds"
+                 " the top"),
+        Quantity("newton_steps", "1", "matrix factorisations made by the method rigid-limit"),
     ]
 )
 """Further numbers and words of samples, which some methods find (`Solution.findings`)."""
 
 STRUCTURE = {
     "minimum cut": [
-        Quantity("power_minimum_cut", "energy/time", "power of the lightest interface of two rigid domains",
+        Quantity("power_minimum_cut", "energy/time", "power of the minimum cut: the lightest interface of two rigid"
+                 " domains",
                  lambda s: s.interface and s.interface.power, r"P_\mathrm{cut}"),
         Quantity("power_over_cut", "1", "power / power_minimum_cut",
                  lambda s: s.interface and _over(s.power, s.interface.power), r"P\,/\,P_\mathrm{cut}"),
-        Quantity("cut_is_unique", "1", "every other interface is proven to be heavier",
+        Quantity("cut_is_unique", "1", "every other interface of two rigid domains is proven to be heavier",
                  lambda s: s.interface and s.interface.unique),
         Quantity("next_cut_over_cut", "1", "power of the lightest other interface over power_minimum_cut",
                  lambda s: s.interface and _over(s.interface.next_power, s.interface.power),
                  r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
-        Quantity("cut_contacts", "1", "contacts of the lightest interface",
+        Quantity("cut_contacts", "1", "contacts of the minimum cut",
                  lambda s: s.interface and s.interface.contacts.sum(), r"N_\mathrm{cut}"),
-        Quantity("slipping_contacts_are_the_cut", "1", "the contacts of the lightest interface slip, and no others",
+        Quantity("slipping_contacts_are_the_cut", "1", "the contacts of the minimum cut slip, and no others",
                  lambda s: s.interface and np.array_equal(s.state == ContactState.SLIPPING, s.interface.contacts)),
     ],
     "slipless network": [
@@ -308,52 +317,59 @@ STRUCTURE = {
                  lambda s: s.network.spanning_fraction),
         Quantity("shortest_path", "contacts", "length of the shortest slipless path from bottom to top",
                  lambda s: len(s.network.path) - 1 if len(s.network.path) else np.nan, r"\ell_\mathrm{min}"),
-        Quantity("planes_crossed", "1", "lattice planes across x (and y) that the shortest path visits",
+        Quantity("planes_crossed", "1", "lattice planes across x (and y) that the shortest path goes through",
                  lambda s: s.network.path_planes),
         Quantity("disjoint_paths", "1", "slipless paths from bottom to top that share no contact",
                  lambda s: s.network.disjoint_paths, r"N_\mathrm{paths}"),
-        Quantity("winds_x", "1", "slipless contacts go around the lattice along x, which is periodic",
+        Quantity("winds_x", "1", "slipless contacts form a loop around the periodic lattice along x",
                  lambda s: s.network.winds_around(0)),
-        Quantity("winds_y", "1", "slipless contacts go around the lattice along y, which is periodic",
+        Quantity("winds_y", "1", "slipless contacts form a loop around the periodic lattice along y",
                  lambda s: s.network.winds_around(1)),
-        Quantity("spanning_winds_x", "1", "so do those of the piece that joins bottom and top, along x",
+        Quantity("spanning_winds_x", "1", "slipless contacts joined to bottom and top form a loop around it along x",
                  lambda s: s.network.winds_around(0, spanning=True)),
-        Quantity("spanning_winds_y", "1", "so do those of the piece that joins bottom and top, along y",
+        Quantity("spanning_winds_y", "1", "slipless contacts joined to bottom and top form a loop around it along y",
                  lambda s: s.network.winds_around(1, spanning=True)),
     ],
     "rigid domains": [
         Quantity("domains", "1", "rigid domains", lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
-        Quantity("domains_locked_to", "1", "rigid domains by what they are locked to",
+        Quantity("domains_locked_to", "1", "rigid domains, by the driven planes that they are locked to",
                  lambda s: s.rigid_domains.domains_of_kind()),
-        Quantity("free_spheres_locked_to", "1", "free spheres by what their rigid domain is locked to",
+        Quantity("free_spheres_locked_to", "1", "free spheres, by the driven planes that their rigid domain is locked"
+                 " to",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
         Quantity("largest_intermediate_domain", "1", "spheres of the largest rigid domain not locked to one plane",
                  lambda s: s.rigid_domains.largest_intermediate),
         Quantity("largest_domain", "1", "free spheres of the largest rigid domain",
                  lambda s: np.bincount(s.rigid_domains.domain[s.network.free]).max(initial=0)),
-        Quantity("largest_spread_in_a_domain", "1/time", "largest distance of a spin from its domain's mean (rounding)",
+        Quantity("largest_spread_in_a_domain", "1/time", "largest difference of a spin from the mean of its rigid"
+                 " domain",
                  lambda s: s.rigid_domains.spread),
     ],
     "bottlenecks": [
-        Quantity("connected_pairs", "1", "pairs of a bottom and a top sphere that paths over free spheres join",
+        Quantity("connected_pairs", "1", "pairs of a bottom and a top sphere joined by slipless paths over free"
+                 " spheres",
                  lambda s: s.bottlenecks.betweenness.pairs),
         Quantity("mean_distance", "contacts", "mean number of contacts on a shortest path from bottom to top",
                  lambda s: _if_spans(s, s.bottlenecks.betweenness.mean_distance), r"\langle \ell \rangle"),
-        Quantity("betweenness_is_exact", "1", "whether shortest paths were counted from all spheres, not from some",
+        Quantity("betweenness_is_exact", "1", "whether shortest paths were counted from all spheres, not only from"
+                 " some",
                  lambda s: s.bottlenecks.betweenness.is_exact),
         Quantity("busiest_link_share", "1", "share of the shortest paths through the busiest contact",
                  lambda s: _if_spans(s, s.bottlenecks.share.max(initial=0.0))),
-        Quantity("backbone_links", "1", "contacts on some path from bottom to top",
+        Quantity("backbone_links", "1", "contacts that lie on some slipless path from bottom to top",
                  lambda s: s.bottlenecks.backbone.sum()),
-        Quantity("parting_links", "1", "contacts whose removal alone parts bottom and top, or two of more bodies",
+        Quantity("parting_links", "1", "contacts each of which alone, if removed, parts bottom and top (or two driven"
+                 " bodies)",
                  lambda s: s.bottlenecks.parting.sum()),
-        Quantity("effective_links", "1", "as many contacts as would carry the shortest paths if all carried the same",
+        Quantity("effective_links", "1", "effective number of contacts that share the shortest paths (participation"
+                 " number)",
                  lambda s: s.bottlenecks.effective_links),
-        Quantity("most_loaded", "1", "contacts that most shortest paths use, by lower sphere and axis (0 is x)",
+        Quantity("most_loaded", "1", "the contacts that most shortest paths use, by lower sphere and axis (0 is x)",
                  lambda s: s.bottlenecks.most_loaded()),
     ],
     "forces": [
-        Quantity("self_stress_states", "1", "states of self-stress, 0 if the forces of slipless contacts are unique",
+        Quantity("self_stress_states", "1", "states of self-stress: independent slipless forces that balance; 0 if"
+                 " these forces are unique",
                  lambda s: s.self_stress),
         Quantity("driving_torque", "force*length", "torque from top to bottom, by component",
                  lambda s: s.torque_flow.total.tolist()),
@@ -371,8 +387,8 @@ OF_SCANS = _named(
         Quantity("L", "1", "spheres along a side", symbol="L"),
         Quantity("stiffness", "force/length", "stiffness of the springs", symbol="K_t"),
         Quantity("damping", "force*time/length", "damping of the springs", symbol="A_t"),
-        Quantity("warnings", "1", "sentences with a number that say how the result could be misread"),
-        Quantity("sample", "1", "name of the sample, the same for the same settings"),
+        Quantity("warnings", "1", "warnings: sentences on how the result could be misread"),
+        Quantity("sample", "1", "name of the sample; equal settings give equal names"),
         Quantity("error", "1", "why the sample has no result"),
     ]
 )

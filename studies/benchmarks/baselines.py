@@ -166,7 +166,7 @@ def compiled(options: tuple[str, ...], folder: Path) -> Path:
     """
     compiler = find_compiler()
     if compiler is None:
-        raise FileNotFoundError("no C compiler was found")
+        raise FileNotFoundError("no C compiler was found; install gcc or clang, or name one in the variable CC")
     library = folder / f"sweep-{abs(hash(options))}.so"
     command = [compiler, *FLAGS, *options, str(SOURCE), "-o", str(library), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -63,7 +63,8 @@ class Code:
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         lines = done.stdout.strip().splitlines()
         if done.returncode or not lines:
-            raise BearingsError(f"{' '.join(self.program)} failed: {' '.join(done.stderr.split())[-500:]}")
+            program, last_words = " ".join(self.program), " ".join(done.stderr.split())[-500:]
+            raise BearingsError(f"{program} failed: {last_words}")
         found: dict[str, Any] = json.loads(lines[-1])
         return found
 
@@ -147,6 +148,7 @@ def _theirs(code: Code, request: Mapping[str, Any], _: int) -> float:
     does not see the same number of contacts. The last argument, the number of the round, is not used.
     """
     found, shape = code.measure(request), tuple(request["shape"])
-    if found["contacts"] != (contacts := Lattice(shape).contacts):
-        raise BearingsError(f"{code.name} sees {found['contacts']:g} contacts in {shape}, not {contacts}")
+    seen, ours = found["contacts"], Lattice(shape).contacts
+    if seen != ours:
+        raise BearingsError(f"{code.name} finds {seen:g} contacts in the lattice {shape}, this program {ours}")
     return float(found["seconds"] / request["steps"])

@@ -75,8 +75,10 @@ def main() -> None:
     """Make the problems that the folder lacks, as the command line asks, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--most", type=int, default=max(SIDES), help="largest side that is made")
-    parser.add_argument("--peers", type=int, default=16, help="largest side that Clarabel and SCS are asked for")
+    parser.add_argument("--most", type=int, default=max(SIDES), help="largest side of the cubes that are solved")
+    parser.add_argument(
+        "--peers", type=int, default=16, help="largest side of the cubes that Clarabel and SCS solve, too"
+    )
     asked = parser.parse_args()
     make_folder(asked.folder)
     table = asked.folder / "table.csv"

@@ -107,9 +107,9 @@ def conic_programme(scene: Scene) -> ConicProgramme:
     for contacts with both friction and viscosity.
     """
     if scene.replicas != 1:
-        raise InputError(f"the scene has {scene.replicas} replicas; a conic programme is of one sample")
+        raise InputError(f"the scene has {scene.replicas} replicas; a conic programme can only describe one sample")
     if scene.law.holds and scene.law.flows:
-        raise InputError(f"law is {scene.law}; only one coefficient a contact can be written as a conic programme")
+        raise InputError(f"law is {scene.law}; a conic programme has friction or viscosity, not both")
     system = ContactSystem.of(scene)
     system.operator.eliminate_zeros()
     d, count = system.offset.shape

@@ -83,8 +83,9 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
     """
     rng = np.random.default_rng([seed, size, odd])
     bare, holes, tree, reach = _without_odd_loops(lattice, size, bottom)
-    if odd > DENSEST * len(holes):
-        raise InputError(f"odd is {odd}; allowed are at most {DENSEST:.0%} of the {len(holes)} places")
+    places, most = len(holes), int(DENSEST * len(holes))
+    if odd > most:
+        raise InputError(f"odd is {odd}; at most {most} of the {places} places can have an odd contact")
     hole = rng.permutation(holes)[:odd]
     around = np.array([sorted(discs) for discs in tree.query_ball_point(hole, reach)], dtype=int)
     if lattice != "triangular":

@@ -211,9 +211,10 @@ def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
     except (FileError, ValueError, LookupError, TypeError, AttributeError):
         known = False
     if not known:
-        raise FileError(f"{path} already exists and is no report; choose another --out or add --force")
+        raise FileError(f"{path} is not a report that can be continued; choose another --out or add --force")
     if differ:
-        raise FileError(f"{path} already exists and has {', '.join(differ)}; choose another --out or add --force")
+        others = ", ".join(differ)
+        raise FileError(f"{path} has other settings ({others}); choose another --out, or --force to overwrite it")
     return {"figures": figures, "missing": missing}
 
 

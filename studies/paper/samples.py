@@ -213,7 +213,8 @@ def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) 
     with Journal(journal) as kept, closing(_records(missing, units, workers)) as records:
         for _, record in zip(each(missing, name, lambda part: cost[part.key]), records, strict=False):
             if record["scalars"]["status"] == FAILED:
-                raise BearingsError(f"{name} {record['key']} of the study has no result: {record['scalars']['error']}")
+                key, error = record["key"], record["scalars"]["error"]
+                raise BearingsError(f"the study needs the {name} {key}, which could not be computed: {error}")
             kept.append([record])
             known[record["key"]] = record
     return [known[part.key]["numbers"] for part in parts]

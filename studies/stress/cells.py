@@ -64,7 +64,8 @@ def _solve(cell: Cell) -> dict[str, Any]:
     """
     case, device, most = cell.case, cell.settings, MEMORY_SHARE * free_bytes()
     if (needed := bytes_of(cell)) > most:
-        raise InputError(f"it needs about {needed / 1e9:.1f} GB, more than {most / 1e9:.1f} GB that it may take")
+        wanted, allowed = f"{needed / 1e9:.1f} GB", f"{most / 1e9:.1f} GB"
+        raise InputError(f"the solve needs about {wanted} of memory; it may take {allowed}")
     method = "auto" if cell.row.method == "auto" else ROWS[cell.row.method](**case.options)
     settings = {"time_limit": cell.most_seconds, "tolerance": TOLERANCE, **case.settings}
     settings |= {"arch": device.arch, "precision": device.precision, "threads": device.threads}

@@ -47,7 +47,7 @@ def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
     """
     names = {file.name for file in folder.iterdir() if file.name[0] != "."} if folder.is_dir() else set()
     if names and JOURNAL not in names:
-        raise FileError(f"{folder} is not the folder of a stress report and not empty; choose another --out")
+        raise FileError(f"{folder} is not empty and holds no stress report; choose another --out")
     with writable_folder(folder):
         yield Sweep(folder, cells)
 
@@ -182,7 +182,8 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
     words = [f"{number} {outcome}" for outcome, number in summary["outcomes"].items()]
     found = [f"{summary['done']} of {summary['cells']} cells: {', '.join(words)}"]
     for method, of in summary["scaling"].items():
-        found.append(f"  scales exactly: {method}: {of['exact']} of {of['of']}, else within {of['deviation']:.1e}")
+        exact, cells, deviation = (of[key] for key in ("exact", "of", "deviation"))
+        found.append(f"  other units, {method}: {exact} of {cells} powers scale exactly, the rest to {deviation:.1e}")
     return found
 
 

@@ -248,11 +248,11 @@ def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
             sample.spin = here + SHRINK * (here - before)  # spins are smooth functions of the barrier
             before = here
         if steps > MOST_STEPS:
-            raise ArithmeticError(f"no enclosure of {scene} within {steps} steps")
+            raise ArithmeticError(f"the least power of {scene} is not enclosed after {steps} steps")
     if upper < first * NOTHING:
         return Truth(Decimal(0), upper, _states(scene, sample, barrier), _nothing(scene).unit), barrier
     if upper - lower > upper * WANTED:
-        raise ArithmeticError(f"{scene} is enclosed by {lower:.25e} and {upper:.25e}")
+        raise ArithmeticError(f"the least power of {scene} is only known to be from {lower:.25e} to {upper:.25e}")
     return Truth(lower, upper, _states(scene, sample, barrier)), barrier
 
 
@@ -289,7 +289,7 @@ def layered(scene: Scene) -> Truth:
         squares = sum((part * part for part in jump_of(scene).values()), np.full(1, Decimal(0), dtype=object))
         across = np.broadcast_to(np.sqrt(squares), columns)
         if len(set(across.tolist())) > 1 and len(scene.law.quantities) > 1:
-            raise ValueError("columns with unlike jumps are not apart where contacts have friction and viscosity")
+            raise ValueError("with friction and viscosity the imposed spins must not vary over the plane")
         first = scene.lattice.spans[-1].start
         a, c = (costs.tolist() for costs in _costs(scene, slice(first, first + scene.lattice.shape[-1] - 1)))
         if not any(across):

@@ -107,51 +107,61 @@ class RunSettings:
 
     shape: tuple[int, ...] = option((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
     law: str = option("coulomb", OneOf(table=LAWS), "Contact law.")
-    method: str = how("auto", OneOf("auto", table=METHODS), "auto is the fastest certified route for the scene.")
+    method: str = how(
+        "auto", OneOf("auto", table=METHODS), "Method that solves; auto takes the fastest that certifies the scene."
+    )
     tolerance: float = how(
         1e-8,
         Kind(bounded(real, 0, 1, True), "above 0 and at most 1", "NUMBER"),
-        "Relative gap (P - lower bound)/P at which the run counts as done.",
+        "Relative gap (P - lower bound)/P of the power P at which the run counts as done.",
     )
-    seed: int = option(0, SEED, "Seed of the disorder.")
+    seed: int = option(0, SEED, "Seed from which the friction is drawn: the same seed gives the same sample.")
     replicas: int = how(
         1,
         COUNT,
-        "Solve seeds seed ... seed + replicas - 1 together.",
+        "Number of samples solved together, with the seeds seed ... seed + replicas - 1.",
         not_scanned="every seed is a sample of its own, so give seed a range",
     )
-    spin_top: float = option(1.0, REAL, "Imposed spin of the top.", unit="1/time")
-    spin_bottom: float = option(0.0, REAL, "Imposed spin of the bottom.", unit="1/time")
+    spin_top: float = option(1.0, REAL, "Imposed spin of the top plane.", unit="1/time")
+    spin_bottom: float = option(0.0, REAL, "Imposed spin of the bottom plane.", unit="1/time")
     direction: tuple[float, ...] = option(
-        (1.0, 1.0, 0.0), THREE_NUMBERS, "Axis of the driven spins in 3D, normalised.", dimensions=(3,)
+        (1.0, 1.0, 0.0),
+        THREE_NUMBERS,
+        "Axis about which driven spheres rotate in 3D; its length does not matter.",
+        dimensions=(3,),
     )
     top: tuple[float, ...] | None = option(
         None,
         BEARING_STATE,
-        "Bearing state of the top plane, instead of the spins and their axis: AX,AY,AZ;C for spins A + C x, x measured "
-        "from the first sphere. In 2D one number.",
+        "Bearing state of the top plane, instead of the spins and their axis: AX,AY,AZ;C for spins A + C x at "
+        "the place x, measured from the first sphere. In 2D one number.",
         unit="1/time",
     )
     bottom: tuple[float, ...] | None = option(
-        None, BEARING_STATE, "The same of the bottom plane. One of the two alone: the other is at rest.", unit="1/time"
+        None,
+        BEARING_STATE,
+        "Bearing state of the bottom plane, in the form of --top. If only one of the two is given, the other "
+        "plane rests.",
+        unit="1/time",
     )
     periodic: tuple[str, ...] = option(
         (),
         PERIODIC_AXES,
-        "Axes, not the height, along which the last spheres touch the first; their lengths must be even.",
+        "Periodic axes, along which the last spheres touch the first: not the height, and with even numbers of "
+        "spheres.",
     )
     driven: str = option(
         BETWEEN_PLANES,
         TEXT,
-        "What turns as bottom and as top: planes, the lowest and highest layer; walls, the first and the last layer "
-        "along x; or shaft:r, all walls along x and y, and the spheres within r diameters of the axis in the middle. "
-        "Other bodies than planes make a packing (docs/packings.md).",
+        "What is driven as bottom and as top: planes, the lowest and highest layer; walls, the first and the "
+        "last layer along x; or shaft:r, all walls along x and y, and the spheres within r diameters of the "
+        "axis in the middle. Other bodies than planes make a packing (docs/packings.md).",
     )
     torque: float | None = how(
         None,
         REAL,
-        "Torque on the top instead of its spin, along its state of strength 1: does friction hold the top, and how "
-        "fast does it turn if not?",
+        "Drive the top by this torque about its axis instead of by a spin. The run finds whether friction "
+        "holds the top at rest and, if not, how fast it rotates.",
         unit="force*length",
         methods=lambda method: not method.is_dynamics,
     )
@@ -159,7 +169,7 @@ class RunSettings:
         None,
         FILE,
         "Read the coefficients instead of drawing them: an npz file with arrays x (NX-1,NY,NZ), y (NX,NY-1,NZ) and z "
-        "(NX,NY,NZ-1), or a run, which bring the shape. docs/scenes.md says more.",
+        "(NX,NY,NZ-1), or a run. The file fixes the shape, too. docs/scenes.md says more.",
     )
     packing: str | None = option(
         None,
@@ -186,7 +196,7 @@ class RunSettings:
     viscosity: str = option(
         "uniform:0.1,1.0",
         TEXT,
-        "Distribution of the viscosities, as that of the coefficients.",
+        "Distribution of the viscosities, in the form of --distribution.",
         unit="force*time/length",
         laws=lambda law: len(law.quantities) > 1,
     )
@@ -202,14 +212,19 @@ class RunSettings:
         SEED,
         "Limit on iterations (sweeps, which come in pairs, or time steps). Default: 1000000, none with --duration.",
     )
-    time_limit: float | None = how(None, POSITIVE, "Limit on the wall time of the solve.", unit="s")
+    time_limit: float | None = how(
+        None, POSITIVE, "Limit on the wall time of the solve, after which the result so far is written.", unit="s"
+    )
     duration: float | None = motion(
-        None, POSITIVE, "Simulated time to go on for, whatever is reached. Default: until done.", unit="time"
+        None,
+        POSITIVE,
+        "Simulated time at which a dynamics ends, whatever gap it has reached. Default: at the tolerance.",
+        unit="time",
     )
     record: str | None = motion(
         None,
         TIME_LIST,
-        "Simulated times of the rows of the history; the end gets one too. Default: at every check.",
+        "Simulated times at which the history gets a row, and one at the end. Default: at every check.",
         unit="time",
         of_solving=True,
     )
@@ -219,7 +234,7 @@ class RunSettings:
     checkpoint_every: float | None = option(
         None,
         POSITIVE,
-        "Time between checkpoints, from which `bearings run --resume RUN` goes on.",
+        "Seconds between two checkpoints, from which `bearings run --resume RUN` continues.",
         unit="s",
         methods=attrgetter("keeps_checkpoints"),
         of_solving=True,
@@ -236,12 +251,16 @@ class RunSettings:
     precision: str = how(
         "f64",
         OneOf(*PRECISIONS),
-        "Precision of the fields; bounds are always f64, and so are planar-cut, interior-point, "
-        "linear-solver and rigid-limit, whose runs say so.",
+        "Precision of the iterations: f64 (double) or f32 (single). Bounds are always computed in f64, and so "
+        "is all of planar-cut, interior-point, linear-solver and rigid-limit.",
         rare=True,
     )
     threads: int = how(
-        0, SEED, "CPU threads; 0 for all.", not_scanned="it changes no result, so set it for all samples", rare=True
+        0,
+        SEED,
+        "Number of CPU threads; 0 for all.",
+        not_scanned="it changes no result, so set it for all samples",
+        rare=True,
     )
     figures: str = how("all", OneOf("all", "none"), "Figures to draw into the run directory.")
     owned: tuple[tuple[str, Any], ...] = ()
@@ -250,7 +269,7 @@ class RunSettings:
         given = dict(owned) | given
         values = {key: item.read(key, given.pop(key, item.default)) for key, item in settings_table().items()}
         if given:
-            raise TypeError(f"a run has no {', '.join(given)}")
+            raise TypeError(f"a run has no setting {', '.join(given)}")
         owned = tuple((key, value) for key, value in values.items() if key not in self.__dataclass_fields__)
         vars(self).update(values, owned=owned)
 

@@ -20,19 +20,19 @@ ON_SPHERES = (
              lambda s: s.rigid_domains.domain.astype(np.int32)),
     Quantity("component", "1", "connected piece of the slipless network; 0 holds the bottom plane or the first body",
              lambda s: s.network.component.astype(np.int32)),
-    Quantity("betweenness", "1", "share of the shortest paths that visit the sphere",
+    Quantity("betweenness", "1", "share of the shortest slipless paths that go through the sphere",
              lambda s: s.bottlenecks and s.bottlenecks.visits),
-    Quantity("above_cut", "1", "on the side of the minimum cut that turns with the top or the second body",
+    Quantity("above_cut", "1", "1 on the side of the minimum cut that turns with the top (or the second driven body)",
              lambda s: s.interface and s.interface.above),
 )
 ON_CONTACTS = (
-    Quantity("on_cut", "1", "contacts of the lightest interface of two rigid domains",
+    Quantity("on_cut", "1", "contacts of the minimum cut, the lightest interface of two rigid domains",
              lambda s: s.interface and s.interface.contacts),
-    Quantity("betweenness", "1", "share of the shortest slipless paths, of all pairs of a bottom and a top sphere",
+    Quantity("betweenness", "1", "share of the shortest slipless paths from bottom to top that use the contact",
              lambda s: s.bottlenecks and s.network.on_contacts(s.bottlenecks.share)),
-    Quantity("backbone", "1", "on some path from bottom to top",
+    Quantity("backbone", "1", "contacts that lie on some slipless path from bottom to top",
              lambda s: s.bottlenecks and s.network.on_contacts(s.bottlenecks.backbone)),
-    Quantity("on_path", "1", "on one shortest slipless path from bottom to top", lambda s: s.network.on_path),
+    Quantity("on_path", "1", "contacts of one shortest slipless path from bottom to top", lambda s: s.network.on_path),
 )
 """Columns of the spheres, of shape N, and of the contacts, (E,); None where a structure has no such column."""
 IN_FILES = {"above_cut": "minimum_cut/above", "on_cut": "minimum_cut"}
@@ -45,7 +45,8 @@ DOMAINS = (
     Quantity("domains/staggered_spin", "1/time", "spin of each rigid domain, components {components}",
              lambda s: s.rigid_domains.staggered),
     Quantity("domains/lock", "1",
-             "what ties each component: 0 neither plane, 1 the bottom, 2 the top, 3 both; components {components}",
+             "planes to which each component is locked: 0 none, 1 the bottom, 2 the top, 3 both; components "
+             "{components}",
              lambda s: s.rigid_domains.lock.astype(np.int8)),
 )
 """Further arrays in the file of a lattice in D dimensions: a path of L spheres, (L, D), and one row for each rigid

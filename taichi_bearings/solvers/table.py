@@ -245,7 +245,9 @@ class InteriorPoint(MethodOptions):
     colour, marker = "#D55E00", "^"
     solves = _laws(attrgetter("holds"))
 
-    settle: bool = how(True, TRUTH, "Once certified, go on until every contact is known to slip or not.", rare=True)
+    settle: bool = how(
+        True, TRUTH, "Once certified, go on until it is known of every contact whether it slips.", rare=True
+    )
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
@@ -340,7 +342,10 @@ class GradientDescent(MethodOptions):
         return 5e-6 + 2e-8 * prod(shape)
 
     momentum: bool = how(
-        True, TRUTH, "Accelerate, and regularise friction; without it the paper's plain method.", rare=True
+        True,
+        TRUTH,
+        "Use momentum and smoothed friction, which is faster; without it the paper's plain method.",
+        rare=True,
     )
 
 
@@ -349,7 +354,13 @@ def _rest_tolerance(default: float) -> float:
 
     default : its value if not given.
     """
-    return how(default, POSITIVE, "Relative change of P that counts as rest.", unset=True, rare=True)
+    return how(
+        default,
+        POSITIVE,
+        "Relative change of the power below which the motion counts as at rest.",
+        unset=True,
+        rare=True,
+    )
 
 
 def _error_tolerance() -> float:
@@ -375,7 +386,8 @@ class Motion(MethodOptions):
     time_step: float | None = how(
         None,
         POSITIVE,
-        "Fixed step. Default: 0.8 of the computed stability bound with gear, else by error.",
+        "Fixed time step. Default: with cundall-strack 0.8 of the computed stability limit; with other dynamics it is "
+        "chosen by its error.",
         unit="time",
     )
 
@@ -436,16 +448,16 @@ class CundallStrack(Motion):
     slipping_spring: str = material(
         "reset",
         OneOf("reset", "relax"),
-        "What a spring does while its contact slips: it is reset to carry the friction alone, as in the paper; "
-        "or it relaxes to that through its damper, so that no spring jumps and results converge for short time steps.",
+        "What a spring does while its contact slips. reset: it carries the friction alone at once, as in the "
+        "paper. relax: it approaches that through its damper, so that results converge for short time steps.",
         rare=True,
     )
     rest_tolerance: float = _rest_tolerance(1e-9)
     static_ratio: float = material(
-        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k.", rare=True
+        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Ratio mu_s/mu_k of static to kinetic friction.", rare=True
     )
     gear_order: int = how(2, whole(2, 5), "Number of time derivatives that Gear's predictor keeps.", rare=True)
-    energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.", rare=True)
+    energy: bool = how(False, TRUTH, "Record the energy balance; a time step takes a third longer.", rare=True)
 
     def after_slip(self, span: float) -> tuple[float, float]:
         """Return how the elongation of a slipping contact follows from its force after a step: two numbers a and b in

@@ -32,7 +32,7 @@ def test_json_is_one_object_with_the_promised_keys(solved):
 def test_several_samples_are_summed_up(tmp_path):
     assert bearings("run", "--shape", "6,6", "--replicas", 5, "--out", tmp_path / "run").returncode == 0
     done = bearings("analyse", tmp_path / "run", "--no-figures")
-    assert "the contacts of the lightest interface slip, and no others: 5 of 5" in done.stdout
+    assert "the contacts of the minimum cut slip, and no others: 5 of 5" in done.stdout
     report = json.loads(bearings("analyse", tmp_path / "run", "--no-figures", "--json").stdout)
     assert report["slipping_contacts_are_the_cut"] == [True] * 5
 
@@ -42,7 +42,7 @@ def test_a_run_that_did_not_reach_the_minimum_is_said_to(replicas, tmp_path):
     words = ("--shape", "4,4,5", "--method", "gradient-descent", "--iterations", 4, "--replicas", replicas)
     assert bearings("run", *words, "--out", tmp_path / "run").returncode == 1
     done = bearings("analyse", tmp_path / "run", "--no-figures")
-    assert f"not certified, {replicas} of {replicas} (step-limit)" in done.stdout
+    assert f"not certified: {replicas} of {replicas} samples (step-limit)" in done.stdout
     report = json.loads(bearings("analyse", tmp_path / "run", "--no-figures", "--json").stdout)
     assert report["status"] == ("step-limit" if replicas == 1 else ["step-limit"] * 2)
 

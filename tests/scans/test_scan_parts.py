@@ -119,7 +119,7 @@ def test_the_command(tmp_path):
     for words, expected in (
         (["--part", "3/2", "--out", folder], "--part is '3/2'"),
         (["--part", "1/2"], "need --out DIR"),
-        (["--merge", "--part", "1/2", "--out", folder], "--merge solves nothing"),
-        (["--scheduler", "tcp://node:1", "--workers", "2"], "has workers already"),
+        (["--merge", "--part", "1/2", "--out", folder], "--merge only combines what is solved"),
+        (["--scheduler", "tcp://node:1", "--workers", "2"], "brings the workers of its cluster"),
     ):
         assert expected in refused("scan", file, *words)
