@@ -125,7 +125,9 @@ def solve(
         density = {"density": options.pop("density")} if isinstance(scene, Packing) and "density" in options else {}
         job = _job(scene, method, {"tolerance": tolerance, **options}, start)
         if isinstance(scene, Packing) and monitors and minimises(job.settings):
-            raise InputError(f"callback is given, but method {job.settings.method} of a packing does not use it")
+            raise InputError(
+                f"callback is given, but method {job.settings.method} of a packing has no steps; leave it out"
+            )
         return replace(job.solve(monitors, **density), command="taichi_bearings.solve")
 
 
@@ -261,7 +263,7 @@ def _job(
         settings = RunSettings(packing="run.h5", law=str(scene.law), seed=scene.seed, **_asked(method, options, start))
         strict = isinstance(method, str)  # else all options of the method are given
         if strict and "initial" in settings.given and minimises(settings):
-            raise InputError(f"start is given, but method {settings.method} of a packing does not use it")
+            raise InputError(f"start is given, but method {settings.method} of a packing does not use it; leave it out")
         settings = fitting(settings, strict)
         return runs.Job(settings, scene, None if isinstance(start, str) else start)
     if not isinstance(scene, Scene):

@@ -139,7 +139,9 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
     wanted = Runtime(arch, precision, min(threads or available_threads(), available_threads(), MOST_THREADS), debug)
     if _current is not None:
         if _owner != os.getpid():
-            raise DeviceError("the Taichi runtime was started before this process was forked; start workers by spawn")
+            raise DeviceError(
+                "Taichi was started before this process was forked; start worker processes by spawn instead"
+            )
         refuse_changed()
         if wanted != _current:
             raise DeviceError(
@@ -200,8 +202,8 @@ def refuse_absent(arch: str, precision: str) -> None:
         return
     lacking = [device.name for device in devices.find(arch) if not device.has_f64]
     if lacking and precision == "f64":
-        words = f"{lacking[0]} has no double precision; use --precision f32 or --arch cpu"
+        reason = f"{lacking[0]} has no double precision; use --precision f32 or --arch cpu"
     else:
         make = {"cuda": "CUDA", "vulkan": "Vulkan", "metal": "Metal"}[arch]
-        words = f"no {make} device was found here; use --arch cpu or --arch auto"
-    raise DeviceError(f"arch is {arch!r} but {words}")
+        reason = f"no {make} device was found here; use --arch cpu or --arch auto"
+    raise DeviceError(f"arch is {arch!r} but {reason}")

@@ -124,7 +124,9 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> Samp
     used = number[fine.count > 0]
     first, bins = int(used.min()), int(np.ptp(used)) + 1
     if bins > MOST_POWER_BINS:
-        raise InputError(f"the powers are {bins / bins_per_decade:.3g} decades apart; no scan has such units")
+        raise InputError(
+            f"the powers of the samples span {bins / bins_per_decade:.3g} decades; no scan can hold so many"
+        )
     count = np.zeros((len(fine.count), bins), dtype=int)
     sample, column = np.nonzero(fine.count)
     np.add.at(count, (sample, number[sample, column] - first), fine.count[sample, column])

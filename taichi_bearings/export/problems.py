@@ -71,7 +71,7 @@ def write_problem(bearing: Bearing, form: str, path: Path) -> dict[str, Any]:
         elif bearing.law.is_rate_independent:
             write_hdf5(path, lambda file: write_fclib(file, system, bearing))
         else:
-            raise InputError(f"law is {bearing.law}; fclib has friction alone, and cbf all laws")
+            raise InputError(f"law is {bearing.law}; the format fclib has friction only; use --format cbf")
     return {"file": str(path), "unknowns": system.unknowns, "contacts": len(system.numbers)}
 
 

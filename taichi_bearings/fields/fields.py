@@ -81,8 +81,10 @@ class Fields:
                 self._place[name] = count, components, rows
                 count += components * rows.length
         if count > MOST_FIELD_NUMBERS:
-            most = f"at most {MOST_FIELD_NUMBERS} of them can be indexed"
-            raise DeviceError(f"{layout.sites} spheres are too many here: they have {count} numbers, and {most}")
+            most = MOST_FIELD_NUMBERS
+            raise DeviceError(
+                f"{layout.sites} spheres need {count} numbers in one array; at most {most} can be indexed"
+            )
         try:
             self.values, self._host = self._allocate(count)
         except (RuntimeError, MemoryError) as error:

@@ -117,7 +117,7 @@ def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterat
             if stored != schema:
                 raise FileError(f"{path} is not a {kind}: its schema is {shown(stored)}, not {schema!r}")
             if "schema_version" not in file.attrs:
-                raise FileError(f"{path} is damaged or was changed: it has lost its layout version")
+                raise FileError(f"{path} is damaged or was changed: it lacks the attribute schema_version")
             yield file
     except FileError:
         raise

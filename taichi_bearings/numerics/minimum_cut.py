@@ -303,7 +303,7 @@ def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nda
     network.add_arc_with_capacity(last + 1, 0, at_most)  # so that no sum of capacities can overflow
     status = network.solve(last + 1, last)
     if status != network.OPTIMAL:
-        raise RuntimeError(f"OR-tools ended with {status}")
+        raise RuntimeError(f"internal check failed: the maximum flow of OR-tools ended with {status}; please report it")
     there, back = (network.flows(arcs) for arcs in edges)
     return there - back
 

@@ -37,7 +37,7 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
     courses = courses_of(answer)
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
-        raise InputError(f"the run kept {steps} of {answer.method}; a history needs 2 or more")
+        raise InputError(f"the history of the run has {steps}, by method {answer.method}; the figure needs 2 or more")
     course, scene = courses[0], courses[0].scene
     width = page.inches("single")
     figure = style.plain_figure(width, 0.85 * width, page.dpi)
@@ -92,7 +92,7 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
     """
     history, scene = solution.history, solution.scene
     if "energy_residual" not in history:
-        raise InputError("the run keeps no energy balance; run a dynamics with --energy")
+        raise InputError("the run has recorded no energy balance; run a dynamics with --energy")
     width = page.inches("single")
     figure = style.new_figure(width, 0.95 * width, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))

@@ -204,11 +204,13 @@ def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
     parent = np.full(len(fronts), -1)
     for number, front in enumerate(fronts):
         if (parent[front.children] >= 0).any() or any(child >= number for child in front.children):
-            raise RuntimeError("a part of the order of elimination goes into two others, or into an earlier one")
+            raise RuntimeError(
+                "internal check failed: a front is added to two others or to an earlier one; please report it"
+            )
         parent[front.children] = number
     lost = any(len(f.border) and (p < 0 or f.border[0] < fronts[p].first) for f, p in zip(fronts, parent, strict=True))
     if lost or not (np.bincount(order, minlength=len(order)) == 1).all():
-        raise RuntimeError("the order of elimination leaves something out")
+        raise RuntimeError("internal check failed: the elimination leaves out an unknown; please report it")
 
 
 def _add_at(whole: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: np.ndarray) -> None:

@@ -53,7 +53,7 @@ def movie(
     refuse_ending(out, *FILM_ENDINGS)
     ending, encoder = out.suffix if out else "", shutil.which("ffmpeg")
     if ending == ".mp4" and encoder is None:
-        raise InputError(f"out is {str(out)!r}, but there is no ffmpeg on this machine to make it; a .gif needs none")
+        raise InputError(f"out is {str(out)!r}, but there is no ffmpeg on this machine; name it .gif, which needs none")
     if not 0 < frames_per_second <= MOST_FRAMES_PER_SECOND:
         raise InputError(f"fps is {frames_per_second:g}; it must be above 0 and at most {MOST_FRAMES_PER_SECOND}")
     ending = ending or (".gif" if encoder is None else ".mp4")
@@ -110,7 +110,7 @@ def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -
                 process.stdin.close()
         if process.returncode or not film.is_file():
             reason = said.read_text(errors="replace").strip().splitlines()[-1:] or ["it says nothing"]
-            raise WriteError(f"ffmpeg made no film: {reason[0]}; a .gif needs none")
+            raise WriteError(f"ffmpeg made no film: {reason[0]}; name the film .gif, which needs no ffmpeg")
         return film.read_bytes()
 
 

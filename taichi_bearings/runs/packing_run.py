@@ -234,7 +234,9 @@ def _lattice(settings: RunSettings) -> Packing:
         for name, group in zip(COEFFICIENTS, groups, strict=False):
             found = read_coefficients(file, group, len(settings.shape))
             if Lattice.of(found).shape != settings.shape or found[0].ndim > len(settings.shape):
-                raise InputError(f"coefficients is {settings.coefficients!r}, which is not of this one lattice")
+                raise InputError(
+                    f"coefficients is {settings.coefficients!r}, which is of another lattice or has several samples"
+                )
             others[name] = np.concatenate([part.ravel() for part in found])
     return Packing.lattice("cubic" if len(settings.shape) == 3 else "square", settings.shape, **others)
 
@@ -252,7 +254,7 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, *
     device = {key: given[key] for key in ON_DEVICE if key in given}
     if row is None:
         if device.get("arch", "cpu") not in ("cpu", "auto"):
-            raise DeviceError("the least power of a packing is found in the memory of the CPU; use --arch cpu")
+            raise DeviceError("the least power of a packing can only be found on the CPU; use --arch cpu")
         if threads := device.get("threads"):
             runtime.start(threads=threads)
         found = solve_packing(packing, settings.tolerance, settings.method)
@@ -297,6 +299,6 @@ def _stepped(
     if isinstance(method, Dynamics):
         method.density = density
     elif density is not None:
-        raise InputError(f"density is given, but {options.name} has no use for it; dynamics have")
+        raise InputError(f"density is given, but method {options.name} does not use it; only dynamics do")
     spin = initial_spin(packing, start, "start")
     return solve(packing, method, spin, StopRule.of(settings), monitors, None, Recording.of(settings), checkpoints)

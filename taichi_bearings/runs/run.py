@@ -353,7 +353,8 @@ def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Resu
             write_run(folder, found)
         except (WriteError, OSError):
             shutil.rmtree(folder.parent, ignore_errors=True)
-            raise WriteError(f"{error}, nor can {folder.parent.parent}; {otherwise}") from None
+            spare = folder.parent.parent
+            raise WriteError(f"{error}, and {spare} cannot be written either; {otherwise}") from None
         logging.getLogger(__name__).warning("bearings: %s; the result is in %s", error, folder)
         return found
 
@@ -391,8 +392,7 @@ def resume(
             duration, ends = stored.duration, [v for key, v in arrays.items() if key.rpartition("/")[2] == "last_time"]
             reached = float(max(ends, default=0.0))  # by the replica of a packing that is farthest
             if reached > duration * (1 + SAME_TIME):
-                words = f"{path} has already reached {reached:g}; it must be longer"
-                raise InputError(f"duration is {duration:g}, but {words}")
+                raise InputError(f"duration is {duration:g}, but {path} is already at {reached:g}; it must be longer")
         settings = RunSettings.from_mapping(parse_toml(scene, path) | changes, "the options")
         job = prepare(settings, strict=False)
         return _solve_with_checkpoints(path, job, stored, arrays or None, monitors, title)

@@ -110,7 +110,7 @@ def refuse_name(path: Path) -> None:
     try:
         str(path).encode()
     except UnicodeEncodeError:
-        raise InputError(f"the name {str(path)!r} is not UTF-8, here and now; choose another --out") from None
+        raise InputError(f"the name {str(path)!r} cannot be written in UTF-8; choose another --out") from None
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:

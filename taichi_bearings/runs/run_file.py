@@ -76,7 +76,7 @@ def read_run(run: str | Path) -> Result:
             v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in stored
         ]  # words are unknown numbers
         if any(map(is_crossed, *np.broadcast_arrays(*numbers))):
-            raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
+            raise FileError(f"{path} has a lower bound above the power, so it is damaged or was changed")
         return _run_in(path, file, attributes)
 
 
@@ -270,7 +270,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
         values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
         kinds = "UO" if name == "proof" else "biuf"
         if values.dtype.kind not in kinds or values.shape not in ((1,), (replicas,)):
-            raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {replicas} samples")
+            raise ValueError(f"{name} is {value!r}; it must be one number, or one for each of the {replicas} samples")
         return np.array(np.broadcast_to(values, replicas))
 
     ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]

@@ -85,7 +85,7 @@ class _Stored:
         domain = spheres["domain"].values
         count = self.structure.whole.spheres
         if not (domain.dtype.kind in "iu" and domain.min() >= 0 and domain.max() < count):
-            raise ValueError("domain holds no labels")
+            raise ValueError("domain must hold whole numbers, 0 or more: the rigid domain of each sphere")
         domains = None if self.structure.whole.lattice is None else self._domains(domain)
         return Drawn(spheres, contacts, domains, self._path(), True)
 
@@ -98,7 +98,9 @@ class _Stored:
         found = np.asarray(stored[()] if self.replica is None else stored[self.replica])
         fits = len(found.shape) == len(shape) and all(w in (None, n) for n, w in zip(found.shape, shape, strict=True))
         if not fits or found.dtype.kind not in "biuf" or (found.dtype.kind == "f" and not np.isfinite(found).all()):
-            raise ValueError(f"{name} has {found.dtype} of shape {found.shape}")
+            raise ValueError(
+                f"{name} must hold finite numbers of shape {shape}; it has {found.dtype} of shape {found.shape}"
+            )
         return found
 
     def _columns(self) -> tuple[dict[str, Finding], dict[str, Finding]]:
@@ -151,7 +153,7 @@ class _Stored:
             path = np.ravel_multi_index(tuple(places.T), shape) if len(places) else np.empty(0, dtype=int)
         path = path[path >= 0]
         if len(path) and (path.dtype.kind not in "iu" or path.max() >= count):
-            raise ValueError("path holds no numbers of spheres")
+            raise ValueError("path must hold whole numbers that name spheres")
         return np.asarray(path)
 
 

@@ -47,10 +47,12 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
         return
     for key in ("spin_top", *(() if any(settings.top or ()) else ("bottom",))):
         if key in settings.given:
-            raise InputError(f"{key} is {settings.given[key]}, but a torque turns the top, along its state --top")
+            raise InputError(
+                f"{key} is {settings.given[key]}, but with --torque only --top says how the top moves; leave it out"
+            )
     driven = settings.spin_bottom or (any(settings.bottom or ()) and settings.bottom)
     if driven and not LAWS[settings.law].holds:
-        raise InputError(f"the bottom has the spin {driven}; under a torque the law viscous needs it at rest")
+        raise InputError(f"the bottom has the spin {driven}; with --torque and the law viscous it must be at rest")
 
 
 def _with_driven(found: Solution) -> Solution:
@@ -92,7 +94,9 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
     """
     top, others = solution.scene.sides
     if not top:
-        raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
+        raise InputError(
+            f"torque is {torque:g}, but all imposed spins are 0; it acts along those of the top, so give it some"
+        )
     if others and not solution.scene.law.holds:
         raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
     found = _found(_with_driven(solution), torque, lambda other: _with_driven(solve(other)))

@@ -307,7 +307,7 @@ def _not_of_their_seeds(run: Result) -> list[str]:
         pairs["shape"] = scene.network.shape, run.asked.shape
     for name, (said, asked) in pairs.items():
         if tuple(said) != tuple(asked):
-            found.append(f"the {name} is said to be {list(said)}; the scene has {list(asked)}")
+            found.append(f"the {name} in the file is {list(said)}, but that of its scene is {list(asked)}")
     if not scene.is_drawn:
         return found
     scene = of_lattice(scene)
@@ -318,7 +318,7 @@ def _not_of_their_seeds(run: Result) -> list[str]:
         for seed, values in zip(scene.seeds, stored, strict=True):
             drawn = scene.lattice.flat(draw_coefficients(scene.lattice, source, seed, bool(second)))
             if not np.array_equal(values, np.ravel(drawn)):
-                found.append(f"the {name} is not that of seed {seed}, to the bit")
+                found.append(f"the {name} differs from what seed {seed} gives")
     return found
 
 

@@ -159,7 +159,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
     names, terms = request.y.split("/"), list[np.ndarray]()
     for name in names:
         if columns[name].dtype == object:
-            raise InputError(f"y is {name!r}, a column of texts; it must be one of numbers")
+            raise InputError(f"y is {name!r}, a column of texts; choose a column of numbers")
         terms.append(columns[name].astype(float))
     if len(terms) > 2:
         raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")
@@ -180,9 +180,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
         points.setdefault(tuple(part), []).append(point)
     every = list(itertools.chain(*points.values()))
     if "x" in request.log and any(isinstance(point["x"], str) for point in every):
-        raise InputError(
-            f"log is {request.log!r}, but {request.x} has words, not numbers; the length of cubes and squares is L"
-        )
+        raise InputError(f"log is {request.log!r}, but {request.x} has texts, not numbers; for sizes use the column L")
     for name in request.log:
         least = min(point[f"plot_{name}"] for point in every if point["number"])
         if least <= 0:
@@ -230,7 +228,9 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
     points.
     """
     if len(points) > MOST_CURVES:
-        raise InputError(f"{', '.join(request.by)} make {len(points)} curves; a figure has at most {MOST_CURVES}")
+        raise InputError(
+            f"{', '.join(request.by)} make {len(points)} curves, more than {MOST_CURVES}; choose some by --where"
+        )
     curves = []
     for part, own in points.items():
         drawn = np.array([[p[name] for name in DRAWN_COLUMNS] for p in own if p["number"]]).reshape(-1, 4)

@@ -134,7 +134,7 @@ def _source_of_run(run: Result) -> Source:
     def column(name: str) -> np.ndarray:
         """Return an attribute or a setting of each replica."""
         if name not in known:
-            raise InputError(f"{path} has no {name!r}; it has {', '.join(sorted(known))}{meant(name, known)}")
+            raise InputError(f"{path} has no setting {name!r}; it has {', '.join(sorted(known))}{meant(name, known)}")
         if name in ("shape", "direction"):
             value = "x".join(map(str, getattr(settings, name)))
         elif name in attributes:
@@ -223,7 +223,7 @@ def histogram(
     """
     sources = [read_source(path) for path in each(paths, "reading")]
     if len({source.path.resolve() for source in sources}) < len(sources):
-        raise InputError(f"the runs {', '.join(map(str, paths))} name the same run twice")
+        raise InputError(f"the same run is named twice among {', '.join(map(str, paths))}")
     folder = out or default_run_path("histogram")
     table, arrays, figure = (folder / f"power_histogram.{kind}" for kind in ("csv", "h5", ending))
     refuse_standing((table, arrays, figure), force)

@@ -228,8 +228,8 @@ def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
                     f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}"
                 )
             if count > most:
-                words = f"{count:,} values and the scan too many samples; at most {MOST_SAMPLES:,} are allowed"
-                raise InputError(f"{key} in [scan] has {words}")
+                too_many = f"with it the scan has more than {MOST_SAMPLES:,} samples, the most that are allowed"
+                raise InputError(f"{key} in [scan] has {count:,} values; {too_many}")
             columns[key] = [value(number) for number in range(int(count))]
         if len(set(map(len, columns.values()))) > 1:
             words = ", ".join(f"{key} has {len(values)}" for key, values in columns.items())
@@ -264,7 +264,7 @@ def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], A
     steps = (stop - start) / step if step else 0.0
     count = math.ceil(steps - 1e-9) if abs(steps) < math.inf else math.inf
     if count < 1 or not steps > 0:
-        raise InputError(f"{key} in [scan] is {toml_value(table)}, which is empty; stop is excluded")
+        raise InputError(f"{key} in [scan] is {toml_value(table)}, which has no values, since stop is excluded")
     return count, lambda i: start + i * step
 
 

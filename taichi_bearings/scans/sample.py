@@ -121,7 +121,9 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     first = block[0].settings
     files = [file for _, file in files_of(first)]
     if files and sample_key(first) != block[0].key:
-        raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
+        raise InputError(
+            f"{' or '.join(files)} has changed since the scan began; start the same scan again to use the new file"
+        )
     found = _job_of(block).solve()
     if found.interrupted:
         raise Interrupted

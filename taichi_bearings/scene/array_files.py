@@ -107,8 +107,8 @@ def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.nda
         if dtype.itemsize == 0 or claimed > found.file_size:
             raise ValueError
         if claimed > most:
-            words = f"{most:,} bytes, the most that is read of a packed file of its size; numpy.savez packs nothing"
-            raise FileError(f"{name} in {path} claims to hold more than {words}")
+            most_said = f"{most:,} bytes, the most that is read from a compressed file of this size; use numpy.savez"
+            raise FileError(f"{name} in {path} claims to hold more than {most_said}")
     with stored.open(found) as file:
         return np.asarray(read.read_array(file, allow_pickle=False))
 

@@ -79,7 +79,7 @@ def _integers(name: str, values: Any) -> np.ndarray:
     if array.dtype.kind not in "iu" and not (array.size == 0 and array.dtype.kind == "f"):
         raise InputError(f"{name} is of type {array.dtype}; it must hold whole numbers")
     if array.size and array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
-        raise InputError(f"{name} holds {array.max()}; that is too large")
+        raise InputError(f"{name} holds {array.max()}; at most {np.iinfo(np.int64).max} is allowed")
     copy = np.array(array, dtype=np.int64, order="C", subok=False)
     copy.setflags(write=False)
     return copy
@@ -244,6 +244,6 @@ def refuse_repeated(packing: "Packing") -> None:
         if not packing.normals_given or (near < SAME_NORMAL).any():
             i, j = low[own[0]], high[own[0]]
             raise InputError(
-                f"contacts {own[0]} and {own[1]} are both of spheres {i} and {j}; two spheres touch once, "
-                "and around a ring of two in two directions whose normals must be given"
+                f"contacts {own[0]} and {own[1]} both join spheres {i} and {j}; two spheres can have a second contact "
+                "only across a periodic side, and then all normals must be given and differ"
             )

@@ -74,7 +74,7 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
         hint = found.remedy() or ("; across a periodic side it needs a normal" if is_far else "")
         first, second = contact[own].tolist()
         raise InputError(
-            f"contact {own} {'does not touch' if is_far else 'is pressed too far'}: spheres {first} and {second} "
+            f"contact {own} {'is open' if is_far else 'is pressed too far'}: spheres {first} and {second} "
             f"{misfit(found.size[own], found.reach[own])}{hint}"
         )
     return found.along
@@ -143,7 +143,9 @@ class _Contacts:
         strange = self.touches & ~self.is_direct & (count[group] == 1)
         if strange.any():
             own = int(np.argmax(strange))
-            raise InputError(f"{self._misfit(own)}; are normals in the order of the contacts?")
+            raise InputError(
+                f"{self._misfit(own)}; its normal points elsewhere: are normals in the order of the contacts?"
+            )
 
     def refuse_strange_images(self) -> None:
         """Raise InputError if the contacts that are not direct cannot all be contacts across periodic sides of
@@ -168,17 +170,15 @@ class _Contacts:
         shift, least = self.vector[across] - step, 2 * (1 - OVERLAP / 2) * self.radius.max()
         periods, wrong = _periods(shift, spread * self.reach[across], least)
         if wrong is not None:
-            raise InputError(
-                f"{self._misfit(int(across[wrong]))}; its normal fits no periodic side that the others have"
-            )
+            raise InputError(f"{self._misfit(int(across[wrong]))}; its normal fits no periodic side that others cross")
         # no period may put a sphere where another one is
         for period in periods:
             for low, high in self._laid_over(period):
                 if len(low):
                     e = int(across[np.argmin(np.linalg.norm(shift - period, axis=1))])
                     raise InputError(
-                        f"{self._misfit(e)}; its normal crosses a periodic side by which sphere "
-                        f"{low[0]} would lie on sphere {high[0]}"
+                        f"{self._misfit(e)}; across the periodic side that its normal crosses, sphere "
+                        f"{low[0]} would lie on sphere {high[0]}: is the normal right, and its sign?"
                     )
 
     def _laid_over(self, period: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

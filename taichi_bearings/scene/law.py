@@ -212,8 +212,8 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
             row, column = np.argwhere(places)[0]
             given = ", ".join(f"{values[row, column]:g}" for values in at)
             raise InputError(
-                f"law is {law.name!r}, which is wrong at a contact of coefficient {given} that slips at "
-                f"{speed[row, column]:g}: {sentence}"
+                f"law is {law.name!r}, whose functions contradict each other at a contact with coefficient {given} "
+                f"that slips at {speed[row, column]:g}: {sentence}"
             )
 
 

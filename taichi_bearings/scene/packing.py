@@ -240,7 +240,7 @@ class Packing(Bearing):
         radius, shape = self.network.radius, 0.5 if self.dimension == 2 else 0.4
         if density is not None:
             if inertia is not None:
-                raise InputError(f"inertia is {inertia:g} and density is given; one of them says how heavy spheres are")
+                raise InputError(f"inertia is {inertia:g} and density is given; give only one of the two")
             volume = np.pi * radius**2 if self.dimension == 2 else 4 / 3 * np.pi * radius**3
             return shape * volume * checks.sizes("density", density, self.spheres, "sphere")
         mean = radius.mean()
@@ -422,7 +422,9 @@ class Packing(Bearing):
         """
         radius, found = space_filling.built(m, n, least_radius, periods)
         if "radius" in others:
-            raise InputError("radius is no part of a space-filling bearing; its height is 1")
+            raise InputError(
+                "radius is given, but the height of a space-filling bearing is 1, which fixes all radii; leave it out"
+            )
         return cls._between_sides(radius, found, 1.0, seed, {"radius": 1.0, "at_surface": True} | others)
 
     @classmethod

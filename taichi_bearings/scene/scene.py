@@ -205,7 +205,7 @@ class Scene(Bearing):
             )
         if len(self.coefficients) not in (2, 3):
             raise InputError(
-                f"coefficients are {len(self.coefficients)} arrays; they must be one an axis, two or three"
+                f"coefficients are {len(self.coefficients)} arrays; there must be one for each axis, two or three"
             )
         first, dimension = self.coefficients[0].shape, len(self.coefficients)
         if not dimension <= len(first) <= dimension + 1:
@@ -238,7 +238,9 @@ class Scene(Bearing):
             return
         for name in self.BY_SPINS:
             if getattr(self, name) != getattr(type(self), name):
-                raise InputError(f"{name} is {getattr(self, name)}, beside a state of top or bottom; leave one out")
+                raise InputError(
+                    f"{name} is {getattr(self, name)}, but top or bottom is given, too; leave one of them out"
+                )
         dimension = len(self.coefficients)
         for name in ("top", "bottom"):
             given = getattr(self, name)
@@ -399,7 +401,7 @@ def imposed_direction(given: Any) -> tuple[float, float, float]:
         raise InputError(f"direction is {shown(given)}; it must be three finite numbers, not all zero")
     if ((sizes > 0) & (sizes / sizes.max() < LEAST_DIRECTION)).any():
         raise InputError(
-            f"direction is {list(parts)}; a part that is not 0 must be {LEAST_DIRECTION:g} of the largest or more"
+            f"direction is {list(parts)}; each part must be 0, or at least {LEAST_DIRECTION:g} times the largest"
         )
     return parts
 
@@ -452,10 +454,10 @@ def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
     """
     is_one = isinstance(given, str) or (isinstance(given, np.ndarray) and given.ndim == 0)
     if is_one or not isinstance(given, Iterable):
-        raise InputError(f"{kind} are {shown(given)}; they must be one array an axis, two or three")
+        raise InputError(f"{kind} are {shown(given)}; they must be arrays, one for each axis, two or three")
     found = tuple(given)
     if len(found) > len(AXIS_NAMES):
-        raise InputError(f"{kind} are {len(found)} arrays; they must be one an axis, two or three")
+        raise InputError(f"{kind} are {len(found)} arrays; there must be one for each axis, two or three")
     return tuple(own_array(f"{kind} along {name}", values) for name, values in zip(AXIS_NAMES, found, strict=False))
 
 

@@ -266,7 +266,9 @@ def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndar
     for name, own in fresh.items():
         found, like = stored[name], np.asarray(own)
         if found.dtype.kind != like.dtype.kind or (like.dtype.kind == "f" and found.shape != like.shape):
-            raise ValueError(f"{name} has {found.dtype} of shape {found.shape}, not {like.dtype} of {like.shape}")
+            raise ValueError(
+                f"{name} has {found.dtype} of shape {found.shape}; it must have {like.dtype} of shape {like.shape}"
+            )
 
 
 class Course:
@@ -541,7 +543,7 @@ class _Best:
         self.proof = np.array(state["proof"], dtype=float)
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.network.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
-            raise ValueError("proof holds something else than the forces of its contacts")
+            raise ValueError("proof does not hold the forces of the contacts of this scene")
         if not self.keeps_best or "best/staggered" not in state:
             return
         best: dict[str, Any] = {name: np.array(state[f"best/{name}"]) for name in OF_BEST if f"best/{name}" in state}
@@ -550,9 +552,9 @@ class _Best:
         each, whole = (self.scene.replicas,), ("objective", "lower_bound", "largest_balance_residual")
         fits = best["staggered"].shape == still.shape and best["force"].shape == self.proof.shape
         if not fits or any(best[name].shape != each or not np.isfinite(best[name]).all() for name in whole):
-            raise ValueError("the best state that is stored is none of this scene")
+            raise ValueError("the best state in it does not have the shape of this scene")
         if not (np.isfinite(best["staggered"]).all() and np.isfinite(best["force"]).all()):
-            raise ValueError("the best state that is stored holds numbers that are not finite")
+            raise ValueError("the best state in it holds numbers that are not finite")
         best |= {name: best[name].astype(bool) for name in ("settled", "states_believed") if name in best}
         best["iteration"] = int(best["iteration"])
         self.progress = Progress(spin_axes=spin_axes, findings=findings, **best)

@@ -122,7 +122,7 @@ class GradientDescentMethod(Swept):
             slopes = scene.law.steepest((scene.strength * bounds,), self._largest_slip())
             if not np.isfinite(slopes).all():
                 raise InputError(
-                    f"law is {scene.law.name!r}; gradient-descent needs a finite slope `steepest` of its force"
+                    f"law is {scene.law.name!r}; gradient-descent needs a law whose slope `steepest` is finite"
                 )
             bounds = scene.slip_radius * slopes
         if self.viscosity is not None:

@@ -213,7 +213,7 @@ def judged(
             judgement = judgement_of(system, samples, found)
     if not judgement.can_be_judged:
         raise InputError(
-            "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
+            "the imposed spins are too small or too large for a proof; the largest must be above 1e-100 length/time"
         )
     values = {name: getattr(judgement, name) for name in JUDGED}
     return [

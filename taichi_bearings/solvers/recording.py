@@ -187,7 +187,7 @@ class Recorder:
         self._snapshot_spins = list(state.get("snapshots/spin", ()))
         self._last_time = float(state["last_time"])
         if any(np.asarray(values).dtype.kind not in "fiu" for values in state.values() if np.ndim(values)):
-            raise ValueError("it holds something else than numbers")
+            raise ValueError("it holds something that is not a number")
         lengths = {len(values) for values in self._columns.values()}
         spins = (
             self._scene.replicas,

@@ -190,7 +190,7 @@ def register(row: Row) -> Row:
     row : class with the options of the method.
     """
     if row.name in METHODS or row.name == "auto":
-        raise InputError(f"method is {row.name!r}; there is one of that name already")
+        raise InputError(f"method is {row.name!r}, but a method of that name exists already; choose another name")
     METHODS[row.name] = row
     return row
 
@@ -485,7 +485,7 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
     for row in METHODS.values():
         if row.suits(scene, tolerance, on_gpu):
             return row
-    raise InputError(f"law is {scene.law.name!r}; no method that auto can take solves it")
+    raise InputError(f"law is {scene.law.name!r}; auto knows no method that solves it, so name one")
 
 
 def row_of_packing(method: str) -> type[MethodOptions] | None:

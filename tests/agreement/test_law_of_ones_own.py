@@ -109,7 +109,7 @@ def test_a_run_says_what_its_bound_rests_on(page, tmp_path):
 def test_gradient_descent_refuses_a_law_that_is_infinitely_steep(page, monkeypatch):
     scene = Scene.random((4, 5), law="thickening")
     monkeypatch.setattr(type(scene.law), "steepest", lambda self, of, slip: np.full_like(of[0], np.inf))
-    with pytest.raises(InputError, match="gradient-descent needs a finite slope `steepest`"):
+    with pytest.raises(InputError, match="gradient-descent needs a law whose slope `steepest` is finite"):
         solve(scene, METHODS["gradient-descent"]().build(), initial_spin(scene, "linear"), StopRule(1e-6))
 
 
@@ -141,4 +141,4 @@ def test_a_law_that_contradicts_itself_is_refused(sentence):
     with pytest.raises(InputError) as told:
         Scene.random((3, 4), law=law)
     assert sentence in str(told.value)
-    assert "law is 'wrong', which is wrong at a contact of coefficient" in str(told.value)
+    assert "law is 'wrong', whose functions contradict each other at a contact with coefficient" in str(told.value)

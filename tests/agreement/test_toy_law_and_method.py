@@ -53,7 +53,7 @@ def test_a_new_method_agrees_with_the_old_ones(toy):
 
 
 def test_a_name_is_given_once_and_options_are_checked(toy):
-    with pytest.raises(InputError, match="one of that name already"):
+    with pytest.raises(InputError, match="a method of that name exists already"):
         register(toy.Minimise)
     with pytest.raises(InputError, match="corrections is '-1'; it must be a positive whole number"):
         toy.Minimise(corrections=-1)

@@ -105,7 +105,10 @@ def test_others_draw_it_and_say_where_they_cannot(folder, tmp_path):
     runs = {entry["path"].split("/")[-1]: entry for entry in json.loads(done.stdout)["entries"]}
     assert runs["bcc"]["spheres"] == 54
     assert runs["bcc"]["status"] == "certified"
-    for words, sentence in ((("plot", "history"), "the run kept 0 steps"), (("movie",), "holds no snapshots to film")):
+    for words, sentence in (
+        (("plot", "history"), "the history of the run has 0 steps"),
+        (("movie",), "holds no snapshots to film"),
+    ):
         assert sentence in refused(*words, folder / "bcc")
 
 

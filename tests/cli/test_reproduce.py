@@ -173,5 +173,5 @@ def test_what_a_report_does_not_know_is_not_replaced(figures, tmp_path):
     strange["figures"]["fig1"]["claims"][0]["kind"] = "x"
     for forged in ({}, [], strange, strange | {"figures": {"fig1": 3}}, strange | {"figures": {"fig9": {}}}):
         (folder / "report.json").write_text(json.dumps(forged))
-        assert "is no report" in ask(folder, "fig1")[1]
+        assert "is not a report" in ask(folder, "fig1")[1]
     assert (folder / "fig2.csv").read_text() == "mine"

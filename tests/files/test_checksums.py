@@ -75,7 +75,7 @@ def test_any_change_is_refused_in_one_sentence(path, thorough):
 def test_a_file_that_lost_its_version_is_called_damaged(path):
     with h5py.File(path, "r+") as file:
         del file.attrs["schema_version"]
-    with pytest.raises(FileError, match="is damaged or was changed: it has lost its layout version"):
+    with pytest.raises(FileError, match="is damaged or was changed: it lacks the attribute schema_version"):
         read_run(path)
 
 
@@ -134,7 +134,7 @@ def test_a_bound_above_the_power_is_an_error_everywhere(path, tmp_path):
     with h5py.File(path, "r+") as file:
         del file.attrs["sha256"]
         file.attrs["lower_bound"] = 1.001 * file.attrs["power"]
-    with pytest.raises(FileError, match="a lower bound above its power"):
+    with pytest.raises(FileError, match="a lower bound above the power"):
         read_run(path)
     contacts = {name: [0] for name in ("slipping", "slipless", "undecided", "tied")}
     scan, empty = tmp_path / "scan.h5", dense_histograms([{}], contacts)
@@ -147,7 +147,7 @@ def test_a_bound_above_the_power_is_an_error_everywhere(path, tmp_path):
         read_scan(scan)
     with h5py.File(scan, "r+") as file:
         del file.attrs["sha256"]
-    with pytest.raises(FileError, match="a lower bound above its power"):
+    with pytest.raises(FileError, match="a lower bound above the power"):
         read_scan(scan)
 
 

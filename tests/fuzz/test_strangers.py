@@ -49,7 +49,7 @@ def stranger(solved, tmp_path):
 def test_a_scene_file_replaces_nothing_by_itself(solved, tmp_path):
     content, scene = (solved / "run.h5").read_bytes(), tmp_path / "scene.toml"
     scene.write_text(f'shape = [4, 5]\nout = "{solved}"\nforce = true\n')
-    assert "--force on the command line" in refused("run", scene)
+    assert "only the command line can allow to overwrite files, by --force" in refused("run", scene)
     scene.write_text(f'shape = [4, 5]\nout = "{solved}"\n')
     assert "already exists" in refused("run", scene)
     assert (solved / "run.h5").read_bytes() == content

@@ -201,7 +201,10 @@ def test_neighbours_stand_near_each_other_whatever_the_order_was():
         ({"method": "cundall-strack", "start": "nearby"}, "start is 'nearby'"),
         ({"method": "cundall-strack", "start": np.zeros(4)}, r"spin in start has shape \(4,\); it must be \(27, 3\)"),
         ({"method": "cundall-strack", "density": -1.0}, "density"),
-        ({"method": "gradient-descent", "density": 1.0}, "density is given, but gradient-descent has no use for it"),
+        (
+            {"method": "gradient-descent", "density": 1.0},
+            "density is given, but method gradient-descent does not use it",
+        ),
         ({"method": tb.CundallStrack(inertia=1.0), "density": 1.0}, "inertia is 1 and density is given"),
         ({"method": "cundall-strack", "torque": 1.0}, "torque is 1.0, but cundall-strack .* does not use it"),
         ({"method": "cundall-strack", "record": "often"}, "record is 'often'"),

@@ -106,26 +106,34 @@ def test_a_packing_is_the_same_there_and_back(tmp_path, dimension):
 
 WRONG = [
     (ATOMS.replace("pp ff ff", "xy xz yz pp ff ff"), CONTACTS, "line 16 must be 3 numbers"),
-    (ATOMS.replace("pp ff ff", "pp ff"), CONTACTS, "line 15 must be ITEM: BOX BOUNDS with three flags"),
+    (ATOMS.replace("pp ff ff", "pp ff"), CONTACTS, 'line 15 must be "ITEM: BOX BOUNDS", for a triclinic box'),
     (
         ATOMS.replace("ATOMS\n3", "ATOMS\n4"),
         CONTACTS,
         "no timestep is whole in both .* at line 23 row 4 of 4 must follow",
     ),
-    (ATOMS.replace("ATOMS\n3", "ATOMS\n2"), CONTACTS, "line 22 must be the next timestep after 2 rows"),
+    (
+        ATOMS.replace("ATOMS\n3", "ATOMS\n2"),
+        CONTACTS,
+        'line 22 must be "ITEM: TIMESTEP", since the number of rows is said to be 2',
+    ),
     (ATOMS.replace("ATOMS\n3", "ATOMS\n99999999999999"), CONTACTS, "line 14 must be a whole number"),
     (ATOMS.replace("10 1 0.5", "10 1 zero"), CONTACTS, "line 21 must be 9 numbers"),
     (ATOMS.replace("10 1 0.5", "1_0 1 0.5"), CONTACTS, "line 21 must be 9 numbers"),
-    (ATOMS.replace("10 1 0.5", "10.5 1 0.5"), CONTACTS, "line 21 must be 9 numbers, ids and types whole"),
+    (
+        ATOMS.replace("10 1 0.5", "10.5 1 0.5"),
+        CONTACTS,
+        "line 21 must be a row of 9 numbers, with whole numbers for ids and types",
+    ),
     (ATOMS.replace("10 1 0.5", "20 1 0.5"), CONTACTS, "line 22 of .* has atom 20 once more"),
     (ATOMS.replace("10 1 0.5", "10 1 nan"), CONTACTS, "line 21 of .* has nan for atom 10; numbers must be finite"),
     (ATOMS.replace("0.5 1 1 1 1", "0.5 1 1 0 1"), CONTACTS, "line 21 of .*: the radius of atom 10 is 0; it must be"),
     (ATOMS.replace("diameter", "mass"), CONTACTS, "must have one column diameter"),
-    (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "bounds in order"),
+    (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "a lower bound and a larger upper one"),
     (
         ATOMS.replace("0.0 4.0", "0.0 2.0"),
         CONTACTS.replace("0 4", "0 2"),
-        "atoms 10 and 30 touch both ways around a periodic side",
+        "atoms 10 and 30 touch both directly and across a periodic side",
     ),
     (
         ATOMS,
@@ -141,7 +149,7 @@ WRONG = [
     (
         ATOMS,
         CONTACTS.replace("3 30 20 0", "3 10 20 1"),
-        "line 12 of .*: atoms 10 and 20 are those of an earlier line too",
+        "line 12 of .*: the contact of atoms 10 and 20 is there a second time",
     ),
     (ATOMS, CONTACTS.replace("c_fn", "fn"), "must have one column c_fn; it has index c_pair"),
     ("", CONTACTS, "atoms has no timestep"),
@@ -159,7 +167,7 @@ def test_what_is_asked_for_must_be_there(tmp_path):
     for others, words in [
         ({"step": 100, "driven_types": {1: 0}}, "no timestep 100 is whole in both"),
         ({"step": 150}, "no timestep 150 is whole in both"),
-        ({"driven_types": {3: 0}}, "driven is 3, but there is no such atom or type"),
+        ({"driven_types": {3: 0}}, "driven names 3, but the dump has no atom or type of that number"),
         ({"driven": {10: 0}}, "one of driven and driven_types"),
         ({"spin": {1: (0, 0, 1)}}, "spin lacks body 0"),
         ({"dimension": 4}, "dimension is 4"),

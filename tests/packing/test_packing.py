@@ -18,7 +18,7 @@ WRONG = [
     ({"contact": [[0, 1], [-1, 2]]}, r"contact 1 is between \[-1, 2\]"),
     ({"contact": [[0, 1], [2, 2]]}, "contact 1 is of sphere 2 with itself"),
     ({"contact": [[0, 1], [0, 2]]}, "contact 1 does not touch"),
-    ({"contact": [[0, 1], [1, 0]]}, "contacts 0 and 1 are both of spheres 0 and 1"),
+    ({"contact": [[0, 1], [1, 0]]}, "contacts 0 and 1 both join spheres 0 and 1"),
     ({"contact": [[0.0, 1.0], [1.0, 1.5]]}, "contact holds 1.5; it must hold whole numbers"),
     ({"contact": [[0.0, np.nan], [1.0, 2.0]]}, "contact holds nan"),
     ({"contact": [["0", "1"], ["1", "2"]]}, "contact is of type"),
@@ -65,7 +65,7 @@ def test_a_ring_of_two_has_two_contacts():
     turned = {"center": [[0, 0], [1, 0], [1, 1]], "contact": [[0, 1], [1, 0], [1, 2]], "friction": [0.5, 0.2, 0.1]}
     packing = tb.Packing(**ROW | turned | {"normal": [[1, 0], [1, 0], [0, 1]]})
     assert packing.contacts == 3
-    with pytest.raises(tb.InputError, match="are both of spheres 0 and 1"):
+    with pytest.raises(tb.InputError, match="both join spheres 0 and 1"):
         tb.Packing(**ROW | turned | {"normal": [[1, 0], [-1, 0], [0, 1]]})
 
 

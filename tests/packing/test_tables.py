@@ -76,7 +76,7 @@ WRONG = [
     ({"periodic": (3, 3)}, "it must be 3 lengths"),
     ({"periodic": (1.0, 3, 0)}, "each length must be larger than the largest sphere"),
     ({"periodic": (3, 3, 4)}, "z is periodic, so there is no bottom"),
-    ({"driven": [5] + [-1] * 35}, "driven of sphere 0 is 5; without an array spin only body 0"),
+    ({"driven": [5] + [-1] * 35}, "driven of sphere 0 is 5; without an array spin it can only be 0"),
 ]
 
 
@@ -112,9 +112,9 @@ TORN = [
     (SPHERES.replace("12,2,0", "12,two,0"), CONTACTS, r"line 4 of .* has 'two' for x; it must be a number"),
     (SPHERES.replace("12,2,0", "12,nan,0"), CONTACTS, r"line 4 of .* has 'nan' for x; it must be finite"),
     (SPHERES.replace("12,2,0", "11,2,0"), CONTACTS, r"has the id 11 twice"),
-    (SPHERES.replace("r,", "rad,"), CONTACTS, r"line 1 of .* names a column 'rad'"),
+    (SPHERES.replace("r,", "rad,"), CONTACTS, r"line 1 of .* names an unknown column 'rad'"),
     (SPHERES.replace(",y", ",r"), CONTACTS, r"must have a column y"),
-    (SPHERES.partition("\n")[2], CONTACTS, r"line 1 of .* names a column '10'"),
+    (SPHERES.partition("\n")[2], CONTACTS, r"line 1 of .* names an unknown column '10'"),
     ("", CONTACTS, r"has no header such as x,y"),
     (SPHERES, CONTACTS.replace("13,14", "13,15"), r"row 4 of .* has a contact of sphere 15"),
     (SPHERES, CONTACTS.replace("13,14", "12,14"), r"contact 3 does not touch: spheres 2 and 4 are 2 apart"),

@@ -137,5 +137,5 @@ def test_an_analysis_by_a_threshold_is_not_drawn_and_a_damaged_one_is_refused(mi
     with h5py.File(run / "run.h5", "r+") as file:
         del file["analysis"].attrs["sha256"]
         file["analysis/domain"][0, 0, 0] = 1000
-    with pytest.raises(FileError, match=r"the group analysis of .* is damaged .* domain holds no labels"):
+    with pytest.raises(FileError, match=r"the group analysis of .* is damaged .* domain must hold whole numbers"):
         points_and_lines(read_run(run))

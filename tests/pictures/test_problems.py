@@ -161,7 +161,7 @@ def assert_fclib_is_least(run, tmp_path):
 
 def test_what_cannot_be_said_is_refused(solved, minimum, tmp_path):
     viscous = solved(shape=(5, 6), law="viscous", seed=4)
-    with pytest.raises(InputError, match="law is viscous; fclib has friction alone"):
+    with pytest.raises(InputError, match="law is viscous; the format fclib has friction only"):
         export_problem(viscous, "fclib", tmp_path / "a.hdf5")
     with pytest.raises(InputError, match="replica is 1; the run has 1"):
         export_problem(minimum, "cbf", tmp_path / "a.cbf", replica=1)

@@ -128,7 +128,7 @@ BAD = {
     "replicas": ("replicas = 4\n", "give seed a range"),
     "scanned threads": ("[scan]\nthreads = [1, 2]\n", "changes no result"),
     "checkpoints": ("checkpoint_every = 4.0\n", "leave it out"),
-    "too many": ("[scan]\nseed = { start = 0, stop = 3000 }\nmass = { start = 1, stop = 3000 }\n", "samples; at most"),
+    "too many": ("[scan]\nseed = { start = 0, stop = 3000 }\nmass = { start = 1, stop = 3000 }\n", "samples, the most"),
     "far too many": ("[scan]\nseed = { start = 0, stop = 1e300 }\n", "at most"),
     "missing file": ('[scan]\ncoefficients = ["nowhere.npz"]\n', "nowhere.npz"),
 }

@@ -116,7 +116,7 @@ def test_a_layer_without_a_jump_does_not_slip():
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ({"top": (1.0, 0.0, 0.0), "spin_top": 2.0}, "spin_top is 2.0, beside a state of top or bottom"),
+        ({"top": (1.0, 0.0, 0.0), "spin_top": 2.0}, "spin_top is 2.0, but top or bottom is given, too"),
         ({"top": (1.0,)}, r"top is \(1.0,\); the state of a plane must be A_x, A_y, A_z"),
         ({"bottom": (1.0, np.nan, 0.0)}, "bottom is"),
         ({"top": "spin"}, "top is 'spin'"),

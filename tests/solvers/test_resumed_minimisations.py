@@ -81,5 +81,5 @@ def test_a_checkpoint_of_another_scene_is_refused():
     with pytest.raises(FileError, match="of another scene"):
         stopped(make_scene((8, 7, 8), seeds=(5,)), OperatorSplitting(), stop, 2, arrays)
     arrays["best/objective"] = np.array([np.nan])
-    with pytest.raises(FileError, match="best state that is stored is none of this scene"):
+    with pytest.raises(FileError, match="best state in it does not have the shape of this scene"):
         stopped(make_scene((8, 7, 9), seeds=(5,)), OperatorSplitting(), stop, 2, arrays)

@@ -62,7 +62,8 @@ class Layout:
         self.update, self.size = ends[-1] + places, int(ends[-1]) + peak
         if self.size > tuning.MOST_FACTOR_NUMBERS:
             raise MemoryError(
-                f"the factorisation needs {self.size} numbers; at most {tuning.MOST_FACTOR_NUMBERS} can be indexed"
+                f"the sample is too large: its matrix factorisation needs {self.size} numbers, "
+                f"of which at most {tuning.MOST_FACTOR_NUMBERS} can be indexed"
             )
         self.vector = pattern.size + int(self.border.sum())
         first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown

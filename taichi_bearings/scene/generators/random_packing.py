@@ -155,7 +155,7 @@ def built(
         own, wanted = heap.count, sizes[heap.count]
         held = heap.fill(wanted) or heap.fill(1.0 if wanted == ratio else ratio)
         if held is None:
-            raise InputError(f"no pocket is left after {own:,} spheres; take another seed or a wider box")
+            raise InputError(f"no free place is left after {own:,} spheres; take another seed or a wider box")
         contact += [(other, own) for other in held]
     pairs, place = np.array(contact, dtype=np.int64).reshape(-1, 2), heap.place
     vector = place[pairs[:, 1]] - place[pairs[:, 0]]

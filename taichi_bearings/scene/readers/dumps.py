@@ -109,7 +109,9 @@ def _integer(path: Path, line: int, text: bytes, least: int, most: int) -> int:
     """
     digits = text.strip()
     if not digits.isdigit() or len(digits) > 20 or not least <= int(digits) <= most:
-        raise FileError(f"{path} is damaged or no dump: line {line} must be a whole number from {least} to {most}")
+        raise FileError(
+            f"{path} is not a LAMMPS dump, or is damaged: line {line} must be a whole number from {least} to {most}"
+        )
     return int(digits)
 
 
@@ -129,7 +131,7 @@ class _Reader:
         self._next("a timestep")
         kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
         if items and kind != items:
-            raise self._wrong(f"ITEM: NUMBER OF {items}")
+            raise self._wrong(f'"ITEM: NUMBER OF {items}"')
         count = _integer(self.path, self.line + 1, self._next("a number"), 0, most)
         text = self._next(f"ITEM: BOX BOUNDS or ITEM: {kind}").decode("latin-1").strip()
         box = None
@@ -137,7 +139,7 @@ class _Reader:
             box = self._box(text[len("ITEM: BOX BOUNDS") :].split())
             text = self._next(f"ITEM: {kind} and names of columns").decode("latin-1").strip()
         if not text.startswith(f"ITEM: {kind} "):
-            raise self._wrong(f"ITEM: {kind} and names of columns")
+            raise self._wrong(f'"ITEM: {kind}", followed by the names of the columns')
         names = text[len(f"ITEM: {kind}") :].split()
         line, table = self.line, self._rows(names, count, wanted(names), whole)
         return Frame(self.path, step, names, box, table, line, self.is_rounded)
@@ -149,12 +151,16 @@ class _Reader:
         line = next(self.lines, None)
         self.line += 1
         if line is None or (line.startswith(TIMESTEP) and not expected.startswith("ITEM: TIMESTEP")):
-            raise CutOff(self.path, self.line, f"at line {self.line} {expected} must follow")
+            raise CutOff(
+                self.path,
+                self.line,
+                f"the file ends or a new timestep begins at line {self.line}, where {expected} is expected",
+            )
         return line
 
     def _wrong(self, expected: str) -> FileError:
         """Return the error for the line read last. expected : what it should be."""
-        return FileError(f"{self.path} is damaged or no dump: line {self.line} must be {expected}")
+        return FileError(f"{self.path} is not a LAMMPS dump, or is damaged: line {self.line} must be {expected}")
 
     def _header(self, begin: str, expected: str) -> list[str]:
         """Return the words of the next line after "ITEM: " and `begin`; raise FileError for another line. expected :
@@ -172,12 +178,12 @@ class _Reader:
         """
         flags, kind = words[-3:], " ".join(words[:-3])
         if FLAGS.get(len(words)) != kind or any(len(flag) != 2 or set(flag) - set("pfsm") for flag in flags):
-            raise self._wrong("ITEM: BOX BOUNDS with three flags such as pp ff pp, after xy xz yz of a triclinic box")
+            raise self._wrong('"ITEM: BOX BOUNDS", for a triclinic box "xy xz yz", then three flags such as "pp ff pp"')
         width = {"": 2, "xy xz yz": 3, "abc origin": 4}[kind]
         rows = [self._numbers(self._next("bounds"), list(range(width)), width, 0) for _ in range(3)]
         box = Box.of_bounds(np.array(rows), [flag == "pp" for flag in flags] if flags else None)
         if box is None:
-            raise self._wrong("bounds in order above")
+            raise self._wrong("the last of three lines of the box, each with a lower bound and a larger upper one")
         return box
 
     def _numbers(self, line: bytes, places: list[int], width: int, whole: int) -> list[float]:
@@ -199,7 +205,7 @@ class _Reader:
             if any(not (value.is_integer() and 0 <= value <= MOST_INTEGER) for value in numbers[:whole]):
                 raise ValueError
         except ValueError:
-            raise self._wrong(f"{width} numbers, ids and types whole") from None
+            raise self._wrong(f"a row of {width} numbers, with whole numbers for ids and types") from None
         if not self.is_rounded and any(b"e" in words[place].lower() for place in places[:whole]):
             self.is_rounded = True
         return numbers
@@ -211,7 +217,8 @@ class _Reader:
             hold whole numbers. Raises FileError if a column is missing, or if more rows follow than the timestep says.
         """
         if lacking := [name for name in wanted if names.count(name) != 1]:
-            raise FileError(f"{self.path} must have one column {lacking[0]}; it has {' '.join(names)}")
+            columns = " ".join(names)
+            raise FileError(f"{self.path} must have one column {lacking[0]}; its columns are {columns}")
         places, values = [names.index(name) for name in wanted], array("d")
         for number in range(count):
             line = self._next(f"row {number + 1} of {count}")
@@ -220,5 +227,5 @@ class _Reader:
             after = next(self.lines, b"ITEM: ")
             if not after.startswith(b"ITEM: ") and after.strip():
                 self.line += 1
-                raise self._wrong(f"the next timestep after {count} rows")
+                raise self._wrong(f'"ITEM: TIMESTEP", since the number of rows is said to be {count}')
         return np.frombuffer(values, dtype=np.float64).reshape(count, len(wanted))

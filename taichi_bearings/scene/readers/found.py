@@ -41,8 +41,10 @@ class Sides:
         """
         if (beyond := driven >= SIDES).any():
             own = int(np.argmax(beyond))
-            words = f"driven of sphere {own} is {driven[own]}"
-            raise InputError(f"{words}; without an array spin only body 0, the bottom, and body 1, the top, are known")
+            body = driven[own]
+            raise InputError(
+                f"driven of sphere {own} is {body}; without an array spin it can only be 0, the bottom, or 1, the top"
+            )
         rate = np.array([finite_number(name, getattr(self, name)) for name in ("spin_bottom", "spin_top")])
         spin = np.where(driven >= 0, rate[np.maximum(driven, 0)], 0.0)
         if dimension == 2:
@@ -157,9 +159,12 @@ def _contacts(
     if (deep := size < (1 - share) * reach).any():
         own = int(np.argmin(np.where(deep, size / reach, np.inf)))
         like = "; radii look like diameters" if abs((size / reach).min() / 0.5 - 1) < 0.1 else ""
-        words = f"are {size[own]:.6g} apart and their radii add up to {reach[own]:.6g}"
-        over = f"they overlap by {1 - size[own] / reach[own]:.2g} of that, more than the tolerance {share:g}"
-        raise InputError(f"spheres {first[own]} and {second[own]} {words}: {over}{like}")
+        one, other, distance, radii = first[own], second[own], f"{size[own]:.6g}", f"{reach[own]:.6g}"
+        overlap = f"{1 - size[own] / reach[own]:.2g}"
+        raise InputError(
+            f"spheres {one} and {other} are {distance} apart and their radii add up to {radii}: "
+            f"they overlap by {overlap} of that, more than the tolerance {share:g}{like}"
+        )
     if not len(first):
         raise InputError(f"no two spheres touch within the tolerance {share:g}; are radii in the unit of the centres?")
     order = np.lexsort((*normal.T, second, first))

@@ -95,7 +95,9 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
     """
     most = 2 + asked.dimension
     if isinstance(columns, str) or len(columns) not in {2, 3, most, 5}:
-        raise InputError(f"columns is {shown(columns)}; it must be 2, 3 or {most} names of columns of {contacts}")
+        raise InputError(
+            f"columns is {shown(columns)}; it must be a list of 2, 3 or {most} names of columns in {contacts}"
+        )
     frame, rows = _frames(atoms, contacts, list(columns), asked)
     kinds, sizes, places = len(asked.kinds), len(asked.size(frame.names)), asked.place(frame.names)
     order = np.argsort(frame.table[:, 0], kind="stable")
@@ -103,8 +105,9 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
     table, number = frame.table[order], frame.table[order, 0].astype(np.int64)
     if (twice := number[1:] == number[:-1]).any():
         pair = sorted(order[int(np.argmax(twice)) :][:2].tolist())
+        line, atom = frame.at(pair[1]), number[1:][twice][0]
         why = "; its ids have lost digits, so print them as whole numbers" if frame.is_rounded else ""
-        raise FileError(f"{frame.at(pair[1])} has atom {number[1:][twice][0]} once more{why}")
+        raise FileError(f"{line} has atom {atom} a second time; each atom must be there once{why}")
     body = _bodies(number, asked, table[:, 1].astype(np.int64))
     center = _centers(frame, places, table[:, 1 + kinds + sizes :][:, : len(places)], asked)
     found: dict[str, Any] = {"center": center, "driven": body, "radius": _radii(frame, table[:, 1 + kinds], asked)}
@@ -139,9 +142,10 @@ def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tu
             told = "; ".join(dict.fromkeys(cut))
             logging.getLogger(__name__).warning("bearings: %s; the timestep %d is read instead", told, step)
         return frame, rows
-    named = "" if asked.step is None else f"{shown(asked.step)} "
+    which = "no timestep" if asked.step is None else f"timestep {shown(asked.step)} is not there or not"
     reasons = f": {'; '.join(dict.fromkeys(cut))}" if cut else ""
-    raise FileError(f"no timestep {named}is whole in both {atoms} and {contacts}{reasons}")
+    complete = "is complete" if asked.step is None else "complete"
+    raise FileError(f"{which} {complete} in both {atoms} and {contacts}{reasons}")
 
 
 def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
@@ -165,7 +169,8 @@ def _refuse_strange_rows(frame: Frame) -> None:
     if strange.any():
         row = int(np.argmax(strange))
         number = next(value for value in frame.table[row].tolist() if not abs(value) <= MOST_INTEGER_OR_SIZE)
-        raise FileError(f"{frame.at(row)} has {number} for atom {frame.table[row, 0]:.0f}; numbers must be finite")
+        line, atom = frame.at(row), f"{frame.table[row, 0]:.0f}"
+        raise FileError(f"{line} has the value {number} for atom {atom}; numbers must be finite")
 
 
 MOST_INTEGER_OR_SIZE = max(MOST_SIZE, 2.0**53)
@@ -210,8 +215,8 @@ def _refuse_sizes(frame: Frame, order: np.ndarray, radius: np.ndarray) -> None:
     wrong = ~((radius >= LEAST_SIZE) & (radius <= MOST_SIZE))
     if wrong.any():
         row = int(order[np.argmax(wrong)])
-        own = f"{frame.at(row)}: the radius of atom {frame.table[row, 0]:.0f} is {radius[wrong][0]:g}"
-        raise FileError(f"{own}; it must be from {LEAST_SIZE:g} to {MOST_SIZE:g}")
+        line, atom, own = frame.at(row), f"{frame.table[row, 0]:.0f}", f"{radius[wrong][0]:g}"
+        raise FileError(f"{line}: the radius of atom {atom} is {own}; it must be from {LEAST_SIZE:g} to {MOST_SIZE:g}")
 
 
 def _contacts(
@@ -227,7 +232,8 @@ def _contacts(
         raise FileError(f"{rows.path} has another box than {frame.path} at timestep {frame.step}; are they of one run?")
     strange = ~np.isfinite(rows.table).all(axis=1)
     if strange.any():
-        raise FileError(f"{rows.at(int(np.argmax(strange)))} has a force that is not finite")
+        line = rows.at(int(np.argmax(strange)))
+        raise FileError(f"{line} has a force that is not finite")
     force, row, count = rows.table[:, 2:], np.arange(len(rows.table)), len(rows.table)
     has_forces, is_vector = force.shape[1] > 0, force.shape[1] > 1
     if has_forces:
@@ -267,14 +273,14 @@ def _normals(
         return np.asarray(vector / size[:, None])
     own = int(np.argmax(wrong | again))
     i, j = number[contact[own]].tolist()
-    where = f"{rows.at(int(row[own]))}: atoms {i} and {j}"
+    line = rows.at(int(row[own]))
     if is_doubtful[own] and is_near[own]:
-        raise InputError(f"{where} touch both ways around a periodic side, so that it is not known which is meant")
+        raise InputError(f"{line}: atoms {i} and {j} touch both directly and across a periodic side; which is meant?")
     if wrong[own]:
         unknown = frame.box is None or frame.box.periodic is None
         hint = "; if that is across a periodic side, name it by `periodic`" if unknown and not is_near[own] else ""
-        raise InputError(f"{where} {misfit(size[own], reach[own])}{hint}")
-    raise InputError(f"{where} are those of an earlier line too; each contact must be there once")
+        raise InputError(f"{line}: atoms {i} and {j} {misfit(size[own], reach[own])}{hint}")
+    raise InputError(f"{line}: the contact of atoms {i} and {j} is there a second time; each must be there once")
 
 
 def _periods(frame: Frame, asked: Asked) -> np.ndarray:
@@ -290,7 +296,7 @@ def _periods(frame: Frame, asked: Asked) -> np.ndarray:
             )
         if box.periodic is not None:
             raise InputError(
-                f"periodic is {shown(asked.periodic)}, but the box of {frame.path} says that; leave it out"
+                f"periodic is {shown(asked.periodic)}, but the box of {frame.path} says it already; leave it out"
             )
         box = replace(box, periodic=[axis in closed for axis in range(3)])
     periods = np.zeros((0, asked.dimension)) if box is None else box.periods(asked.dimension)
@@ -335,8 +341,8 @@ def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> 
     if lost.any():
         own = int(np.argmax(lost))
         missing = next(one for one in ids[own].tolist() if one not in keys)
-        words = f"{rows.at(int(row[own]))} has a contact of atom {missing}"
-        raise FileError(f"{words}, which {frame.path} lacks at timestep {frame.step}")
+        line, step = rows.at(int(row[own])), frame.step
+        raise FileError(f"{line} has a contact of atom {missing}, which {frame.path} lacks at timestep {step}")
     after = np.minimum(where + 1, max(len(keys) - 1, 0))
     doubtful = ((keys[after] == ids) & (after != where)).any(axis=1)
     if doubtful.any():
@@ -344,8 +350,8 @@ def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> 
         end = int(np.argmax((keys[after] == ids)[own] & (after != where)[own]))
         one, two = number[place[[where[own, end], after[own, end]]]].tolist()
         raise FileError(
-            f"{rows.at(int(row[own]))} has {ids[own, end]:g} for atom {one} or {two}: ids have lost digits; write them "
-            "with `dump_modify format` in full"
+            f"{rows.at(int(row[own]))} has the id {ids[own, end]:g}, which can be atom {one} or {two}: it has lost "
+            "digits; let `dump_modify format` write all of them"
         )
     return np.asarray(place[where])
 
@@ -362,7 +368,7 @@ def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
     body = np.full(len(number), -1)
     for key, own in table.items():
         if not (keys == key).any():
-            raise InputError(f"driven is {shown(key)}, but there is no such atom or type")
+            raise InputError(f"driven names {shown(key)}, but the dump has no atom or type of that number")
         body[keys == key] = own
     return body
 

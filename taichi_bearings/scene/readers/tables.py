@@ -35,12 +35,14 @@ def read_spheres(path: Path) -> dict[str, np.ndarray]:
     found = {"center": np.column_stack([columns.pop(name) for name in axes])}
     if "diameter" in columns:
         if "radius" in columns:
-            raise FileError(f"{path} has columns of radii and of diameters; leave one of the two out")
+            raise FileError(f"{path} has a column radius and a column diameter; leave one of the two out")
         columns["radius"] = columns.pop("diameter") / 2
     rates = ["spin"] if len(axes) == 2 else ["spin_x", "spin_y", "spin_z"]
     given = [name for name in columns if name.startswith("spin")]
     if given and sorted(given) != sorted(rates):
-        raise FileError(f"{path} has a column {given[0]}; spins of its {len(axes)} axes need {', '.join(rates)}")
+        raise FileError(
+            f"{path} has a column {given[0]}; spins in {len(axes)}D need exactly the columns {', '.join(rates)}"
+        )
     if given:
         spins = np.column_stack([columns.pop(name) for name in rates])
         found["spin"] = spins if len(axes) == 3 else spins[:, 0]
@@ -101,7 +103,7 @@ def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]
             if len(rows) > most:
                 raise FileError(f"{path} has more than {most:,} rows; that is the most that is read")
     if head is None:
-        raise FileError(f"{path} has no header such as {','.join(needed)}, so that nobody knows what its columns are")
+        raise FileError(f"{path} has no header such as {','.join(needed)}, so its columns have no names")
     table = np.array(rows, dtype=float).reshape(len(rows), len(head))
     return {name: table[:, k].astype(np.int64) if name in WHOLE_COLUMNS else table[:, k] for k, name in enumerate(head)}
 
@@ -121,8 +123,8 @@ def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], nee
     if strange := [name for name in known if name not in names]:
         allowed = ", ".join(names)
         raise FileError(
-            f"line {line} of {path} names a column {strange[0]!r}{meant(strange[0], names)}; a header of these is "
-            f"needed: {allowed}"
+            f"line {line} of {path} names an unknown column {strange[0]!r}{meant(strange[0], names)}; it must be a "
+            f"header with some of {allowed}"
         )
     found = [names[name] for name in known]
     if lacking := [name for name in needed if name not in found]:
