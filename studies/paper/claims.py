@@ -284,7 +284,11 @@ class _Sentences(string.Formatter):
         return self.vformat(text, (), {**self.named, **more})
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Return a value as a text. format_spec : one of the ways of the class, and what follows it."""
+        """Return a value as a text.
+
+        format_spec : how to write it: one of the ways that the class lists, and a format after it, such as "mean .2f",
+            "count sample" or "by side interval"; or a format of Python alone.
+        """
         way, _, rest = format_spec.partition(" ")
         if way in REDUCED:
             return self.format_field(REDUCED[way](value) if len(value) or way in ("sum", "len") else math.nan, rest)

@@ -132,10 +132,12 @@ def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
 
 
 def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
-    """Return (R,) the number of free spheres that rotate neither with the bottom nor with the top.
+    """Return (R,) for each of R samples the number of free spheres that rotate neither with the bottom nor with
+    the top.
 
-    spin : laboratory frame. A sphere rotates with a plane if its staggered spin differs from the plane's by less than
-        0.001 of the jump: far above the error of the minimum.
+    spin : (R, *N, 3), laboratory frame, 1/time. A sphere rotates with a plane if its spin, staggered (with opposite
+        signs on neighbours), differs from the plane's by less than 0.001 of the difference of the imposed spins: far
+        above the error of the minimum.
     """
     axes = scene.minimum_spin_axes
     staggered = scene.staggered_spin(spin, axes)

@@ -71,8 +71,9 @@ SURE = 1e-6  # relative gap of minima of spheres; spheres with less of the top's
 
 
 def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Packing:
-    """Return a lattice without odd loops, to which something is added at `odd` random places: in squares a contact
-    across a diagonal, in hexagons the disc that a triangular lattice has there.
+    """Return a lattice without loops of an odd number of discs, to which `odd` odd contacts are added at random
+    places. These close odd loops: in squares a contact across a diagonal, in hexagons the disc that a
+    triangular lattice has there.
 
     lattice : "square", "triangular" (a honeycomb with added discs) or "cubic".
     size : L, the length of each side in diameters.
@@ -106,12 +107,15 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
 
 @lru_cache(maxsize=4)
 def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing, np.ndarray, cKDTree, float]:
-    """Return a lattice without odd loops, and where something can be put into it: a tuple of
+    """Return a lattice without loops of an odd number of discs, and where odd contacts, which close such loops,
+    can be put into it: a tuple of
 
     * the lattice;
     * the places (holes, D), the middles of its whole squares or hexagons;
     * a search tree of the centres of its discs or spheres;
     * the distance within which the discs around a place are found: those of its square or hexagon, and no others.
+
+    size : length of each side in diameters. bottom : spin of the bottom; that of the top is 1.
     """
     if lattice == "triangular":
         bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
@@ -138,8 +142,8 @@ def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
     """Return numbers of the minima of some samples: lists with one entry for each sample.
 
-    lattice, size : name and side of the lattice, see :func:`network`.
-    odd : number of odd contacts.
+    lattice, size : name of the lattice, and length of each side in diameters.
+    odd : number of odd contacts: added ones that close loops of an odd number of discs.
     bottom : spin of the bottom over that of the top.
     samples, seed : number of samples, and the first of their seeds.
 
@@ -160,7 +164,9 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
 
 
 def dilute(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
-    """Return those of some numbers of odd contacts for which the lattice has places enough."""
+    """Return those of some numbers of odd contacts (which close loops of an odd number of discs) for which the
+    lattice has places enough.
+    """
     return [n for n in numbers if n <= DENSEST * len(_without_odd_loops(lattice, size, 0.0)[1])]
 
 
@@ -168,20 +174,23 @@ Curves = Mapping[int, Mapping[int, np.ndarray]]  # by size L and number n of odd
 
 
 def well_known(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
-    """Return the sizes that have at least ENOUGH samples for each number of odd contacts; without the entry for no odd
-    contact.
+    """Return the lattice sizes with at least ENOUGH samples for each number of odd contacts, as a dictionary like
+    `curves`, without the entries for no odd contact.
 
-    curves : for each size L and number n of odd contacts, the shares (samples,) of discs that roll.
+    curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares
+        (samples,) of discs that roll with the top.
     """
     with_odd = {L: {n: of for n, of in by.items() if n} for L, by in curves.items()}
     return {L: by for L, by in with_odd.items() if min(map(len, by.values()), default=0) >= ENOUGH}
 
 
 def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
-    """Return the points whose interface can only be held by odd contacts: its mean place is at least FEWEST_LAYERS
-    layers below the top, and above the bottom, since less than LARGEST_SHARE of the discs roll.
+    """Return the entries of `curves` whose interface, the layer of slipping contacts below the discs that roll
+    with the top, can only be held by odd contacts: it is at least FEWEST_LAYERS layers below the top, and far
+    above the bottom, since less than LARGEST_SHARE of the discs roll.
 
-    curves : for each size L and number n of odd contacts, the shares (samples,) of discs that roll. n = 0 is left out.
+    curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares
+        (samples,) of discs that roll. n = 0 is left out.
     """
     return {
         L: {n: of for n, of in by.items() if n and FEWEST_LAYERS / L < of.mean() < LARGEST_SHARE}
@@ -190,10 +199,11 @@ def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
 
 
 def confined(curves: Curves) -> Collapse | None:
-    """Return the exponent a for which s n^(1/2) against n / L^a falls onto one curve for all sizes; None where fewer
-    than two sizes have three numbers of odd contacts.
+    """Return the exponent a for which s n^(1/2) against n / L^a falls onto one curve for all sizes; None where
+    fewer than two sizes have three numbers of odd contacts.
 
-    curves : for each size L and number n of odd contacts, the shares s (samples,) of discs that roll.
+    curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares s
+        (samples,) of discs that roll with the top.
     """
     held = held_by_nothing_else(well_known(curves))
     scaled = {L: {n: of * n**0.5 for n, of in by.items()} for L, by in held.items() if len(by) > 2}
@@ -201,10 +211,11 @@ def confined(curves: Curves) -> Collapse | None:
 
 
 def crowded(curves: Curves) -> dict[str, Any] | None:
-    """Return the fit of s = c n^-x to all sizes together, over the points with many odd contacts: n > CROWDED L^(2/3),
-    where the interface is confined between the top and the odd contacts.
+    """Return the fit of s = c n^-x to all sizes together, over the points with many odd contacts: n > CROWDED
+    L^(2/3).
 
-    curves : for each size L and number n of odd contacts, the shares s (samples,) of discs that roll.
+    curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares s
+        (samples,) of discs that roll with the top.
 
     returns : x (`value`), its standard error, the probability of a misfit as large (`goodness`), and the number of
         points; None for fewer than three points.

@@ -79,13 +79,16 @@ def _arrive(
     grid: int, column: int, beside: int, contact: int,
     found: ti.template(), inner: ti.template(), upward: ti.template(), unseen: ti.template(),
 ) -> int:  # fmt: skip
-    """Lower the distances of a column by paths through its neighbour, then along the column, up and down. Return 1 if
-    any became shorter, else 0.
+    """Lower the distances of a column of faces by paths through the column beside it, then along the column, up
+    and down. Return 1 if any became shorter, else 0. All arrays are of B grids with w columns and h rows of
+    discs.
 
     grid, column : indices of the column.
     beside : index of the neighbour.
-    contact : column of the upward contacts between both.
-    found, inner, upward, unseen : as of `_sweep`.
+    contact : index of the column of upward contacts between both.
+    found : (B, w, h - 1) distance of each face from the outside on the left, changed in place.
+    inner, upward : weights of the sideways contacts (B, w - 1, h - 2) and of the upward ones (B, w, h - 1).
+    unseen : (B, w) bits that say which neighbours have not seen the last change of a column, changed in place.
     """
     rows, nearer = found.shape[2], 0
     for row in range(rows):

@@ -54,7 +54,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Case:
-    """A sample and how it is solved.
+    """A sample and how it is solved, in one cell of the stress report.
 
     scene : the sample.
     options : options of the method, by name.
@@ -81,7 +81,7 @@ class Case:
 
 
 def column_name(value: Any) -> str:
-    """Return the text that names a value of an axis in reports."""
+    """Return the text that names a value of a parameter in reports."""
     return value if isinstance(value, str) else f"{value:g}"
 
 
@@ -115,7 +115,7 @@ class Axis:
 
 
 def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: Any) -> Scene:
-    """Return a scene with the law of a row, all of whose coefficients are drawn in the same way.
+    """Return a scene with the law of a row of the report, all of whose coefficients are drawn in the same way.
 
     shape : of the lattice.
     draw : function that returns an array of coefficients, from a generator of random numbers and a shape.
@@ -127,10 +127,11 @@ def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: A
 
 
 def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
-    """Return the case of a row that no axis has changed: a small sample with coefficients uniform in [0.1, 1].
+    """Return the small sample of a row (method, law, dimension, device, precision) in which no parameter is
+    extreme: coefficients uniform in [0.1, 1].
 
     It is driven about x + y or, if the method refuses that, about x alone; None if the method refuses both. quick :
-    take smaller samples.
+    take a smaller sample.
     """
     shape = (SMALL_SHAPES if quick else SHAPES)[row.dimension]
     for direction in ((1.0, 1.0, 0.0), (1.0, 0.0, 0.0)):
@@ -172,8 +173,8 @@ def _tied(rng: np.random.Generator, shape: Sequence[int], value: str) -> np.ndar
 
 
 def _with_coefficients(draw: Callable[..., np.ndarray]) -> Change:
-    """Return a change that draws other coefficients on the same lattice. draw : function (generator, shape, value)
-    that returns them.
+    """Return a function that changes a case (a sample and how it is solved): it draws other coefficients on the
+    same lattice. draw : function (generator, shape, value) that returns them.
     """
 
     def change(case: Case, value: Any, row: Row) -> Case:
@@ -239,8 +240,8 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
 
 
 def _scene(changes: Callable[[Scene, Any], dict[str, Any]]) -> Change:
-    """Return a change of parameters of the scene. changes : function that returns the new parameters by name, from the
-    scene and the value.
+    """Return a function that changes parameters of the scene of a case. changes : function that returns the new
+    parameters by name, from the scene and the value of the axis.
     """
     return lambda case, value, row: replace(case, scene=replace(case.scene, **changes(case.scene, value)))
 
@@ -310,7 +311,9 @@ def _sides(case: Case, value: str, row: Row) -> Case:
 
 
 def _option(key: str) -> Change:
-    """Return a change that sets an option of the method to the value. key : name of the option."""
+    """Return a function that changes a case (a sample and how it is solved): it sets an option of the method. key
+    : name of the option.
+    """
     return lambda case, value, row: replace(case, options={key: value})
 
 

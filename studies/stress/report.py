@@ -53,15 +53,17 @@ def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
 
 
 class Sweep:
-    """The cells of a report in a folder. Those that its journal has from this version of the program are judged again,
-    the others are solved.
+    """The cells (a method, a sample, one extreme value) of a stress report in a folder. Those that its journal has
+    from this version of the program are judged again, the others are solved.
 
-    lines : the finished cells, by key.
+    lines : for each finished cell by its key, its line of the report.
     """
 
     def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
         """Read the journal of the folder, and judge those of the cells again that it has from this version of the
         program.
+
+        folder : of the report. cells : all that it should have.
         """
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
         known = read_journal(folder / JOURNAL)
@@ -74,7 +76,8 @@ class Sweep:
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
         """Solve the cells that are missing, by worker processes; return False if Ctrl-C ended that early.
 
-        workers : number of processes. say : function that is called with a line of text on each red cell.
+        workers : number of processes. say : function that is called with a line of text on each cell whose answer is
+            wrong, or that crashed.
         """
 
         def take(outcomes: Sequence[Outcome]) -> None:
@@ -129,8 +132,9 @@ class Sweep:
         return paths
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers of the report: cells by outcome, how exactly answers scale with the units, and the red
-        cells.
+        """Return the numbers of the report by name: cells by outcome, the largest relative error of a right
+        answer, how exactly answers scale with the units, and the cells whose answer is wrong without saying so
+        or that crashed (`red`).
         """
         rows = self.rows
         counts = Counter(line["outcome"] for line in rows)
