@@ -76,8 +76,8 @@ def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
 
 
 def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Found:
-    """Yield a row for each contender: seconds for a sample in a scan, in rounds in which all solve the same `number`
-    samples.
+    """Yield a row for each program (this one and, if it is installed, Clarabel): the seconds that it takes for a
+    sample of a scan, measured in rounds in which each solves the same `number` samples.
 
     rounds : how often each solves such a set. workers : number of processes.
 
@@ -88,10 +88,10 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> F
         engines = {name: stack.enter_context(closing(LocalEngine(work, workers))) for name, work in known.items()}
 
         def solve(turn: int, name: str, most: int | None = None) -> tuple[float, float]:
-            """Let one contender solve the samples of a round, and return the seconds for a sample and the share of
+            """Let one program solve the samples of a round, and return the seconds for a sample and the share of
             samples all of whose contact states are proven.
 
-            turn : number of the round. name : of the contender. most : solve so many units of work only; None for all.
+            turn : number of the round. name : of the program. most : solve so many units of work only; None for all.
             """
             samples = samples_of(shape, turn * number, number)
             units = units_of(samples, workers=workers) if name == OURS else [(one,) for one in samples]

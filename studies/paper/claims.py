@@ -274,8 +274,10 @@ class _Sentences(string.Formatter):
     """
 
     def __init__(self, phrases: Mapping[str, str], named: Mapping[str, Any]) -> None:
-        """phrases : texts with places to fill, by name, which `each` uses. named : the values that sentences use, by
-        name.
+        """Set what can be filled into sentences.
+
+        phrases : further sentences by name, which are filled in for each of several values.
+        named : the values that sentences use, by name.
         """
         self.phrases, self.named = phrases, named
 

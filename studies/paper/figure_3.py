@@ -150,8 +150,11 @@ def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNet
 
 
 def _mark_leaves(axes: Any, leaves: np.ndarray, site: float) -> None:
-    """Draw circles where the path leaves the plane. leaves : as :func:`leaves_of` returns them. site : distance of two
-    discs in the figure, in points.
+    """Draw a circle at each place where the path leaves the plane: with a dot towards the reader, with a cross
+    away.
+
+    leaves : (m, 3) place in the plane (two lattice coordinates), and +1 towards the reader or -1 away.
+    site : distance of two discs in the figure, in points.
     """
     size = float(np.clip(0.75 * site, 3.0, 9.0))
     axes.plot(*leaves[:, :2].T, "o", mfc="white", mec=GREEN, ms=size, mew=0.12 * size, zorder=4)

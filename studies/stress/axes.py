@@ -142,8 +142,8 @@ def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
 
 
 def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
-    """Return all rows of these methods and laws, on all devices and in all precisions on which they run. A GPU that is
-    emulated by the CPU is left out.
+    """Return all rows (method, law, dimension, device, precision) of these methods and laws, with all devices and
+    precisions on which each method runs. A GPU that is emulated by the CPU is left out.
     """
     found = []
     for arch, precision in product(("cpu", *runtime.GPUS), runtime.PRECISIONS):
@@ -207,7 +207,8 @@ def _absent(case: Case, value: str, row: Row) -> Case:
 
 
 def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., Case]:
-    """Return a function that changes a case to other units; everything that has a unit changes with them.
+    """Return a function that changes a case (a sample and how it is solved) to other units: all numbers that have
+    a unit change with them, so that its solution is the same in the new units.
 
     force, length, time : exponents. Numbers that stand for a force (a length, a time) are multiplied by the factor of
         the change, raised to this power.

@@ -112,27 +112,28 @@ class Sample:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Number the free spins, then the bottom's, then the top's, and start from spins that grow evenly with the
-        height.
-        """
+        """Set up the arrays of a scene of one sample; the spins to start from grow evenly with the height."""
         lattice, shape = scene.lattice, scene.lattice.shape
         self.jump = jump_of(scene)
         count, free = len(self.jump), int(np.prod(shape[:-1])) * (shape[-1] - 2)
         self.unknowns = free * count
-        place = np.empty((*shape, count), dtype=int)  # free spins, then 0 for the bottom, then the top
+        # place of each spin component in the array of spins: first the free ones, then the bottom's, then the top's
+        place = np.empty((*shape, count), dtype=int)
         place[..., 1:-1, :] = np.moveaxis(np.arange(self.unknowns).reshape(-1, *shape[:-1], count), 0, -2)
         place[..., 0, :] = self.unknowns
-        self.top = np.stack(list(self.jump.values()), axis=-1).ravel()  # one column after the other
-        varies = len(self.top) > count
+        self.top = np.stack(list(self.jump.values()), axis=-1).ravel()  # one column of spheres after the other
+        varies = len(self.top) > count  # the spin of the top differs between columns
         place[..., -1, :] = (
             self.unknowns + 1 + np.arange(len(self.top)).reshape((*shape[:-1], count) if varies else count)
         )
+        # contacts that cost something, without those within the driven planes
         low, up = place.reshape(lattice.sites, count)[lattice.ends]
         a, c = _costs(scene)
         sideways = lattice.between_driven & (lattice.axis < lattice.dimension - 1)
         self.of = np.flatnonzero(~sideways & (a + c > 0))
         self.low, self.up, self.a, self.c = low[self.of], up[self.of], a[self.of, None], c[self.of, None]
         self.felt = (lattice.axis[self.of, None] != list(self.jump)).astype(int)
+        # spins that grow evenly with the height, and the largest value that each can have at the minimum
         layer = self.unknowns // max(shape[-1] - 2, 1)
         height = [Decimal(i // layer + 1) / (shape[-1] - 1) for i in range(self.unknowns)]
         parts = self.top[np.arange(self.unknowns) % len(self.top)]

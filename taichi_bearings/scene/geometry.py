@@ -74,7 +74,7 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
         hint = found.remedy() or ("; across a periodic side it needs a normal" if is_far else "")
         first, second = contact[own].tolist()
         raise InputError(
-            f"contact {own} {'is open' if is_far else 'is pressed too far'}: spheres {first} and {second} "
+            f"contact {own} {'does not touch' if is_far else 'is pressed too far'}: spheres {first} and {second} "
             f"{misfit(found.size[own], found.reach[own])}{hint}"
         )
     return found.along

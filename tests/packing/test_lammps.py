@@ -105,12 +105,12 @@ def test_a_packing_is_the_same_there_and_back(tmp_path, dimension):
 
 
 WRONG = [
-    (ATOMS.replace("pp ff ff", "xy xz yz pp ff ff"), CONTACTS, "line 16 must be 3 numbers"),
+    (ATOMS.replace("pp ff ff", "xy xz yz pp ff ff"), CONTACTS, "line 16 must be a row of 3 numbers"),
     (ATOMS.replace("pp ff ff", "pp ff"), CONTACTS, 'line 15 must be "ITEM: BOX BOUNDS", for a triclinic box'),
     (
         ATOMS.replace("ATOMS\n3", "ATOMS\n4"),
         CONTACTS,
-        "no timestep is whole in both .* at line 23 row 4 of 4 must follow",
+        "no timestep is complete in both .* at line 23, where row 4 of 4 is expected",
     ),
     (
         ATOMS.replace("ATOMS\n3", "ATOMS\n2"),
@@ -118,15 +118,19 @@ WRONG = [
         'line 22 must be "ITEM: TIMESTEP", since the number of rows is said to be 2',
     ),
     (ATOMS.replace("ATOMS\n3", "ATOMS\n99999999999999"), CONTACTS, "line 14 must be a whole number"),
-    (ATOMS.replace("10 1 0.5", "10 1 zero"), CONTACTS, "line 21 must be 9 numbers"),
-    (ATOMS.replace("10 1 0.5", "1_0 1 0.5"), CONTACTS, "line 21 must be 9 numbers"),
+    (ATOMS.replace("10 1 0.5", "10 1 zero"), CONTACTS, "line 21 must be a row of 9 numbers"),
+    (ATOMS.replace("10 1 0.5", "1_0 1 0.5"), CONTACTS, "line 21 must be a row of 9 numbers"),
     (
         ATOMS.replace("10 1 0.5", "10.5 1 0.5"),
         CONTACTS,
         "line 21 must be a row of 9 numbers, with whole numbers for ids and types",
     ),
-    (ATOMS.replace("10 1 0.5", "20 1 0.5"), CONTACTS, "line 22 of .* has atom 20 once more"),
-    (ATOMS.replace("10 1 0.5", "10 1 nan"), CONTACTS, "line 21 of .* has nan for atom 10; numbers must be finite"),
+    (ATOMS.replace("10 1 0.5", "20 1 0.5"), CONTACTS, "line 22 of .* has atom 20 a second time"),
+    (
+        ATOMS.replace("10 1 0.5", "10 1 nan"),
+        CONTACTS,
+        "line 21 of .* has the value nan for atom 10; numbers must be finite",
+    ),
     (ATOMS.replace("0.5 1 1 1 1", "0.5 1 1 0 1"), CONTACTS, "line 21 of .*: the radius of atom 10 is 0; it must be"),
     (ATOMS.replace("diameter", "mass"), CONTACTS, "must have one column diameter"),
     (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "a lower bound and a larger upper one"),
@@ -138,7 +142,7 @@ WRONG = [
     (
         ATOMS,
         CONTACTS.replace("200", "300"),
-        "no timestep is whole in both .*contacts has no timestep 200",
+        "no timestep is complete in both .*contacts has no timestep 200",
     ),
     (ATOMS, CONTACTS.replace("2 10 30", "2 10 31"), "line 11 of .* has a contact of atom 31"),
     (
@@ -151,7 +155,7 @@ WRONG = [
         CONTACTS.replace("3 30 20 0", "3 10 20 1"),
         "line 12 of .*: the contact of atoms 10 and 20 is there a second time",
     ),
-    (ATOMS, CONTACTS.replace("c_fn", "fn"), "must have one column c_fn; it has index c_pair"),
+    (ATOMS, CONTACTS.replace("c_fn", "fn"), "must have one column c_fn; its columns are index c_pair"),
     ("", CONTACTS, "atoms has no timestep"),
 ]
 
@@ -165,8 +169,8 @@ def test_what_is_no_dump_is_one_sentence_with_its_line(tmp_path, atoms, contacts
 
 def test_what_is_asked_for_must_be_there(tmp_path):
     for others, words in [
-        ({"step": 100, "driven_types": {1: 0}}, "no timestep 100 is whole in both"),
-        ({"step": 150}, "no timestep 150 is whole in both"),
+        ({"step": 100, "driven_types": {1: 0}}, "timestep 100 is not there or not complete in both"),
+        ({"step": 150}, "timestep 150 is not there or not complete in both"),
         ({"driven_types": {3: 0}}, "driven names 3, but the dump has no atom or type of that number"),
         ({"driven": {10: 0}}, "one of driven and driven_types"),
         ({"spin": {1: (0, 0, 1)}}, "spin lacks body 0"),

@@ -24,7 +24,7 @@ WRONG = [
     ({"contact": [["0", "1"], ["1", "2"]]}, "contact is of type"),
     ({"contact": [[1, 2], [2, 3]]}, "contacts seem to count from 1"),
     ({"contact": [0, 1]}, r"contact has shape \(2,\)"),
-    ({"contact": np.array([[0, 2**63], [1, 2]], dtype=np.uint64)}, "too large"),
+    ({"contact": np.array([[0, 2**63], [1, 2]], dtype=np.uint64)}, "at most 9223372036854775807 is allowed"),
     ({"driven": [0, -2, 1]}, "driven of sphere 1 is -2"),
     ({"driven": [0, 7, 1]}, "driven of sphere 1 is 7"),
     ({"driven": [0, -1]}, r"driven has shape \(2,\)"),

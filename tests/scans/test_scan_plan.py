@@ -110,8 +110,8 @@ BAD = {
     "unknown fixed key": ("shpe = [3, 3]\n[scan]\nseed = [1]\n", "did you mean 'shape'"),
     "single value": ("[scan]\nseed = 5\n", "must be a list"),
     "no value": ("[scan]\nseed = []\n", "at least one value"),
-    "empty range": ("[scan]\nseed = { start = 5, stop = 5 }\n", "which is empty"),
-    "step of 0": ("[scan]\nseed = { start = 0, stop = 5, step = 0 }\n", "which is empty"),
+    "empty range": ("[scan]\nseed = { start = 5, stop = 5 }\n", "which has no values"),
+    "step of 0": ("[scan]\nseed = { start = 0, stop = 5, step = 0 }\n", "which has no values"),
     "unknown word in a range": ("[scan]\nseed = { start = 0, end = 5 }\n", "a range is"),
     "step and number": ("[scan]\nseed = { start = 0, stop = 5, step = 1, number = 3 }\n", "a range is"),
     "range of texts": ('[scan]\nseed = { start = "a", stop = "b" }\n', "a range is"),
@@ -129,7 +129,7 @@ BAD = {
     "scanned threads": ("[scan]\nthreads = [1, 2]\n", "changes no result"),
     "checkpoints": ("checkpoint_every = 4.0\n", "leave it out"),
     "too many": ("[scan]\nseed = { start = 0, stop = 3000 }\nmass = { start = 1, stop = 3000 }\n", "samples, the most"),
-    "far too many": ("[scan]\nseed = { start = 0, stop = 1e300 }\n", "at most"),
+    "far too many": ("[scan]\nseed = { start = 0, stop = 1e300 }\n", "the most that are allowed"),
     "missing file": ('[scan]\ncoefficients = ["nowhere.npz"]\n', "nowhere.npz"),
 }
 
