@@ -392,7 +392,9 @@ def resume(
             duration, ends = stored.duration, [v for key, v in arrays.items() if key.rpartition("/")[2] == "last_time"]
             reached = float(max(ends, default=0.0))  # by the replica of a packing that is farthest
             if reached > duration * (1 + SAME_TIME):
-                raise InputError(f"duration is {duration:g}, but {path} is already at {reached:g}; it must be longer")
+                raise InputError(
+                    f"duration is {duration:g}, but {path} has already reached {reached:g}; it must be longer"
+                )
         settings = RunSettings.from_mapping(parse_toml(scene, path) | changes, "the options")
         job = prepare(settings, strict=False)
         return _solve_with_checkpoints(path, job, stored, arrays or None, monitors, title)
