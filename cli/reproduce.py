@@ -76,8 +76,7 @@ def command(
         effort = Effort(seed, samples or (QUICK_SAMPLES if quick else SAMPLES), quick)
         report = reproduce(figures, folder, effort, tell=lambda line: click.echo(line, err=True), **asked)
     answer(report, as_json, lambda: describe(report, display.times()))
-    if report["missing"] and not as_json:
-        missing = ", ".join(report["missing"])
+    if (missing := ", ".join(report["missing"])) and not as_json:
         click.echo(f"not computed yet: {missing}; the same command with --out {folder} continues", err=True)
     context.exit(130 if report["interrupted"] else 1 if report["refuted"] else 0)
 

@@ -78,9 +78,8 @@ def command(
             found = solve(title=title)
         except KeyboardInterrupt as error:
             goes_on = f"`bearings run --resume {error}` goes on from the last checkpoint"
-            what_is_kept = goes_on if error.args else "nothing is kept"
-            sentence = f"bearings: interrupted before a first result was reached; {what_is_kept}"
-            raise KeyboardInterrupt(sentence) from None
+            kept = goes_on if error.args else "nothing is kept"
+            raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
         if verify and not found.interrupted:
             from taichi_bearings.runs.verify import verify as verdict_of
 
