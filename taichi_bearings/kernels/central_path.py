@@ -395,6 +395,7 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     dual = vector(values, state, DUAL, like, m)
     change = vector(values, step, CHANGE, like, m)
     dual_step = vector(values, step, DUAL_STEP, like, m)
+    # where the steps lead; a contact in no cone has its dual and its bound by the law of friction
     after = [slip[k] + along * change[k] for k in axes]
     length = size(after)
     dual_after = [

@@ -232,6 +232,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         across : unit tangents T, a list of the 6 components of both; empty for discs.
         numbers : constants of the step, see `SpringsAndSpins.spring`.
         """
+        # the work of the last step: its force times the slip speed at its end
         force = self.contact_places("force", size, first)
         if ti.static(self.tally):
             speed = self.slip(values, "gear_0", across, tables, size, first)
@@ -243,6 +244,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
             else:
                 total += dot(across[:3], before) * speed[0] + dot(across[3:], before) * speed[1]
             store(values, blocks, work[0], self.block, total)
+        # the force at the predicted end of this step: by the springs with friction, else by viscosity alone
         own = load_each(values, self.contact_places("coefficients", size, first), self.block)
         speed = self.slip(values, "predicted", across, tables, size, first)
         if ti.static(self.holds):
@@ -331,6 +333,7 @@ class DescentLists(ListSweeps):
         if ti.static(self.averages):  # noqa: SIM102
             if numbers[8] > 0.0:
                 self.sum_up(values, blocks, places([self.rows["spin_sum"][c]], size[0], first), [point])
+        # down the gradient, and on by the momentum
         new = point + numbers[0] * weight * pull
         if ti.static(self.momentum):
             spin = in_range(self.rows["spin"][c] * size[0] + first)

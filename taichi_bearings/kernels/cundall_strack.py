@@ -65,11 +65,13 @@ class SpringsAndSpins:
         radius_step, stiffness, damping, kinetic, static, compliance, memory = numbers[:7]
         friction = coefficients[0]
         stretch = [radius_step * moved[t] + before[t] for t in ti.static(range(len(moved)))]
+        # spring and damper together, capped by kinetic friction if they exceed static friction
         trial = [stiffness * stretch[t] + damping * speed[t] for t in ti.static(range(len(moved)))]
         size = length(trial)
         slips = size > static * friction
         share = ti.select(slips, kinetic * friction / size, 1.0)
         force = [share * f for f in ti.static(trial)]
+        # the elongation that is left to a contact which slips
         left = [force[t] * compliance + memory * before[t] for t in ti.static(range(len(force)))]
         if ti.static(len(coefficients) > 1):
             flowing = viscous_force(speed, coefficients, 0.0)
@@ -196,7 +198,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
             coefficients = load_each(values, places(self.coefficients[axis], row, first), self.block)
             force, side = places(self.force[axis], row, first), strides[axis::3]
             speed = self.difference(values, self.predicted[axis], row, first, side)
-            if ti.static(self.holds):
+            if ti.static(self.holds):  # friction, by springs; else viscosity alone
                 elongation = places(self.elongation[axis], row, first)
                 moved = self.difference(values, self.integral[axis], row, first, side)
                 before = load_each(values, elongation, self.block)

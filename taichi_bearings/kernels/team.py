@@ -82,12 +82,12 @@ class Team:
             for step in range(first, first + max(count, 1), together):
                 kernel(self.arrived, 0, step, min(step + together, first + count), *arguments)
             return
-        begin = 0
+        begin = 0  # a GPU is done; on a CPU one launch after the other
         while begin < count or count == 0:
             if self.workers < self.size and time.monotonic() >= self.rest_until:
                 self.workers, self.piece = self.size, TRIAL_SECONDS
             end = min(count, begin + max(1, int(self.piece / self.seconds))) if count else 0
-            self.arrived[0] = 0
+            self.arrived[0] = 0  # no worker has arrived at the barrier yet
             wall, processor = time.perf_counter(), time.process_time()
             kernel(self.arrived, self.workers, first + begin, first + end, *arguments)
             wall, processor = time.perf_counter() - wall, time.process_time() - processor

@@ -101,12 +101,14 @@ class CundallStrackMethod(Swept, SpringDynamics):
         staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
         """
         scene, options = self.scene, self.options
+        # each derivative of the spins follows from that of the forces, which follows from the one before
         derivatives, forces = [staggered], list[np.ndarray]()
         for n in range(1, options.gear_order + 1):
             forces.append(self._force_derivative(derivatives) / n)
             rate = scene.slip_radius / self.inertia * self.pulls(forces[-1])
             rate[..., scene.is_driven] = 0.0
             derivatives.append(self.time_step * rate)
+        # the end of the first step and its mean are predicted by the Taylor series
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
         self.fields.load("predicted", np.sum(derivatives, axis=0))
@@ -211,6 +213,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         """
         ends = self.iteration + steps == self._steps_to(self.end)
         shorter = ends and (self.iteration + steps) * self.time_step > self.end * (1 + SAME_STEP)
+        # the steps of full length, then the shorter one
         if whole := steps - int(shorter):
             yield Launch(whole, self.numbers(self.time_step))
             self.iteration += whole
@@ -242,6 +245,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
                 self._contact_power(force, staggered),
                 self.pulls(force),
             )
+        # the scaled derivatives, the predicted end, and the mean with its correction
         share = span / self.time_step
         old = [self.fields.read(f"gear_{n}") for n in range(self.options.gear_order + 1)]
         new = [share**n * values for n, values in enumerate(old)]
@@ -399,6 +403,7 @@ def sticking_modes(
         stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
         decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
         return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
+    # with friction: a contact sticks up to the friction of the strongest one
     strongest = float(scene.acting_coefficient.max())
     holds = scene.strength * strongest * options.static_ratio
     fastest = float(max(largest_spin, scene.fastest, np.finfo(float).tiny))

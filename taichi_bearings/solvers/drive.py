@@ -353,6 +353,7 @@ class Course:
             on_the_way = method.resumes and method.iteration < self.target
             if on_the_way:
                 self._write(looked=False)  # before this look, which a run that was not interrupted would not make
+            # read, record and report the progress
             progress = method.progress()
             iteration = progress.iteration
             best.take(progress)
@@ -361,6 +362,7 @@ class Course:
             gap = relative_gap(scene, best.objective, best.bound)
             report = Report(progress, best.objective, gap, elapsed, stop)
             unwanted = [monitor(report) for monitor in monitors].count(True) > 0
+            # judge it
             stalled = progress.exhausted or best.has_stalled(iteration, float(gap.max()))
             status = stop.judge(scene, progress, best.objective, best.bound, self._seconds_of_this_call, stalled)
             if status is None and (self.interrupt.heard or unwanted):
@@ -437,11 +439,13 @@ class Course:
         history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
         best, status, options = self.best, self.status, self.method.options
         ended = Ended(status, best.progress, best.bound, best.proof, last.iteration, self.stop, options)
+        # the answer to a packing comes judged from its contacts
         of_packing = self.method.contacts.answered(ended)
         findings = self.findings
         if of_packing is not None:
             findings = {**of_packing.findings, **findings}
             return replace(of_packing, seconds=seconds, history=history, snapshots=snapshots, findings=findings)
+        # a lattice: judge spins and forces, then prove the contact states, unless that is given up
         scene = of_lattice(self.scene)
         final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
@@ -540,12 +544,14 @@ class _Best:
         state : arrays by name, as from `state`.
         spin_axes : numbers of the axes of the spin components that are computed.
         """
+        # the forces that prove the bound
         self.proof = np.array(state["proof"], dtype=float)
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.network.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
             raise ValueError("proof does not hold the forces of the contacts of this scene")
         if not self.keeps_best or "best/staggered" not in state:
             return
+        # the best state, refused if it is of another shape or not finite
         best: dict[str, Any] = {name: np.array(state[f"best/{name}"]) for name in OF_BEST if f"best/{name}" in state}
         begin = "best/findings/"
         findings = {n[len(begin) :]: np.array(values) for n, values in state.items() if n.startswith(begin)}

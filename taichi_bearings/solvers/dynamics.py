@@ -100,6 +100,7 @@ class RestWatch:
         if time < self.time * (1 + self.later):
             return
         assert found.slipping is not None
+        # objective, torques and number of slipping contacts are the same as at the last check
         typical_torque = radius * float(vector_length(found.force).max(initial=0.0))
         slipping = int(found.slipping.sum())
         still = bool((np.abs(found.objective - self.last_objective) <= tolerance * np.abs(found.objective)).all())
@@ -298,7 +299,7 @@ class SpringDynamics(Dynamics):
         """Return the progress now, with bounds, energies and slipping contacts, and whether the dynamics is at rest."""
         scene, stiffness = self.scene, self.options.stiffness
         staggered, force, stretch = self.motion()
-        springs = force
+        springs = force  # the lower bound follows from the forces without those of the dampers
         if scene.law.holds:
             springs = self.with_viscosity(stiffness * stretch, self.differences(staggered))
         slipping, creep = slipping_contacts(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)

@@ -222,6 +222,7 @@ class Modes:
             found = np.minimum(found.real, 0.0) + 1j * found.imag
             powers = np.exp(found[:, None] * TIMES_IN_STEPS) - np.exp(exact[:, None] * TIMES_IN_STEPS)
             error += (root / (root - other))[:, None] * powers
+        # no spin is wrong by more than itself; the error of a run is the largest on the way
         size = np.minimum(np.abs(error), 1.0) * self.amplitude[:, None]
         return np.maximum.accumulate(np.sqrt(np.mean(size**2, axis=0)))
 

@@ -116,6 +116,7 @@ class GradientDescentMethod(Swept):
         difference, and one step length is right for both.
         """
         scene = self.scene
+        # spin difference over which friction is smoothed; a law of a user has a bound of its own
         smoothed = self.width if self.momentum else 2 * self.step_length
         bounds = scene.acting_coefficient
         if not scene.law.is_sum:
@@ -226,6 +227,7 @@ class GradientDescentMethod(Swept):
         creep = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length) if scene.law.holds else 0.0
         resolution = scene.slip_radius * min(creep, LARGE_SLIP * scene.jump)  # slower slips may be rest
         found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
+        # what the next sweeps need: width and momentum, or the next epoch from its average
         if self.momentum:
             self._adapt(staggered, found.objective, self.contacts.best_bound(found.lower_bound))
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:

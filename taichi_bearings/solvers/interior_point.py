@@ -228,6 +228,7 @@ class InteriorPointMethod(Descent, Method):
         (staggered, rest), speed = self._spins(), scene.lattice.radius * self.unit
         state, slip = all_slipless(scene), np.zeros(scene.coefficient.shape)
         force = np.zeros((len(self.spin_axes), *slip.shape))
+        # slips, states and forces of the n contacts with a free sphere, then of all
         answers = [sample.resolved or sample.iterate for sample in self.samples]
         slips = np.stack([length(answer.difference) for answer in answers])
         states = np.stack([_states(sample) for sample in self.samples])
@@ -240,6 +241,7 @@ class InteriorPointMethod(Descent, Method):
         slip[:, self.system.contact], state[:, self.system.contact] = speed * slips, states
         self.system.scatter_vectors(forces, force, slice(None))
         objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
+        # how far the path is: what is settled, and the largest slip of a contact that seems slipless
         settled = np.array([sample.resolved is not None for sample in self.samples])
         creep = slips.max(axis=1, initial=0.0, where=states == ContactState.SLIPLESS)
         settles_more = self.options.settle and self.frustrated and not all(sample.done for sample in self.samples)

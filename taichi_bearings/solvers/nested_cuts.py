@@ -235,6 +235,7 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
     while (open_ := least < most).any():
         if count == len(rounds) or not np.array_equal(rounds[count][:2], (least, most)):
             rounds[count:] = [_halved(cover, least, most)]
+        # with the smallest upper side, or for `largest` with the smallest lower side
         middle, upper, backwards = rounds[count][2:]
         if largest.any():
             upper = np.where(largest, ~led_to(len(least), *backwards), upper)

@@ -275,6 +275,7 @@ class OnLists(Contacts):
         """
         scene, bounds, row, stop, last = self.scene, self.bounds, ended.options, ended.stop, ended.best
         system, acting = bounds.system, bounds.acting
+        # the best forces, judged together with the best spins as a minimum found directly would be
         with one_thread():
             value, forces = bounds.of(last.force if last.proof is None else last.proof, last.staggered, whole=True)
             proof = forces if value > ended.bound[0] else ended.proof
@@ -282,6 +283,7 @@ class OnLists(Contacts):
                 np.zeros(system.unknowns), proof[:, 0, bounds.of_system], row.name, everywhere=last.staggered[:, 0].T
             )
             (result,) = judged(system, [bounds.packing], [found], stop.tolerance, row.is_dynamics)
+        # the values of the last state: forces, and states of contacts that nothing drives or of a dynamics
         force, observed, slip = result.force.copy(), result.state.copy(), result.slip[0]
         force[:, acting] = vector_length(last.force)
         loose = np.setdiff1d(acting, system.numbers)

@@ -114,12 +114,14 @@ class OperatorSplittingMethod(Method):
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
         spheres = scene.lattice.sites * scene.replicas
         refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
+        # fields and kernels
         forces = self.contacts.stencil_of(1).force_components
         of_contacts = ("friction", dimension), ("trial", forces), ("spring", forces)
         spec = (*of_contacts, ("potential", components), ("pull", components))
         self.fields = self.contacts.on_device(spec)
         self.layout = self.fields.layout
         self.stencil = self.contacts.stencil_of(self.layout.block)
+        # the two halves of an iteration: the Poisson solve, and the pass over the contacts
         self.weights = (1.0,) * scene.lattice.height_axis + (HEIGHT_WEIGHT,)
         self.weight = np.array(self.weights)[scene.lattice.axis]
         self.balance = TorqueBalance(spec, self.stencil, self.weights, self.fields)

@@ -149,6 +149,7 @@ def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatr
     if contacts.sign is not None:
         sign = contacts.sign[system.moved >= 0]
         spins, rest = sign * spins, None if rest is None else sign * rest
+    # from the contacts of the path to all A, and from its units to those of the packing
     own = np.searchsorted(system.numbers, contacts.numbers)
     slips, opens, tie = (
         None if kind is None else _everywhere(own, kind, len(of.friction)) for kind in (slipping, open_, ties)

@@ -143,6 +143,7 @@ class Recorder:
             "lower_bound": bound,
             "largest_balance_residual": progress.largest_balance_residual,
         }
+        # what only some methods and laws have
         if not minimises_power:
             row["potential"] = progress.objective
         if progress.time is not None:
@@ -186,6 +187,7 @@ class Recorder:
         self._snapshot_times = [float(t) for t in state.get("snapshots/time", ())]
         self._snapshot_spins = list(state.get("snapshots/spin", ()))
         self._last_time = float(state["last_time"])
+        # a damaged file may hold anything
         if any(np.asarray(values).dtype.kind not in "fiu" for values in state.values() if np.ndim(values)):
             raise ValueError("it holds something that is not a number")
         lengths = {len(values) for values in self._columns.values()}

@@ -204,6 +204,7 @@ class RigidLimitMethod(Dynamics):
             if rest is None:
                 moving.append(component)
                 continue
+            # kinetic energy that stopping would take away
             energy = self.inertia / 2 * replica_sum(((spins - rest) * (spins + rest + 2 * bottom[slot]))[None])
             is_small = bool((np.abs(energy) <= STOPPED_ENERGY * self.energy_at_start).all())
             if is_small and np.abs(spins - rest).max() <= STOPPED_SPREAD * self.unit:
@@ -228,6 +229,7 @@ class RigidLimitMethod(Dynamics):
             energy=self.balance(self.staggered, np.zeros(scene.replicas)),
             slipping=self.slipping,
         )
+        # without a fall of the power the motion is at rest if that is proven, else it is given up later
         believed = self.may_be_at_rest(found)
         at_rest, stuck = self.still >= REST_STEPS and believed, self.still >= STUCK_STEPS and not believed
         return replace(found, at_rest=at_rest, exhausted=stuck)

@@ -59,6 +59,7 @@ class StopRule:
         ended = progress.iteration >= self.iterations or elapsed >= self.seconds
         in_time = progress.time is not None and self.duration < float("inf")
         finished = progress.time is not None and progress.time >= self.duration * (1 - 1e-9)  # but for rounding
+        # a run with a duration goes on until then; a minimisation may go on to settle contact states
         goes_on = not finished if in_time else progress.settles_more and not ended
         if certified and not goes_on:
             return Status.CERTIFIED
