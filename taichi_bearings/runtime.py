@@ -175,6 +175,17 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
     return wanted
 
 
+def end() -> None:
+    """End the runtime of this process, if we have started one: Taichi then writes what it has compiled to its cache.
+
+    Python does this at the end of a program, but not at that of a worker process.
+    """
+    if _program is not None and running_program() is _program:
+        from taichi_bearings.compiler import ti
+
+        ti.reset()
+
+
 def wait() -> None:
     """Wait until a GPU has done all its work; on a CPU there is nothing to wait for."""
     if _current is not None and _current.is_gpu:

@@ -144,3 +144,17 @@ def test_whatever_goes_wrong_while_a_walk_is_kept_the_kernel_is_walked_all_the_s
         assert not files(tmp_path, "walk"), broken
     solved(tmp_path, methods=METHODS[1:2])
     assert files(tmp_path, "walk")
+
+
+def test_the_workers_of_a_scan_keep_their_kernels_for_later_ones(tmp_path):
+    (tmp_path / "scan.toml").write_text("shape = [5, 4, 6]\n[scan]\nseed = { start = 0, stop = 4 }\n")
+    kept = []
+    for number in range(3):
+        environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+        words = ["scan", "scan.toml", "--workers", "2", "--out"]
+        command = [sys.executable, "-m", "taichi_bearings_cli", *words, f"{number}"]
+        subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True)
+        kept.append([len(list((tmp_path / "cache").rglob(f"*.{kind}"))) for kind in ("tic", "walk", "lock")])
+    compiled, walked, _ = kept[1]
+    assert compiled > 0 < walked  # the first leaves what is compiled, the second the walks
+    assert kept == [[compiled, 0, 0], [compiled, walked, 0], [compiled, walked, 0]]

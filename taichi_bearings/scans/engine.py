@@ -25,6 +25,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from taichi_bearings import runtime
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.interrupts import unheard_by_children
@@ -37,6 +38,7 @@ Work = Callable[[Sequence[Any]], list[Record]]  # solves the tasks of a unit
 TRIES = 2  # how often each sample is tried
 HOPELESS = 10  # if so many workers end one after the other, before there is any result, the scan gives up
 LOOK_SECONDS = 0.2  # seconds between looks at what else is going on
+KEEPING_SECONDS = 5.0  # seconds that an idle worker may take to keep its compiled kernels and end
 IDLE_SECONDS = 60.0  # seconds without work after which a worker ends
 DASK_REASONS = {"KilledWorker": "its Dask workers were lost", "CancelledError": "Dask has cancelled it"}
 LONGEST_WAIT = 2e6  # seconds; the system counts milliseconds in 31 bits
@@ -159,7 +161,7 @@ class LocalEngine:
         return found
 
     def close(self) -> None:
-        """End all workers at once, even while they solve."""
+        """End all workers: those at work at once, whatever they do, and idle ones when their kernels are kept."""
         end_solvers(self.name)
         self.executor.shutdown()
 
@@ -181,11 +183,19 @@ def solve_unit(unit: Unit, engine: str, work: Work, allowed: Callable[[Unit], fl
 
 
 def end_solvers(engine: str) -> None:
-    """End the processes of the engine of this name; threads that wait for their answers notice."""
+    """End the processes of an engine; the threads that wait for their answers then see that.
+
+    Processes at work are killed. Idle ones see that their pipe is closed, keep the kernels they have compiled for later
+    processes, and end.
+    """
     with _one_at_a_time:
         _closed.add(engine)
-        for key in [key for key in list(_solvers) if key[0] == engine]:
-            if (process := _solvers.pop(key).process) is not None:
+        ended = [_solvers.pop(key) for key in list(_solvers) if key[0] == engine]
+        for solver in ended:
+            solver.dismiss()
+        for process in (solver.process for solver in ended):
+            if process is not None:
+                process.join(KEEPING_SECONDS)
                 process.kill()
                 process.join()
 
@@ -204,9 +214,26 @@ class _Solver:
     work: Work
     process: BaseProcess | None = None
     _device: tuple[str, str, int] | None = None
+    _at_work: bool = False
 
     def solve(self, unit: Unit, seconds: float) -> Solved:
         """Return the records of a unit, or None and the reason why there are none after at most so many seconds."""
+        self._at_work = True
+        try:
+            return self._solved(unit, seconds)
+        finally:
+            self._at_work = False
+
+    def dismiss(self) -> None:
+        """Kill the process if it is at work, else close its pipe, so that it ends by itself."""
+        if self.process is not None:
+            if self._at_work:
+                self.process.kill()
+            else:
+                self._pipe.close()
+
+    def _solved(self, unit: Unit, seconds: float) -> Solved:
+        """Have the process solve a unit; what comes out is that of `solve`."""
         settings = unit[0].settings
         device = (settings.arch, settings.precision, settings.threads)
         if self.process is not None and (self._device != device or self._has_answer(0)):  # it has ended meanwhile
@@ -295,20 +322,23 @@ def serve(pipe: Connection, work: Work) -> None:
 
     pipe : connection to the parent process. work : function that solves a unit. The loop ends when the pipe or the
         parent ends, or after IDLE_SECONDS without work. After an exception the process hands over what it has and ends,
-        as its state may be damaged.
+        as its state may be damaged. A trusted one keeps the kernels
+        it has compiled for later processes, if there is a parent that waits for that.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where nothing keeps Ctrl-C from us: it is for the parent
     threading.Thread(target=_end_with_parent, daemon=True).start()
     keep_freed()
     with contextlib.suppress(OSError):  # if memory runs out, let it be a worker that goes, not the scan
         Path("/proc/self/oom_score_adj").write_text("500")
+    healthy, parent = True, multiprocessing.parent_process()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError), pipe:
         pipe.send("started")
-        healthy = True
         while healthy and pipe.poll(IDLE_SECONDS):
             records = work(pipe.recv())
             healthy = all(r["scalars"]["status"] != FAILED or r.get("final", False) for r in records)
             pipe.send((records, healthy))
+    if healthy and parent is not None and parent.is_alive():
+        runtime.end()
 
 
 def _end_with_parent() -> None:
