@@ -16,6 +16,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import SEED, finite_number, options_of
+from taichi_bearings.plain_files import Json
 from taichi_bearings.progress import displayed
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
@@ -276,7 +277,7 @@ def _job(
     return runs.job_of(settings, scene, initial_spin(scene, start, "start"))
 
 
-def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray) -> dict[str, Any]:
+def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray) -> Json:
     """Return the settings of a run that the arguments of :func:`solve` amount to, by key, without those of the scene.
 
     Raises InputError for an option that does not exist.
@@ -287,7 +288,7 @@ def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str |
                 f"{name} is no option of solve, which has {', '.join(OPTIONS)}; "
                 "options of a method belong to it, as in CundallStrack(stiffness=1e6)" + meant(name, OPTIONS)
             )
-    values = dict[str, Any]()
+    values = Json()
     if isinstance(method, MethodOptions):
         declared = options_of(method)
         chosen = {name: getattr(method, name) for name in declared}

@@ -37,7 +37,7 @@ def digest_of_array(values: np.ndarray) -> str:
     return digest.hexdigest()
 
 
-def digest_of_attribute(value: Any) -> str:
+def digest_of_attribute(value: object) -> str:
     """Return the checksum of a number, a text or a list as JSON, of anything else as text."""
     return hashlib.sha256(json.dumps(np.asarray(value).tolist(), default=str).encode()).hexdigest()
 

@@ -27,7 +27,7 @@ class Kind:
         """read, allowed, metavar : see the class."""
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
-    def named(self, name: str, value: Any) -> Any:
+    def named(self, name: str, value: object) -> Any:
         """Return the value as it is kept; InputError names the option, the value and what is allowed."""
         try:
             return self.read(value)
@@ -58,7 +58,7 @@ def numbers(convert: Reader, counts: tuple[int, ...]) -> Reader:
     return read
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Return a scalar of NumPy as a number of Python, any other value as it is; ValueError for arrays and masked
     numbers.
     """
@@ -89,7 +89,7 @@ def real(value: Any) -> float:
     return number
 
 
-def _signed(value: Any) -> float:
+def _signed(value: object) -> float:
     """Return a value as a float that is 0 or of a size between LEAST_NUMBER and MOST_NUMBER; else ValueError."""
     number = real(value)
     if number and not LEAST_NUMBER <= abs(number) <= MOST_NUMBER:
@@ -97,7 +97,7 @@ def _signed(value: Any) -> float:
     return number
 
 
-def _truth(value: Any) -> bool:
+def _truth(value: object) -> bool:
     """Return a truth value, or that of the texts "true" and "false"; KeyError for others."""
     if isinstance(value, bool):
         return value
@@ -125,7 +125,7 @@ def whole(least: int, most: int) -> Kind:
     return Kind(bounded(integer, least, most), f"a whole number from {least:,} to {most:,}", "N")
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     """Return a text that is not empty and can be written in UTF-8; else ValueError."""
     if not isinstance(value, str) or not value:
         raise ValueError
@@ -133,7 +133,7 @@ def _text(value: Any) -> str:
     return value
 
 
-def finite_number(name: str, value: Any) -> float:
+def finite_number(name: str, value: object) -> float:
     """Return a real number of Python or NumPy as a float; InputError for anything else, truth values and infinities
     too.
     """
@@ -149,7 +149,7 @@ def finite_number(name: str, value: Any) -> float:
 class OneOf(Kind):
     """The kind of values that are one of some names. table : holds more names, and can grow."""
 
-    def __init__(self, *names: str, table: Mapping[str, Any] = MappingProxyType({})) -> None:
+    def __init__(self, *names: str, table: Mapping[str, object] = MappingProxyType({})) -> None:
         self.names, self.table = names, table
 
     def read(self, value: Any) -> str:

@@ -106,6 +106,10 @@ def read_lines(path: Path) -> Generator[bytes, None, None]:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
 
 
+Json = dict[str, Any]
+"""An object of JSON or a table of TOML: numbers, texts, truth values and None by name, lists and tables of them."""
+
+
 def read_json(path: Path) -> Any:
     """Return what a file of JSON holds; FileError if it is no JSON, or would take much memory."""
     try:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import ContactState, Separation, count, separate
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.scene.scene import of_lattice
@@ -399,7 +400,7 @@ COLUMNS = SAMPLES | FINDINGS | ANALYSED | OF_SCANS
 """All columns that a scan can have, except its settings."""
 
 
-def found_in(answer: Any, rows: Mapping[str, Quantity]) -> Iterator[tuple[Quantity, Any]]:
+def found_in(answer: object, rows: Mapping[str, Quantity]) -> Iterator[tuple[Quantity, Any]]:
     """Yield the rows of which an answer has a value, each with the value.
 
     answer : what the functions of the rows take. rows : the rows by name.
@@ -422,7 +423,7 @@ class Whole(list[Any]):
     """A list that is a single value for all samples, not one value for each."""
 
 
-def numbers_of(answer: Answer) -> dict[str, Any]:
+def numbers_of(answer: Answer) -> Json:
     """Return all quantities of samples by name: single values, or with several samples lists where they may differ.
 
     Numbers that are not finite become None, so that JSON can hold them.
@@ -433,7 +434,7 @@ def numbers_of(answer: Answer) -> dict[str, Any]:
     return found | {name: _reported(values, several) for name, values in answer.solution.findings.items()}
 
 
-def _reported(value: Any, several: bool) -> Any:
+def _reported(value: object, several: bool) -> Any:
     """Return a value as Python numbers and texts: of an array or list all entries if `several`, else the first."""
     if isinstance(value, Whole):
         return list(value)
@@ -443,7 +444,7 @@ def _reported(value: Any, several: bool) -> Any:
     return plain(value)
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Return a Python number or text; None for a number that is not finite."""
     value = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -28,7 +28,7 @@ def cached_read_only(of: Callable[[Any], Value]) -> "cached_property[Value]":
     """
 
     @wraps(of)
-    def found(owner: Any) -> Value:
+    def found(owner: object) -> Value:
         return read_only(of(owner))
 
     return cached_property(found)

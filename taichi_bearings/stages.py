@@ -35,7 +35,7 @@ class Stage:
     report: Any = None
     expected: float = 0.0
 
-    def tell(self, report: Any) -> None:
+    def tell(self, report: object) -> None:
         """Report to the listener where this stage stands."""
         self.report = report
         if who := listener.get():

@@ -110,6 +110,6 @@ def sized(values: Mapping[str, Any]) -> str:
     return "x".join(map(str, values["shape"])) if isinstance(values["shape"], list) else str(values["shape"] or "")
 
 
-def listed(value: Any) -> list[Any]:
+def listed(value: object) -> list[Any]:
     """Return a list as it is, one value as a list."""
     return list(value) if isinstance(value, (list, tuple)) else [value]

@@ -31,7 +31,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import rustworkx
@@ -39,6 +39,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.slipless_network import SliplessNetwork
+from taichi_bearings.plain_files import Json
 from taichi_bearings.stages import alike, each, stage
 
 LEAST_LOAD = 1e-12  # share below which a link is not listed
@@ -136,7 +137,7 @@ class Bottlenecks:
         load = self.share
         return float(load.sum() ** 2 / (load**2).sum()) if load.any() else 0.0
 
-    def most_loaded(self, number: int = 10) -> list[dict[str, Any]]:
+    def most_loaded(self, number: int = 10) -> list[Json]:
         """Return the links of greatest load, the greatest first, each as a dictionary.
 
         number : how many links at most. Entries: what identifies the link (`contact`, and `axis` or `spheres`), its

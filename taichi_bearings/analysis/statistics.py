@@ -161,7 +161,7 @@ def groups(columns: Mapping[str, np.ndarray], keys: Sequence[str]) -> dict[tuple
     return {values: np.array(rows[values]) for values in sorted(rows, key=lambda values: [*map(sort_key, values)])}
 
 
-def sort_key(value: Any) -> tuple[Any, ...]:
+def sort_key(value: object) -> tuple[Any, ...]:
     """Return a key that sorts values of a column: None, then truth values and numbers, then texts with numbers by
     size.
     """
@@ -173,6 +173,6 @@ def sort_key(value: Any) -> tuple[Any, ...]:
     return (2, [(part, 0) if place % 2 == 0 else ("", int(part)) for place, part in enumerate(parts)])
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Return None for not-a-number, and any other value as it is, so that two equal values compare equal."""
     return None if value != value else value

@@ -19,7 +19,6 @@ Shapes: N spheres (the shape of a lattice, else their number), E contacts, C com
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -30,6 +29,7 @@ from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains, turning_domains
 from taichi_bearings.analysis.slipless_network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.analysis.topology import self_stress_of
+from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import ContactState, by_threshold
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.read_only import cached_read_only
@@ -348,7 +348,7 @@ class Structure:
             return self_stress_of(self.whole, chosen, axes if self.whole.along_axes(chosen) else every)
 
     @cached_property
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> Json:
         """All results by name, as `bearings analyse --json` writes them; None for numbers that are not finite."""
         states = {which.name.lower(): self.contacts_in(which) for which in ContactState}
         of_run = {name: states[name] if name in states else getattr(self, name) for name in OF_THE_RUN}

@@ -52,7 +52,7 @@ class ContactSystem:
     contact : (n,), numbers of the contacts among the E of the network.
     slot : (d, n), the spin component or the tangent of each row.
     place : (D, unknowns), where the spins are.
-    network : whose contacts these are; None for a lattice in strides.
+    whole : the network whose contacts these are; None for a lattice in strides.
     sphere : (unknowns,), the sphere of each unknown.
     moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0.
     known : (N, C), spins u = R omega that are not unknown.
@@ -64,18 +64,18 @@ class ContactSystem:
     unknowns: int
     offset: np.ndarray
     felt: np.ndarray
-    ends: Any = None
+    ends: np.ndarray | None = None
     slips: sparse.csr_array | None = None
     contact: np.ndarray | None = None
     slot: np.ndarray | None = None
     place: np.ndarray | None = None
-    network: Any = None
+    whole: Network | None = None
     sphere: np.ndarray = field(default_factory=_nothing)
     moved: np.ndarray = field(default_factory=_nothing)
     known: np.ndarray = field(default_factory=_nothing)
     sign: np.ndarray | None = None
     motions: int | None = None
-    kept: dict[Any, Any] = field(default_factory=dict, compare=False)
+    kept: dict[object, Any] = field(default_factory=dict, compare=False)
 
     @classmethod
     def of(cls, bearing: Bearing) -> "ContactSystem":
@@ -115,7 +115,7 @@ class ContactSystem:
             contact=contact,
             slot=np.broadcast_to(np.arange(len(offset))[:, None], offset.shape),
             place=np.asarray(network.center[sphere].T),
-            network=network,
+            whole=network,
             sphere=sphere,
             moved=moved,
             known=known,
@@ -147,7 +147,7 @@ class ContactSystem:
         components mix or have an odd loop. The difference s_j u_j - s_i u_i of a contact between spheres i and j is s_j
         (u_i + u_j)."""
         network, needed = self.network, np.flatnonzero((self.moved >= 0).any(axis=0))
-        if not network.along_axes(self.contact):
+        if not network.along_axes(self.numbers):
             return None
         feels, contact = self.feels, network.contact[:, self.contact]
         sign = np.ones(self.known.shape)
@@ -164,6 +164,12 @@ class ContactSystem:
         return replace(
             self, offset=offset, felt=felt, ends=ends, slips=None, contact=self.numbers[own], slot=slot, sign=sign
         )
+
+    @property
+    def network(self) -> Network:
+        """`whole`, for the system of a whole network."""
+        assert self.whole is not None
+        return self.whole
 
     @property
     def numbers(self) -> np.ndarray:
@@ -212,7 +218,7 @@ class ContactSystem:
     def on_contacts(self, forces: np.ndarray) -> np.ndarray:
         """Vectors T^T f, (E, C), with T the tangents, of forces f (d, n) in the rows; 0 on contacts that are not in the
         system."""
-        network: Network = self.network
+        network = self.network
         found = np.zeros((network.contacts, network.components))
         if self.sign is None:
             found[self.contact] = np.einsum("te,tek->ek", forces, self.across)
@@ -244,6 +250,7 @@ class ContactSystem:
         joins."""
         if count == 1:
             return self
+        assert self.ends is not None
         shift = np.repeat(self.unknowns * np.arange(count), self.offset.shape[1])
         ends = np.tile(self.ends, count)
         ends = np.where(ends >= 0, ends + shift, -1)
@@ -275,6 +282,7 @@ class ContactSystem:
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
         """Number of the pieces that the contacts of the mask `chosen` (n,) make of the unknowns, and the number
         (unknowns,) of the piece of each unknown."""
+        assert self.ends is not None
         below, above = self.ends[:, :, chosen].reshape(2, -1)
         both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
         graph = sparse.coo_matrix((np.ones(both.sum(), dtype=np.int8), (below[both], above[both])), shape=size)

@@ -75,6 +75,7 @@ class Contraction:
     def _label(self, whole: ContactSystem, tied: np.ndarray, samples: int) -> None:
         """Number the sets of tied spins: `number` (unknowns before,) is that of the set of each spin, or -1 if the set
         is tied to a driven plane; `imposed` is then its value."""
+        assert whole.ends is not None
         (below, above), offset = whole.ends[:, :, tied], whole.offset[:, tied]
         # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
         up, down = (below >= 0) & (above < 0), (above >= 0) & (below < 0)
@@ -94,6 +95,7 @@ class Contraction:
     def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
         """Numbers of those contacts, among `places`, that can still slip, and the system of these contacts over the
         sets."""
+        assert whole.ends is not None
         ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
         (below, above), imposed = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
         offset, same = whole.offset[:, places] + imposed[1] - imposed[0], below == above

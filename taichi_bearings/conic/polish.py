@@ -107,12 +107,14 @@ class _PreciseSystem:
         places = np.nonzero(offset)
         if self.top is None:
             return places, exactly(offset[places])
+        assert self._tied.whole.ends is not None
         spin = self._tied.whole.ends.max(axis=0)[:, self._tied.kept][places]
         times = _multiples(offset[places], self.top[0][spin])
         return places, (times * self.top[0][spin], times * self.top[1][spin])
 
     def differences(self, unknown: Pair) -> Pair:
         """Slips (d, n) across each contact, from the unknowns."""
+        assert self.contracted.ends is not None
         (below, above), (places, more) = self.contracted.ends, self.imposed
         high, low = (np.append(part, 0.0) for part in unknown)
         found = subtract((high[above], low[above]), (high[below], low[below]))

@@ -21,6 +21,7 @@ def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
     lattice. friction : (n,), all positive."""
     if friction.max() <= SPREAD * friction.min() or not _is_uniform(system):
         return friction
+    assert system.ends is not None
     (low, high), contact = system.ends[:, system.felt], np.nonzero(system.felt)[1]
     low, high = np.where(low < 0, system.unknowns, low), np.where(high < 0, system.unknowns + 1, high)
     cut = _cut(low, high, friction[contact], system.unknowns, system.unknowns + 1)

@@ -29,6 +29,7 @@ from scipy import sparse
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_hdf5, write_text
+from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.scene import Bearing
 from taichi_bearings.stages import stage
@@ -37,9 +38,7 @@ from taichi_bearings.version import VERSION
 PROBLEM_NAMES = {"cbf": "problem.cbf", "fclib": "problem.hdf5"}
 
 
-def export_problem(
-    run: str | Path, form: str, out: str | Path | None, force: bool = False, replica: int = 0
-) -> dict[str, Any]:
+def export_problem(run: str | Path, form: str, out: str | Path | None, force: bool = False, replica: int = 0) -> Json:
     """Write the minimisation problem of one sample of a run as a file for other solvers, and return what the file
     holds.
 
@@ -55,7 +54,7 @@ def export_problem(
         return write_problem(found.solution.scene, form, path) | which
 
 
-def write_problem(bearing: Bearing, form: str, path: Path) -> dict[str, Any]:
+def write_problem(bearing: Bearing, form: str, path: Path) -> Json:
     """Write the minimisation problem of a bearing into a file, replacing it; return its path and its numbers of
     unknowns and contacts, by name.
 

@@ -11,12 +11,12 @@ Letters: P points, L lines.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 
 from taichi_bearings.files.whole_file import Finding, put, put_attributes, refuse_ending, write_hdf5
+from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.points_and_lines import Moments, points_and_lines
 from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.scene.network import Network
@@ -79,7 +79,7 @@ class Geometry:
 
 def export(
     run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
-) -> dict[str, Any]:
+) -> Json:
     """Write one sample of a run for ParaView, and return what the file holds.
 
     run : a run directory or its run.h5.
@@ -115,7 +115,7 @@ def write_vtkhdf(
     geometry: Geometry,
     spheres: Mapping[str, Finding],
     contacts: Mapping[str, Finding],
-    attributes: Mapping[str, Any],
+    attributes: Mapping[str, object],
     moments: Moments | None = None,
     end: float | None = None,
 ) -> None:

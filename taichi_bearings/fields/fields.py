@@ -4,14 +4,17 @@ Letters: C components of a field, R replicas, N shape of the lattice or number o
 """
 
 from copy import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError
-from taichi_bearings.lattice.layout import Rows
+from taichi_bearings.lattice.layout import Layout, Rows
 from taichi_bearings.memory import aligned_zeros
+
+if TYPE_CHECKING:
+    from taichi_bearings.fields.lists import Lists
 
 FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
 
@@ -70,13 +73,14 @@ class Fields:
     tables : the measures of the layout, for kernels.
     """
 
-    def __init__(self, layout: Any, spec: Any) -> None:
+    def __init__(self, layout: "Layout | Lists", spec: Any) -> None:
         """Allocate the fields. layout : a `Layout` or `Lists`. spec : names and components, as `layout.parts` takes
         them.
         """
-        self.layout, self.dtype, count = layout, number_type(), 0
+        self.layout: Any = layout  # users of strides ask it for other things than users of lists
+        self.dtype, count = number_type(), 0
         self._place: dict[str, tuple[int, int, Rows]] = {}  # first number and rows of a field, and where they lie
-        for names, rows in layout.parts(spec):
+        for names, rows in self.layout.parts(spec):
             for name, components in names:
                 self._place[name] = count, components, rows
                 count += components * rows.length
@@ -161,7 +165,7 @@ class Fields:
         return whole[:, rows.margin : rows.margin + int(np.prod(rows.shape))]
 
 
-def team_size(layout: Any, components: int) -> int:
+def team_size(layout: "Layout | Lists", components: int) -> int:
     """Return how many workers pay for kernels that keep `components` numbers a site; 0 on a GPU."""
     running = runtime.current()
     if running.is_gpu:

@@ -26,6 +26,7 @@ import numpy as np
 from taichi_bearings.analysis.histogram import SampleCounts
 from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.files.whole_file import Finding, attributes_of, layout_of, put, read_hdf5, write_csv, write_hdf5
+from taichi_bearings.plain_files import Json
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import is_crossed
 
@@ -92,7 +93,7 @@ def as_stored(values: np.ndarray) -> np.ndarray:
 
 
 def write_scan(
-    folder: Path, columns: Mapping[str, Finding], histograms: SampleCounts, attributes: Mapping[str, Any]
+    folder: Path, columns: Mapping[str, Finding], histograms: SampleCounts, attributes: Mapping[str, object]
 ) -> None:
     """Write scan.h5 and then scan.csv into a folder, each in full or not at all.
 
@@ -123,7 +124,7 @@ def write_scan(
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size > 1000 else {}
             put(group, name, values, units, text, dtype=values.dtype, **packed)
 
-    def cell(value: Any) -> str:
+    def cell(value: object) -> str:
         """Return a value as scan.csv has it."""
         if isinstance(value, bool):
             return str(value).lower()
@@ -145,7 +146,7 @@ class StoredScan:
     """
 
     path: Path
-    attributes: dict[str, Any]
+    attributes: Json
     scanned: tuple[str, ...]
     table: dict[str, np.ndarray]
     histograms: SampleCounts

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.plain_files import opened, read_lines, refuse_link_out, replace_file, write_all, writing
+from taichi_bearings.plain_files import Json, opened, read_lines, refuse_link_out, replace_file, write_all, writing
 from taichi_bearings.scene.solution import is_crossed
 
 JOURNAL_NAME = "samples.jsonl"
@@ -39,7 +39,7 @@ def _is_whole(line: bytes) -> bool:
     return line == _line(line[RECORD_HEAD_LENGTH:-2])
 
 
-def _has_key(record: Any) -> bool:
+def _has_key(record: object) -> bool:
     """Return True for a record that has a key, which is a text."""
     return isinstance(record, dict) and isinstance(record.get("key"), str)
 
@@ -76,13 +76,13 @@ def is_sample(sample: Any) -> bool:
     )
 
 
-def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str, dict[str, Any]]:
+def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str, Json]:
     """Return the records of samples in a journal by their keys; of several lines with one key the last counts.
 
     path : of the journal. fits : function that says whether a record has the right form. Lines that are damaged, or
         have another form, are named in a warning and left out.
     """
-    samples: dict[str, dict[str, Any]] = {}
+    samples: dict[str, Json] = {}
     for number, line in enumerate(read_lines(path), start=1):
         sample = None
         with contextlib.suppress(ValueError, RecursionError):
@@ -126,7 +126,7 @@ class Journal:
             os.truncate(self.path, len(whole))
         return len(whole)
 
-    def append(self, samples: Sequence[Mapping[str, Any]]) -> None:
+    def append(self, samples: Sequence[Mapping[str, object]]) -> None:
         """Append samples, and return once they are on the disk. On a full disk FileError is raised; samples that did
         fit are kept.
         """

@@ -15,7 +15,7 @@ import numpy as np
 from taichi_bearings.checksums import open_checked, seal
 from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.hdf5 import LAYOUT
-from taichi_bearings.plain_files import replace_file, writing
+from taichi_bearings.plain_files import Json, replace_file, writing
 from taichi_bearings.words import shown
 
 NO_ATTRIBUTES: Mapping[str, Any] = MappingProxyType({})
@@ -58,7 +58,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
 
-    def harmless(cell: Any) -> Any:
+    def harmless(cell: object) -> Any:
         """Return numbers as they are; a text that spreadsheets would take for a formula gets an apostrophe in front."""
         if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")):
             try:
@@ -71,7 +71,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     write_text(path, text.getvalue())
 
 
-def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mapping[str, Any] = NO_ATTRIBUTES) -> None:
+def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mapping[str, object] = NO_ATTRIBUTES) -> None:
     """Write an HDF5 file with checksums, in full or not at all, replacing an earlier one; raise WriteError if that
     fails.
 
@@ -96,7 +96,7 @@ def _new_hdf5(path: Path) -> Iterator[h5py.File]:
         replace_file(path, content)
 
 
-def layout_of(kind: str) -> dict[str, Any]:
+def layout_of(kind: str) -> Json:
     """Return the attributes that mark a file as a "run", a "scan" or a "checkpoint"."""
     return {"schema": f"taichi_bearings.{kind}", "schema_version": LAYOUT}
 
@@ -160,7 +160,7 @@ class Finding:
     description: str
 
 
-def put(group: h5py.Group, name: str, values: Any, unit: str, text: str, **packing: Any) -> None:
+def put(group: h5py.Group, name: str, values: Any, unit: str, text: str, **packing: object) -> None:
     """Write a data set into a group, with its unit and a description.
 
     name, values : of the data set. unit, text : attributes `units` and `description`. packing : arguments of h5py on
@@ -185,6 +185,6 @@ def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
         )
 
 
-def attributes_of(group: h5py.Group) -> dict[str, Any]:
+def attributes_of(group: h5py.Group) -> Json:
     """Return the attributes of a group by name: numbers as Python numbers, texts, and arrays."""
     return {key: value.item() if isinstance(value, np.generic) else value for key, value in group.attrs.items()}

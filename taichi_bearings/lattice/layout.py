@@ -31,7 +31,7 @@ class Rows(NamedTuple):
     length: int
     margin: int
     shape: tuple[int, ...]
-    order: Any = slice(None)
+    order: slice | np.ndarray = slice(None)
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Layout:
         stride_x, stride_y = (*self.strides, 1)[:2]
         return self.length, self.margin, self.blocks, stride_x, stride_y, self.sites // self.replicas
 
-    def parts(self, spec: Any) -> list[tuple[Any, Rows]]:
+    def parts(self, spec: object) -> list[tuple[Any, Rows]]:
         """Return the fields (C, R, *N) with the place of their rows: here all are alike."""
         return [(spec, Rows(self.length, self.margin, (self.replicas, *self.shape)))]
 

@@ -7,9 +7,10 @@ contacts.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import LogNorm, Normalize
@@ -20,6 +21,9 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.page import AXES, BELOW, VIEW, Page, View
 from taichi_bearings.plots.style import label_in_plain_text, larger_spin, new_figure
 from taichi_bearings.scene.network import Network
+
+if TYPE_CHECKING:
+    from mpl_toolkits.mplot3d import Axes3D
 
 SPIN_COLOURS = "coolwarm"
 MOST_DISCS = 2_500  # a plane of more discs is drawn as an image
@@ -112,14 +116,14 @@ class Sheet:
         """
         return 72 * float((np.array([width, height]) / np.diff(self.corners, axis=0)[0]).min()) * self.pitch
 
-    def frame(self, axes: Any) -> None:
+    def frame(self, axes: Axes) -> None:
         """Set the limits of the picture on these axes of matplotlib, and remove ticks and frame."""
         (x0, y0), (x1, y1) = self.corners
         axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xticks=[], yticks=[])
         for side in axes.spines.values():
             side.set_visible(False)
 
-    def paint(self, axes: Any, colour: np.ndarray) -> None:
+    def paint(self, axes: Axes, colour: np.ndarray) -> None:
         """Draw the discs on axes of matplotlib, from the back to the front. colour : (discs N, 4), or (4,) for all."""
         edge = "0.75" if not self.is_flat and colour.shape == (4,) else "black"  # pale ones only carry contacts
         colour = np.broadcast_to(colour, (len(self.place), 4))
@@ -136,7 +140,7 @@ class Sheet:
             )  # fmt: skip
             axes.add_collection(discs)
 
-    def box_driven(self, axes: Any) -> None:
+    def box_driven(self, axes: Axes) -> None:
         """Draw boxes around the driven rows of a plane of a lattice."""
         for y in self.rows:
             width = 0.8 if self.grid[1] <= 50 else 0.4
@@ -166,7 +170,7 @@ class Sheet:
         first = np.concatenate([start[0], middle[1, over]])
         return np.stack([first, np.concatenate([stop, start[1, over]])], axis=1), twice
 
-    def draw(self, axes: Any, chosen: np.ndarray, across: bool = False, **look: Any) -> None:
+    def draw(self, axes: Axes, chosen: np.ndarray, across: bool = False, **look: Any) -> None:
         """Draw the lines of :meth:`lines` for some contacts.
 
         axes : of matplotlib. chosen, across : as for :meth:`lines`. look : arguments of LineCollection; arrays have an
@@ -222,7 +226,9 @@ def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarra
     return speed
 
 
-def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, **look: Any) -> None:
+def draw_speed_bar(
+    figure: Figure, axes: Axes | list[Axes], spin_top: float, spin_bottom: float, **look: object
+) -> None:
     """Draw the colour bar for spheres that are coloured by :func:`speed_of`. look : arguments of matplotlib's
     colorbar.
     """
@@ -230,7 +236,7 @@ def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, 
     colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
 
 
-def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str, **look: Any) -> None:
+def colour_bar(figure: Figure, axes: Axes | list[Axes], label: str, norm: Normalize, colours: str, **look: Any) -> None:
     """Draw a bar that says what the colours of a map mean.
 
     label : of the bar. norm : scale of the values. colours : name of the colour map. look : arguments of matplotlib's
@@ -241,7 +247,7 @@ def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str
         label_in_plain_text(bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis)
 
 
-def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:
+def name_cut(axes: Axes, axis: int, index: int, before: str = "", after: str = "") -> None:
     """Write title and axis labels for a plane through a lattice.
 
     axis, index : axis across the plane and its number. before, after : words of the title around the name of the plane.
@@ -251,7 +257,7 @@ def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = ""
     axes.set(xlabel=f"${right}$", ylabel=f"${up}$")
 
 
-def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
+def paint_block(axes: "Axes3D", colour: np.ndarray, view: View = VIEW) -> None:
     """Draw a cubic lattice as a block of spheres seen from outside, the driven planes in boxes. colour : (nx, ny, nz,
     4) of its spheres.
     """
@@ -294,7 +300,7 @@ def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array([-0.5, -0.5, z - 0.5]), np.array([shape[0] - 0.5, shape[1] - 0.5, z + 0.5])
 
 
-def frame_block(axes: Any, shape: tuple[int, ...], view: View = VIEW) -> None:
+def frame_block(axes: "Axes3D", shape: tuple[int, ...], view: View = VIEW) -> None:
     """Draw boxes around the driven planes of a cubic lattice, seen from outside, and set the limits of the picture."""
     for z in (0, shape[2] - 1):
         edges = view.seen(box_edges(*plane_box(shape, z)))[..., :2]
@@ -302,7 +308,7 @@ def frame_block(axes: Any, shape: tuple[int, ...], view: View = VIEW) -> None:
     limit_block(axes, shape, view)
 
 
-def limit_block(axes: Any, shape: tuple[int, ...], view: View) -> None:
+def limit_block(axes: "Axes3D", shape: tuple[int, ...], view: View) -> None:
     """Set the limits of a picture of a whole cubic lattice, without axes."""
     corners = view.seen(box_edges((-0.5,) * 3, np.array(shape) - 0.5)).reshape(-1, 3)
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
@@ -311,7 +317,7 @@ def limit_block(axes: Any, shape: tuple[int, ...], view: View) -> None:
     axes.set_axis_off()
 
 
-def paint_spheres(axes: Any, centre: np.ndarray, colour: np.ndarray, radius: float = 0.5) -> None:
+def paint_spheres(axes: "Axes3D", centre: np.ndarray, colour: np.ndarray, radius: float = 0.5) -> None:
     """Draw shaded spheres as one image, later ones in front. centre : (n, 2) as seen. colour : (n, 4)."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     pixel = max(x1 - x0, y1 - y0) / 1000

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
@@ -117,7 +118,7 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
     return figure
 
 
-def _scale(axes: Any, energy: np.ndarray) -> None:
+def _scale(axes: Axes, energy: np.ndarray) -> None:
     """Make the vertical axis logarithmic; if some energy is negative, linear around 0 and logarithmic beyond."""
     size = np.abs(energy[energy != 0])
     if not len(size):
@@ -128,7 +129,8 @@ def _scale(axes: Any, energy: np.ndarray) -> None:
     most, least = math.ceil(math.log10(size.max())), math.floor(math.log10(-energy.min())) - 1
     least = max(least, most - MOST_DECADES)
     axes.set_yscale("symlog", linthresh=10.0**least, linscale=0.5)
-    axes.yaxis.get_major_locator().set_params(numticks=MOST_TICKS)
+    ticks: Any = axes.yaxis.get_major_locator()  # that of symmetric logarithmic axes
+    ticks.set_params(numticks=MOST_TICKS)
     axes.yaxis.set_minor_locator(NullLocator())
     axes.axhline(0.0, color="black", lw=0.6)
     axes.set_ylim(1.6 * energy.min(), 1.6 * energy.max())

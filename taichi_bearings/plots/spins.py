@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
@@ -71,7 +72,7 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     return figure
 
 
-def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, slips: np.ndarray, site: float) -> None:
+def _paint(axes: Axes, sheet: Sheet, colour: np.ndarray, slips: np.ndarray, site: float) -> None:
     """Draw the discs of one picture and the slipping contacts between them.
 
     axes : of matplotlib. sheet : N discs and their contacts on paper. colour : (N, 4) of the discs. slips : (contacts
@@ -139,7 +140,7 @@ def _power_scale(power: np.ndarray) -> LogNorm:
     return LogNorm(float(np.quantile(slipping, FAINT_SHARE)), float(slipping.max()))
 
 
-def _draw_lines(axes: Any, sheet: Sheet, power: np.ndarray, site: float) -> LogNorm:
+def _draw_lines(axes: Axes, sheet: Sheet, power: np.ndarray, site: float) -> LogNorm:
     """Draw slipping contacts as lines coloured by their power, and return the scale of colours.
 
     sheet : discs and contacts on paper. power : (contacts E,) of all contacts. site : distance of two discs in points.

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize, to_rgb, to_rgba
 from matplotlib.figure import Figure
@@ -103,7 +104,7 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
     return colour
 
 
-def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, structure: Structure, width: float) -> None:
+def _paint(axes: Axes, sheet: Sheet, colour: np.ndarray, structure: Structure, width: float) -> None:
     """Draw the spheres of a picture, coloured by rigid domain, with lines between discs of two domains.
 
     axes : of matplotlib. sheet : N discs and their contacts on paper. colour : (N, 4) of the discs. width : of the
@@ -120,7 +121,7 @@ def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, structure: Structure, wi
     axes.plot(*sheet.place[partly].T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
 
 
-def _draw_values(axes: Any, domains: RigidDomains) -> None:
+def _draw_values(axes: Axes, domains: RigidDomains) -> None:
     """Draw every rigid domain as a point at its spin, as a fraction between bottom, 0, and top, 1.
 
     With two components one is drawn against the other; a single one is drawn against the number of spheres.
@@ -155,7 +156,8 @@ def _draw_values(axes: Any, domains: RigidDomains) -> None:
         label_in_plain_text(axes.yaxis)
     look: dict[str, Any] = {"ncols": 4, "title": "locked to", "loc": "outside lower center"}
     legend = axes.figure.legend(*axes.get_legend_handles_labels(), **look)
-    for handle in legend.legend_handles:  # of one size, however small the domains are
+    handles: list[Any] = legend.legend_handles
+    for handle in handles:  # of one size, however small the domains are
         handle.set_sizes([40.0])
         handle.set_alpha(1.0)
 
@@ -235,7 +237,7 @@ def behind(lattice: Lattice, view: View) -> np.ndarray:
     return inside
 
 
-def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float) -> str:
+def _draw_contacts(axes: Axes, network: SliplessNetwork, view: View, width: float) -> str:
     """Draw the slipless contacts and the path, and return words that say which contacts are drawn, if not all.
 
     width : of the picture in inches. view : from where the lattice is seen.
@@ -269,7 +271,7 @@ def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float
     return words
 
 
-def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
+def _draw_turning(axes: Axes, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
     """Draw the spheres of the path from the back to the front, with an arrow for each spin, and the shadow of the path
     on the floor.
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib import colormaps, rc_context, rcParamsDefault
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
@@ -148,7 +149,7 @@ class PlainLogFormatter(LogFormatter):
         return f"10{str(round(exponent)).translate(SUPERSCRIPTS)}" if is_decade else f"{value:g}"
 
 
-def label_in_plain_text(*axes: Any) -> None:
+def label_in_plain_text(*axes: Axis) -> None:
     """Label logarithmic axes in plain text, and within a decade some of the minor ticks, too."""
     for axis in axes:
         axis.set_major_formatter(PlainLogFormatter())

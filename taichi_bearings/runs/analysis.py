@@ -15,6 +15,7 @@ from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import Finding, put, put_attributes, refuse_standing, replace_group, write_hdf5
 from taichi_bearings.options import OneOf
+from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.result import Result, together
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
@@ -84,7 +85,7 @@ class Analysis:
             self.arrays.append(findings_of(structure))
         found_by = None if result.scene.network.lattice is None else solution.slip_threshold
         proven = "proven" if np.all(result.numbers["states_proven"]) else "decided"
-        self.report: dict[str, Any] = {
+        self.report: Json = {
             **together(numbers),
             "threshold": found_by if threshold is None else threshold,
             "states": proven if threshold is None else "threshold",
@@ -158,7 +159,7 @@ def analyse(
     threshold: float | None = None,
     figures: bool = True,
     title: bool = True,
-) -> dict[str, Any]:
+) -> Json:
     """Analyse every sample of a stored run, write the findings and figures, and return the report.
 
     path : a run directory or its run.h5.
@@ -192,7 +193,7 @@ def analyse(
 
 
 def write_analysis(
-    path: Path, samples: Sequence[Mapping[str, Finding]], attributes: Mapping[str, Any], into_run: bool
+    path: Path, samples: Sequence[Mapping[str, Finding]], attributes: Mapping[str, object], into_run: bool
 ) -> None:
     """Write the findings of all samples as the group /analysis of a file.
 

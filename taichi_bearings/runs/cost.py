@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.memory import NotEnoughMemory, refuse_before
+from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.scene import of_lattice
@@ -48,7 +49,7 @@ class Cost:
     bytes: float
 
     @property
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Json:
         """The fields by name, as JSON has them."""
         return {
             "method": self.method,

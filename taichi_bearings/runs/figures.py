@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,11 +16,11 @@ from taichi_bearings.plots.structure import draw_domains, draw_network
 from taichi_bearings.plots.style import describe, driving, mathematics
 from taichi_bearings.scene import Solution
 
-FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
+FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
 """Functions that draw the figures of `bearings analyse`, by name, from the structure of a sample."""
 OF_STRUCTURES = {"spins": draw_spins, "power": draw_power} | FIGURES
 """Functions that draw all figures that need the structure of a sample, by name."""
-OF_ANSWERS: dict[str, Callable[[Any, int, Page], Figure]] = {
+OF_ANSWERS: dict[str, Callable[[Solution, int, Page], Figure]] = {
     "history": lambda answer, _, page: draw_history(answer, page),
     "energy": lambda answer, sample, page: draw_energy(answer.sample(sample), page),
 }

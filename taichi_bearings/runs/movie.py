@@ -10,16 +10,16 @@ import tempfile
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from PIL import Image
 
 from taichi_bearings import leaving
 from taichi_bearings.errors import InputError, WriteError
 from taichi_bearings.files.whole_file import refuse_ending
-from taichi_bearings.plain_files import replace_file
+from taichi_bearings.plain_files import Json, replace_file
 from taichi_bearings.plots.page import Page
 from taichi_bearings.plots.style import in_our_style
 from taichi_bearings.runs.figures import draw_snapshot
@@ -37,7 +37,7 @@ def movie(
     replica: int = 0,
     frames_per_second: float = 4.0,
     title: bool = True,
-) -> dict[str, Any]:
+) -> Json:
     """Write a film of the snapshots of one sample, each drawn as by `bearings plot spins --time`, and return a report.
 
     run : a run directory or its run.h5.
@@ -73,7 +73,7 @@ def movie(
 
 
 @in_our_style
-def _picture(figure: Any, inches: float) -> np.ndarray:
+def _picture(figure: Figure, inches: float) -> np.ndarray:
     """Return the pixels of a figure, (height, width, 3) bytes, with even height and width.
 
     inches : height of the picture.

@@ -8,9 +8,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, InputError
@@ -29,6 +30,9 @@ from taichi_bearings.solvers.packing_answer import solve_packing
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown
+
+if TYPE_CHECKING:
+    from taichi_bearings.solvers.drive import Checkpoints, Monitor
 
 TWICE = {"distribution": "friction", "viscosity": "viscosity", **{name: name for name in SIZES}}
 """Options, and the arrays of a file that make them superfluous: only one of the two may be given."""
@@ -54,9 +58,9 @@ def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None
 def solve_packings(
     settings: RunSettings,
     scene: Bearing,
-    start: Any,
-    monitors: Sequence[Any] = (),
-    checkpoints: Any = None,
+    start: np.ndarray | None,
+    monitors: "Sequence[Monitor]" = (),
+    checkpoints: "Checkpoints | None" = None,
     **others: Any,
 ) -> Result:
     """Solve all samples of a packing, each as if it were alone, and return the result.
@@ -72,19 +76,20 @@ def solve_packings(
     After Ctrl-C the result holds the samples that were begun. With checkpoints, from which the others can be solved
     later, KeyboardInterrupt is raised instead, unless all samples were begun.
     """
-    count, found = scene.replicas, list[Solution]()
-    several, is_interrupted = np.ndim(start) > scene.imposed_spins()[0].ndim, False
+    count, found, is_interrupted = scene.replicas, list[Solution](), False
+    # spins of each sample, if they are several
+    each = start if start is not None and start.ndim > scene.imposed_spins()[0].ndim else None
     if not minimises(settings) and settings.torque is None:
         solution = solved_packing(settings, scene, start, monitors=monitors, checkpoints=checkpoints, **others)
         if (reached := solution.scene.replicas) < count:
-            settings, start = replace(settings, replicas=reached), start[:reached] if several else start
+            settings, start = replace(settings, replicas=reached), start if each is None else each[:reached]
         return Result(settings, solution, start, interrupted=solution.interrupted)
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
     for begin, end in _blocks(settings, scene):
         of_steps = {} if minimises(settings) else {"monitors": monitors, "checkpoints": written[begin]}
         try:
             with stage("solving"), leaving.saving() if found else nullcontext():
-                first = start[begin] if several else start
+                first = start if each is None else each[begin]
                 block = scene if scene.replicas == 1 else scene.some(slice(begin, end))
                 solved = solved_packing(settings, block, start=first, **of_steps, **others)
                 found += [solved.sample(number) for number in range(end - begin)]
@@ -94,7 +99,7 @@ def solve_packings(
         if is_interrupted := len(found) < end or found[-1].status is Status.INTERRUPTED:
             if len(found) < count and checkpoints is not None:
                 raise KeyboardInterrupt
-            settings, start = replace(settings, replicas=len(found)), start[: len(found)] if several else start
+            settings, start = replace(settings, replicas=len(found)), start if each is None else each[: len(found)]
             break
     return Result(settings, Solution.joined(found, scene.first(len(found))), start, interrupted=is_interrupted)
 
@@ -192,7 +197,7 @@ def packing_of(
     )
 
 
-def _refuse_twice(settings: RunSettings, found: Mapping[str, Any]) -> None:
+def _refuse_twice(settings: RunSettings, found: Mapping[str, object]) -> None:
     """Raise InputError for an option that repeats what the file holds. found : the arrays of the file by name."""
     pairs = list(TWICE.items())
     pairs += [(key, "spin") for key in OF_SIDES] if settings.has_table else []
@@ -213,7 +218,7 @@ def idle_seed(settings: RunSettings) -> list[str]:
     return [f"seed is {settings.seed}, but {settings.packing} holds all coefficients, so nothing is drawn from it"]
 
 
-def _draws_nothing(settings: RunSettings, found: Mapping[str, Any]) -> bool:
+def _draws_nothing(settings: RunSettings, found: Mapping[str, object]) -> bool:
     """Return True if nothing is drawn from the seed: the file has every coefficient, and the initial spins are not
     random.
 
@@ -244,7 +249,7 @@ def _lattice(settings: RunSettings) -> Packing:
 ON_DEVICE = ("arch", "precision", "threads")  # settings of the device
 
 
-def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, **others: Any) -> Solution:
+def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | None = None, **others: Any) -> Solution:
     """Return the answer for a packing by the method that the settings name.
 
     start : initial spins; None to take those that the settings name.
@@ -279,9 +284,9 @@ def _stepped(
     options: MethodOptions,
     start: str | np.ndarray,
     settings: RunSettings,
-    density: Any = None,
-    monitors: Sequence[Any] = (),
-    checkpoints: Any = None,
+    density: ArrayLike | None = None,
+    monitors: "Sequence[Monitor]" = (),
+    checkpoints: "Checkpoints | None" = None,
 ) -> Solution:
     """Return the answer for all samples of a packing by a dynamics or a descent.
 

@@ -5,7 +5,6 @@ Each sphere is a point and each contact a line. What is known of them are column
 """
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -63,7 +62,7 @@ class PointsAndLines:
     moments: Moments | None
 
     @property
-    def answer(self) -> Any:
+    def answer(self) -> Solution:
         """The answer of the sample."""
         return self.structure.answer
 

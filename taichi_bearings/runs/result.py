@@ -15,6 +15,7 @@ import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice.grid import friction_by_axis
+from taichi_bearings.plain_files import Json
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity, numbers_of
 from taichi_bearings.read_only import read_only
 from taichi_bearings.runs.caveats import caveats
@@ -101,7 +102,7 @@ class Result:
         return self.scene.sample(0) if self.scene.network.lattice is None else None
 
     @property
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> Json:
         """Options that differ from their defaults, by name as in `bearings run`: with these the scene can be solved
         again.
         """
@@ -168,7 +169,7 @@ class Result:
         return {name: self._of_samples(values) for name, values in self.solution.findings.items()}
 
     @cached_property
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> Json:
         """The numbers and words of all samples in the table of quantities, by name, and the warnings."""
         return numbers_of(self) | {"warnings": caveats(self.solution, self.asked)}
 
@@ -178,7 +179,7 @@ class Result:
         return list(self.numbers["warnings"])
 
     @property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Json:
         """All numbers by name, as `bearings run --json` prints them; lists where several samples may differ."""
         where = {"coefficients": None, "run": None if self.path is None else str(self.path)}
         if self.scene.network.lattice is not None:
@@ -411,7 +412,7 @@ for _name, _row in CONTACTS.items():
     setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
 
 
-def together(ones: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def together(ones: Sequence[Mapping[str, object]]) -> Json:
     """Return the numbers of all samples by name: lists with one entry each, or, for a single sample, its numbers as
     they are.
 

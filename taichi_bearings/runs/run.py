@@ -366,7 +366,7 @@ CHANGEABLE = (
 
 
 def resume(
-    path: Path, changes: Mapping[str, Any] | None = None, monitors: "Sequence[Monitor]" = (), title: bool = True
+    path: Path, changes: Mapping[str, object] | None = None, monitors: "Sequence[Monitor]" = (), title: bool = True
 ) -> Result:
     """Continue a run from its checkpoint, to the same bits as if it had never been stopped, and return the result.
 

@@ -19,6 +19,7 @@ from taichi_bearings.files.scan_journal import JOURNAL_NAME
 from taichi_bearings.files.whole_file import attributes_of, read_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers
+from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAID_OF_PACKINGS
 from taichi_bearings.runs.result import Result
@@ -94,7 +95,7 @@ def read_claims(run: str | Path) -> tuple[Result, list[str]]:
 
 
 @contextmanager
-def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple[Path, h5py.File, dict[str, Any]]]:
+def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple[Path, h5py.File, Json]]:
     """Yield the path of a run.h5, the opened file and its attributes.
 
     run : a run directory or its run.h5. changed : a list that gets the names of what was changed after the file was
@@ -112,7 +113,7 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
         yield path, file, attributes_of(file)
 
 
-def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Result:
+def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, object]) -> Result:
     """Return the result in an opened run.h5. path, attributes : of the file; the attributes hold settings and
     numbers.
     """
@@ -363,7 +364,7 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
     return scene.drawn_from(drawn), arrays, partial(arrays.of_contacts, lattice), shape, () if len(shape) == 2 else (3,)
 
 
-def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
+def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], settings: RunSettings) -> _Found:
     """Return the packing that a file holds, and how its data sets are read (see `_Found`).
 
     path, attributes : of the file. settings : of the run.

@@ -8,7 +8,6 @@ A replica is one sample of several. Data sets have a leading axis of replicas if
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -46,7 +45,7 @@ Row = tuple[str, np.ndarray, str, str]
 """Name, values with a leading axis of replicas, unit and description of a data set."""
 
 
-def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
+def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, object]) -> None:
     """Write run.h5, whole or not at all. With a single replica data sets have no axis of replicas.
 
     attributes : numbers and words, by name, that become attributes of the file.

@@ -39,7 +39,7 @@ from taichi_bearings.options import (
     options_of,
     real,
 )
-from taichi_bearings.plain_files import read_whole
+from taichi_bearings.plain_files import Json, read_whole
 from taichi_bearings.runtime import ARCHITECTURES, PRECISIONS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
@@ -66,7 +66,7 @@ def _times(value: Any) -> str:
     return text
 
 
-def _state(value: Any) -> tuple[float, ...]:
+def _state(value: object) -> tuple[float, ...]:
     """Return a bearing state as (A_x, A_y, A_z, C), or (A_z,) of discs; raise ValueError for anything else.
 
     value : a text such as "1,1,0;0.2", or numbers.
@@ -265,7 +265,7 @@ class RunSettings:
     figures: str = how("all", OneOf("all", "none"), "Figures to draw into the run directory.")
     owned: tuple[tuple[str, Any], ...] = ()
 
-    def __init__(self, owned: tuple[tuple[str, Any], ...] = (), **given: Any) -> None:
+    def __init__(self, owned: tuple[tuple[str, Any], ...] = (), **given: object) -> None:
         given = dict(owned) | given
         values = {key: item.read(key, given.pop(key, item.default)) for key, item in settings_table().items()}
         if given:
@@ -285,7 +285,7 @@ class RunSettings:
         return one
 
     @property
-    def values(self) -> dict[str, Any]:
+    def values(self) -> Json:
         """All keys with their values, those of methods included."""
         return {key: value for key, value in vars(self).items() if key != "owned"}
 
@@ -336,20 +336,20 @@ class RunSettings:
         return {key: getattr(self, key) for key in ("distribution", "viscosity")[: len(LAWS[self.law].quantities)]}
 
     @property
-    def described(self) -> dict[str, Any]:
+    def described(self) -> Json:
         """Keys and values that describe the run: all of them for a lattice; for a packing from a file the law, the
         seed, and what differs from its default.
         """
         return self.values if self.packing is None else {"law": self.law, "seed": self.seed} | self.given
 
     @property
-    def given(self) -> dict[str, Any]:
+    def given(self) -> Json:
         """The keys whose values differ from their defaults, with these values."""
         table = settings_table()
         return {key: value for key, value in self.values.items() if value != table[key].default}
 
     @property
-    def driving(self) -> dict[str, Any]:
+    def driving(self) -> Json:
         """Keys and values of the driving that differ from their defaults: periodic sides, imposed states and driven
         bodies.
         """
@@ -452,7 +452,7 @@ def toml_text(values: Mapping[str, Any]) -> str:
     return "".join(f"{key} = {toml_value(value)}\n" for key, value in values.items())
 
 
-def toml_value(value: Any) -> str:
+def toml_value(value: object) -> str:
     """Return a text, number, truth value, list or (inline) table as it is written in TOML."""
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(part) for part in value) + "]"
@@ -469,7 +469,7 @@ PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""  # part of a dotted key, bare or qu
 DOTTED = re.compile(rf"(?<![\w-]){PART}(?:[ \t]*\.[ \t]*{PART}){{2,}}")  # keys of three parts and more; no number has
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> Json:
     """Return the key-value pairs of a file of settings; names of files in it are taken relative to its folder.
 
     path : a TOML file; a run directory, whose scene.toml is read; or a run.h5, whose attribute `scene` is read.
@@ -507,7 +507,7 @@ def parse_assignment(text: str, option: str, allowed: str) -> tuple[str, Any]:
         return key, word.strip()
 
 
-def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
+def parse_toml(text: str, path: Path | None = None) -> Json:
     """Return the key-value pairs in a text of TOML; raise FileError if it is not valid.
 
     path : the file that the text was read from, or a folder: names of files in the text are taken relative to that
@@ -539,7 +539,7 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
     return values | {key: placed(values[key], folder) for key in NAMED_FILES if key in values}
 
 
-def placed(value: Any, folder: Path) -> Any:
+def placed(value: object, folder: Path) -> Any:
     """Return the name of a file, or a list of names, with the folder put before it if the folder has such a file.
 
     value : a name or a list of names; anything else is returned as it is.
@@ -549,7 +549,7 @@ def placed(value: Any, folder: Path) -> Any:
     return str(folder / value) if isinstance(value, str) and (folder / value).is_file() else value
 
 
-def _refuse_unwritable(value: Any, depth: int = 0) -> None:
+def _refuse_unwritable(value: object, depth: int = 0) -> None:
     """Raise ValueError for integers of more than 64 bits, and for values nested too deeply, which TOML allows.
 
     depth : how deep the value itself is nested.

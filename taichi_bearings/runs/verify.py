@@ -25,6 +25,7 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import are_proven
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.rounded_elimination import EPS
@@ -57,7 +58,7 @@ OF_STATES = {"contacts", "slipping", "slipless", "undecided", "unproven", "state
 UNJUDGED = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
 
 
-def verify(path: str | Path) -> dict[str, Any]:
+def verify(path: str | Path) -> Json:
     """Check a run, and return the report that `bearings verify --json` prints.
 
     path : a run directory or its run.h5.
@@ -97,7 +98,7 @@ def verify(path: str | Path) -> dict[str, Any]:
     }
 
 
-def _size_of(scene: Bearing) -> dict[str, Any]:
+def _size_of(scene: Bearing) -> Json:
     """Return the shape of a lattice, or the numbers of spheres and contacts of a packing, by name."""
     network = scene.network
     if network.lattice is not None:
@@ -177,7 +178,7 @@ class Anew:
             return found
 
     @cached_property
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Json:
         """What is proven, by name; each value is a list if there are several samples."""
         several = self.run.solution.scene.replicas > 1
         found = self._of_samples if self.judgements else self._nothing
@@ -185,7 +186,7 @@ class Anew:
         return {name: list(v) if several else v[0] for name, v in found.items()} | {"proof": proof}
 
     @property
-    def _of_samples(self) -> dict[str, Any]:
+    def _of_samples(self) -> Json:
         """What the new proof says, by name, each a list with one entry for each sample."""
         states = [states for one in self.judgements for states in one.states]
         # largest force that still counts as within the friction limit, relative to that
@@ -207,7 +208,7 @@ class Anew:
         }
 
     @property
-    def _nothing(self) -> dict[str, Any]:
+    def _nothing(self) -> Json:
         """Entries of the report where no proof can be made: nothing is proven of any sample."""
         acts = (self.run.solution.state != DRIVEN).sum(axis=1).tolist()
         open_ = dict.fromkeys(("power", "upper_bound", "lower_bound", "gap", "largest_balance_residual"))
@@ -267,7 +268,7 @@ class _NeedsAnother(Exception):
     """Raised where the findings on a torque would need another solve, which verifying does not make."""
 
 
-def _no_other(_: Any) -> Solution:
+def _no_other(_: object) -> Solution:
     """Raise _NeedsAnother in place of solving."""
     raise _NeedsAnother
 

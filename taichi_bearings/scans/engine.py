@@ -30,10 +30,11 @@ from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.memory import keep_freed
+from taichi_bearings.plain_files import Json
 
 Unit = tuple[Any, ...]
 """Tasks that can be pickled: samples of a scan, or scenes that a user has made. Each has key, label and settings."""
-Record = dict[str, Any]  # result of a task as JSON, see sample.solve_samples
+Record = Json  # result of a task as JSON, see sample.solve_samples
 Work = Callable[[Sequence[Any]], list[Record]]  # solves the tasks of a unit
 TRIES = 2  # how often each sample is tried
 HOPELESS = 10  # if so many workers end one after the other, before there is any result, the scan gives up

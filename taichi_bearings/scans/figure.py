@@ -22,6 +22,7 @@ from taichi_bearings.analysis.statistics import (
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import StoredScan
 from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, write_csv
+from taichi_bearings.plain_files import Json
 from taichi_bearings.plots.curves import Curve, Look, draw_scan
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import ENDINGS, column_label, save
@@ -40,7 +41,7 @@ SIZE = "L"  # name of the height of the lattice as a column
 REASON = "left out"  # column with the reason why a sample is in no point; empty for samples that are in one
 MOST_CURVES = 24
 DRAWN_COLUMNS = ("plot_x", "plot_y", "plot_low", "plot_high")
-Point = dict[str, Any]
+Point = Json
 """All samples of equal parameters, as one row of the table beside the figure.
 
 x : the parameter. number : of different disorders. mean, standard_error, or ratio; low, high : statistics of y.

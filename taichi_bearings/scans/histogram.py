@@ -28,6 +28,7 @@ from taichi_bearings.files.histogram_file import Histograms, write_arrays, write
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.interrupts import awaited
+from taichi_bearings.plain_files import Json
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.result import Result
@@ -208,7 +209,7 @@ def histogram(
     by: str | None = None,
     page: Page = PAGE,
     ending: str = "png",
-) -> dict[str, Any]:
+) -> Json:
     """Pool the histograms of runs and scans, and write power_histogram.csv, .h5 and a figure; returns the report of
     `--json`.
 
@@ -242,7 +243,7 @@ def histogram(
     return _report(found, by) | {"files": [str(path) for path in (table, arrays, figure)]}
 
 
-def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
+def _report(histograms: Histograms, by: str | None) -> Json:
     """Return the numbers that `--json` prints: of all histograms together and, with `by`, of each."""
     parts = list(histograms.values())
     edges = parts[0].edges
@@ -256,7 +257,7 @@ def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
     return report
 
 
-def _numbers_of(parts: Sequence[PowerHistogram]) -> dict[str, Any]:
+def _numbers_of(parts: Sequence[PowerHistogram]) -> Json:
     """Return numbers of contacts and samples in some histograms, by name.
 
     `asked` is the number of samples that were asked for, `left_out` has the reasons why some are not pooled with their

@@ -11,7 +11,7 @@ from typing import Any
 
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.files.scan_file import FAILED
-from taichi_bearings.plain_files import read_json, read_lines
+from taichi_bearings.plain_files import Json, read_json, read_lines
 from taichi_bearings.scans.parts import journals_in
 from taichi_bearings.scans.plan import count_samples
 from taichi_bearings.words import counted, driving_words, listed, sized
@@ -44,7 +44,7 @@ class Entry:
     modified: float
     problem: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """Return all fields and values in one dictionary of types that JSON has."""
         found = asdict(self)
         found |= found.pop("values")
@@ -94,7 +94,7 @@ def _entry(path: Path) -> Entry | None:
     return Entry(str(path), kind or "folder", values, max(times), problem)
 
 
-def _values_of_run(path: Path) -> dict[str, Any]:
+def _values_of_run(path: Path) -> Json:
     """Return what is listed of a run, by name, from its summary."""
     has_summary, has_run = ((path / name).is_file() for name in ("summary.json", "run.h5"))
     if not has_summary and not has_run:
@@ -110,7 +110,7 @@ def _values_of_run(path: Path) -> dict[str, Any]:
     return {name: summary.get(name) for name in SUMMARY_KEYS}
 
 
-def _fits(value: Any, kind: type, can_lack: bool) -> bool:
+def _fits(value: object, kind: type, can_lack: bool) -> bool:
     """Return True if a value, or each value of a list, has a type; whole numbers count as float. can_lack : True if
     None is allowed.
     """
@@ -121,7 +121,7 @@ def _fits(value: Any, kind: type, can_lack: bool) -> bool:
     )
 
 
-def _values_of_scan(path: Path) -> dict[str, Any]:
+def _values_of_scan(path: Path) -> Json:
     """Return what is listed of a scan, by name: its scanned keys, how many samples it asks for, and how many its
     journals hold by status.
     """

@@ -16,6 +16,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import JOURNAL_NAME, is_sample, read_journal
+from taichi_bearings.plain_files import Json
 from taichi_bearings.scans.plan import ScanPlan, groups_of, spheres_of
 
 JOURNAL = re.compile(r"part-[1-9][0-9]{0,5}-of-([1-9][0-9]{0,5})\.jsonl")
@@ -85,13 +86,13 @@ def journal_bytes(folder: Path) -> int | None:
     return sum(sizes) if sizes else None
 
 
-def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
+def read_journals(folder: Path) -> dict[str, Json]:
     """Return the records in all journals of a folder by the key of the sample.
 
     Of several records of one sample a result is preferred to a failure, then the record with most numbers, then the
     later one.
     """
-    records: dict[str, dict[str, Any]] = {}
+    records: dict[str, Json] = {}
     for file in journals_in(folder):
         for key, record in read_journal(file, is_sample).items():
             both = (records.get(key, record), record)  # of equal ones the later
@@ -109,7 +110,7 @@ def is_analysed(record: Mapping[str, Any]) -> bool:
     return "power_minimum_cut" in record["scalars"]
 
 
-def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping[str, object]]) -> list[Json]:
     """Return the parts that lack samples: for each a dictionary with `part`, as "i/n", and `missing`, how many of its
     samples have no result.
 

@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.run_file import file_of, refuse_run
 from taichi_bearings.runs.settings import (
     MOST_SETTINGS_TEXT,
@@ -57,7 +58,7 @@ class Sample:
         return f"{words} ({self.key})" if words else self.key
 
 
-def _wishes_in(document: dict[str, Any]) -> dict[str, Any]:
+def _wishes_in(document: Json) -> Json:
     """Remove the options of the scan itself (WISHES, which change no result) from the content of a scan file, and
     return them by name.
 
@@ -104,7 +105,7 @@ def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
     return list(groups.values())
 
 
-def written(value: Any) -> Any:
+def written(value: object) -> Any:
     """Return the value of a setting as tables show it: a list of numbers such as a shape becomes ``10x10``, one of axes
     ``x,y``.
     """
@@ -115,7 +116,9 @@ def written(value: Any) -> Any:
     return value
 
 
-def read_plan(path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, Any] = MappingProxyType({})) -> ScanPlan:
+def read_plan(
+    path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, object] = MappingProxyType({})
+) -> ScanPlan:
     """Return the plan that a scan file describes.
 
     path : TOML; keys of `run` for all samples, wishes, and a table ``[scan]`` with a list or a range for each key that
@@ -146,10 +149,10 @@ def read_plan(path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, An
     return ScanPlan(scanned, tuple(_samples(path, document, scanned, _points(axes))), text, own)
 
 
-Axis = dict[str, Any]  # keys that advance together, with the list or range of each
+Axis = Json  # keys that advance together, with the list or range of each
 
 
-def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], list[Axis]]:
+def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[Json, list[Axis]]:
     """Return what a scan file says: the settings that all samples share, by key, and the axes of the grid, those of
     single keys first.
 
@@ -178,7 +181,7 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
     return document, axes
 
 
-def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
+def count_samples(path: Path) -> tuple[int, tuple[str, ...], Json]:
     """Return how many samples a scan file asks for, the names of the scanned settings, and the settings that all
     samples share, by key. No sample is built.
     """
@@ -187,7 +190,7 @@ def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
 
 
 def _samples(
-    path: Path, document: Mapping[str, Any], scanned: tuple[str, ...], axes: Sequence[Sequence[tuple[Any, ...]]]
+    path: Path, document: Mapping[str, object], scanned: tuple[str, ...], axes: Sequence[Sequence[tuple[Any, ...]]]
 ) -> Iterator[Sample]:
     """Yield the samples of the grid.
 
@@ -238,7 +241,7 @@ def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
     return points
 
 
-def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], Any]]:
+def _range(key: str, table: Mapping[str, object]) -> tuple[float, Callable[[int], Any]]:
     """Return how many values a range has, and a function that gives each of them by its number from 0; whole numbers
     stay whole.
 
@@ -326,7 +329,7 @@ def _spheres(name: str, _: str) -> int:
     return len(Packing.read(name)["center"])
 
 
-def _text(document: Mapping[str, Any], axes: Sequence[Axis]) -> str:
+def _text(document: Mapping[str, object], axes: Sequence[Axis]) -> str:
     """Return a scan as TOML, including what --set has changed. document : settings that all samples share. axes : of
     the grid.
     """

@@ -8,13 +8,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from taichi_bearings.analysis.histogram import count_powers
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import BINS_PER_DECADE
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.plain_files import Json
 from taichi_bearings.quantities import plain
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run import Job, prepare, row_of
@@ -31,7 +31,7 @@ class Interrupted(SystemExit):
     """The solve was interrupted from outside: what it reached is no result, and the worker ends."""
 
 
-def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path | None = None) -> list[dict[str, Any]]:
+def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path | None = None) -> list[Json]:
     """Solve samples and return a record of each, in their order.
 
     analyse : compute the numbers of `bearings analyse`, too.
@@ -42,7 +42,7 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
     failed, with the reason as `error`, and `final` if another try is pointless. If the disk failed and not the sample,
     the record has `unwritten`, and the samples after it are not tried.
     """
-    records: dict[str, dict[str, Any]] = {}
+    records: dict[str, Json] = {}
     with one_thread():
         for block in _blocks(samples):
             try:
@@ -113,7 +113,7 @@ def _job_of(block: Sequence[Sample]) -> Job:
     return Job(replace(settings, replicas=len(block)), packing, None)
 
 
-def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
+def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[Json]:
     """Solve a block of samples and return their records.
 
     analyse : True to compute the numbers of `bearings analyse` as well. states : folder for the full states, or None.
@@ -141,7 +141,7 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     return [_record(sample.key, run, analyse) for sample, run in zip(block, runs, strict=True)]
 
 
-def _record(key: str, run: Result, analyse: bool) -> dict[str, Any]:
+def _record(key: str, run: Result, analyse: bool) -> Json:
     """Return the record of a sample: key, numbers and texts, and counts of contacts by bin of power.
 
     key : of the sample. run : its result. analyse : True to add the numbers of `bearings analyse`. Shapes are written
@@ -191,7 +191,7 @@ class JobTask:
         return self.job.settings
 
 
-def solve_tasks(tasks: Sequence[JobTask]) -> list[dict[str, Any]]:
+def solve_tasks(tasks: Sequence[JobTask]) -> list[Json]:
     """Solve jobs in a worker, and return a record of each: with its `run`, the result, or with the reason why there is
     none.
 

@@ -11,14 +11,14 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import write_scan
 from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.interrupts import awaited
-from taichi_bearings.plain_files import refuse_link_out, replace_file
+from taichi_bearings.plain_files import Json, refuse_link_out, replace_file
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.run_directory import tidy, writable_folder
 from taichi_bearings.runtime import available_threads, refuse_absent
@@ -130,7 +130,7 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
         _warn(f"{sentence}: it changes nothing here")
 
 
-def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
+def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> Json:
     """Return what a scan would cost, by name: `samples`, `missing` samples, `workers`, `seconds` (None if unknown) and
     `bytes`. Nothing is solved.
 
@@ -169,7 +169,7 @@ def scan(
     engine: LocalEngine | None = None,
     client: "Client | None" = None,
     part: parts.Part | None = None,
-) -> dict[str, Any]:
+) -> Json:
     """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
 
     Options that the plan does not mention (its wishes, see plan.py) are those that the folder was given before. Samples
@@ -203,7 +203,7 @@ def scan(
     return course.report(stopped.is_set()) | {"workers": engine.workers}
 
 
-def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
+def merge(plan: ScanPlan, folder: Path) -> Json:
     """Write scan.h5 and scan.csv from the journals of all parts of a scan in `folder`, be they complete or not.
 
     returns : the report of :func:`scan`, and `incomplete_parts`, the parts that lack samples and how many.
@@ -341,7 +341,7 @@ class _Course:
             with awaited():
                 self._write(removes=True)
 
-    def report(self, interrupted: bool) -> dict[str, Any]:
+    def report(self, interrupted: bool) -> Json:
         """Return the report that `--json` prints. interrupted : True if the scan was stopped early."""
         known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]
         solved = [record for _, record in known if not parts.is_failed(record)]

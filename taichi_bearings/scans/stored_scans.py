@@ -23,7 +23,7 @@ from taichi_bearings.files.scan_file import (
 )
 from taichi_bearings.files.whole_file import Finding, layout_of
 from taichi_bearings.hdf5 import open_hdf5
-from taichi_bearings.plain_files import read_lines, read_whole
+from taichi_bearings.plain_files import Json, read_lines, read_whole
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.runs.run_file import refuse_run
 from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, RunSettings, settings_table, users_of
@@ -116,7 +116,7 @@ def outdated_figures(folder: Path, journals: int) -> list[Path]:
     return [file for table in tables for file in map(table.with_suffix, endings) if file.is_file()]
 
 
-def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:
+def attributes_of(plan: ScanPlan, journals: int) -> Json:
     """Return the attributes of scan.h5: the scan as TOML, what was scanned, how many samples, size of the journals,
     versions.
 
@@ -126,7 +126,7 @@ def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:
     return {**known, "taichi_bearings": VERSION, **versions()}
 
 
-def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict[str, Finding]:
+def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, object]]) -> dict[str, Finding]:
     """Return the table of a scan by column, one row for each sample that has a record.
 
     The scanned settings come first, then FIRST_COLUMNS, then whatever else the records hold. A result that has the name
@@ -149,7 +149,7 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict
     return columns | {"sample": column([sample.key for sample in samples], *meaning["sample"])}
 
 
-def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
+def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
     """Return numbers and texts of a sample by name: those of its record, and those of its settings that the record of a
     failed sample lacks.
     """
@@ -196,7 +196,7 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
     return list(zip(*names, strict=True))
 
 
-def numbered(names: Iterable[Any]) -> np.ndarray:
+def numbered(names: Iterable[object]) -> np.ndarray:
     """Return whole numbers (n,) that are equal where the names are equal."""
     place: dict[Any, int] = {}
     return np.array([place.setdefault(name, len(place)) for name in names], dtype=np.int64)

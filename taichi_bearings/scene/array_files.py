@@ -7,9 +7,9 @@ import math
 import zipfile
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.checksums import open_checked
 from taichi_bearings.errors import FileError, InputError
@@ -17,7 +17,7 @@ from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
 
-def own_array(name: str, values: Any) -> np.ndarray:
+def own_array(name: str, values: ArrayLike) -> np.ndarray:
     """Return a read-only copy of values of the user as an array in double precision.
 
     name : what the values are, in the plural, for messages. Raises InputError where the values make no array of real

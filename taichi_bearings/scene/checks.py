@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.scene.array_files import own_array
@@ -26,7 +27,7 @@ TURNED = ", as MATLAB and Fortran write arrays: turn center, contact, normal and
 LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # limits of coefficients, forces and radii; the upper one also of other sizes
 
 
-def _refuse(bad: Any, sentence: Callable[[int], str]) -> None:
+def _refuse(bad: np.ndarray | np.bool, sentence: Callable[[int], str]) -> None:
     """Raise InputError if any entry of the mask `bad` is True. sentence : function that returns the message about entry
     number i.
     """
@@ -34,7 +35,7 @@ def _refuse(bad: Any, sentence: Callable[[int], str]) -> None:
         raise InputError(sentence(int(np.argmax(bad))))
 
 
-def places(values: Any) -> np.ndarray:
+def places(values: ArrayLike) -> np.ndarray:
     """Return the checked centres of the spheres, (spheres N, dimensions D), length; no two may be the same. values :
     centres of the user.
     """
@@ -54,7 +55,7 @@ def places(values: Any) -> np.ndarray:
     return center
 
 
-def _array(name: str, values: Any) -> np.ndarray:
+def _array(name: str, values: ArrayLike) -> np.ndarray:
     """Return the values as an array; raise InputError where they make none, as lists of unequal lengths do. name : for
     messages.
     """
@@ -64,7 +65,7 @@ def _array(name: str, values: Any) -> np.ndarray:
         raise InputError(f"{name} is {shown(values)}; it must be an array of whole numbers") from None
 
 
-def _integers(name: str, values: Any) -> np.ndarray:
+def _integers(name: str, values: ArrayLike) -> np.ndarray:
     """Return a read-only copy in int64; floats are taken if each is a whole number. name : for messages."""
     array = _array(name, values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
     if array.dtype.kind == "f":
@@ -85,7 +86,7 @@ def _integers(name: str, values: Any) -> np.ndarray:
     return copy
 
 
-def pairs(values: Any, spheres: int) -> np.ndarray:
+def pairs(values: ArrayLike, spheres: int) -> np.ndarray:
     """Return the numbers (contacts E, 2) of the first and the second sphere of each contact, checked. values : of the
     user.
     spheres : number N of spheres.
@@ -105,7 +106,7 @@ def pairs(values: Any, spheres: int) -> np.ndarray:
     return contact
 
 
-def bodies(values: Any, spheres: int) -> np.ndarray:
+def bodies(values: ArrayLike, spheres: int) -> np.ndarray:
     """Return the number (N,) of the driven body of each sphere, -1 for free spheres.
 
     values : such numbers, or a mask of the driven spheres, which then are body 0. spheres : their number N.
@@ -133,7 +134,7 @@ def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return {name: values[:, 0] if is_column[name] else values for name, values in found.items()}
 
 
-def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.ndarray:
+def spins(values: ArrayLike, spheres: int, dimension: int, held: np.ndarray) -> np.ndarray:
     """Return the imposed spins, (N, 3) of spheres or (N,) of discs, 1/time, with 0 for free spheres.
 
     values : spins of the user. spheres : number N of spheres. dimension : 2 or 3. held : (N,) mask of the driven
@@ -149,7 +150,7 @@ def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.nda
     return spin
 
 
-def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = False) -> np.ndarray:
+def sizes(name: str, values: ArrayLike, count: int, what: str, may_vanish: bool = False) -> np.ndarray:
     """Return positive numbers, (count,), one for each sphere or contact. A single number is repeated.
 
     name : of the argument, for messages. what : "sphere" or "contact". may_vanish : True to allow 0 as well.
@@ -166,7 +167,7 @@ def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = Fals
     return array
 
 
-def pressing(values: Any, contacts: int) -> np.ndarray:
+def pressing(values: ArrayLike, contacts: int) -> np.ndarray:
     """Return the normal forces (E,), force, with 0 in place of negative ones, of which a warning tells.
 
     Contacts with a negative force pull and bear no friction. contacts : their number E.
@@ -197,7 +198,7 @@ def misfit(size: float, reach: float) -> str:
     return f"{apart}: they overlap by {1 - size / reach:.0%} of that, and at most {OVERLAP:.0%} is taken"
 
 
-def normals(values: Any, packing: "Packing") -> tuple[np.ndarray, float]:
+def normals(values: ArrayLike, packing: "Packing") -> tuple[np.ndarray, float]:
     """Return the normals (contacts E, dimensions D) of the contacts, scaled to unit length, and the largest error that
     their lengths had before.
 

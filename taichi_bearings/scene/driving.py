@@ -22,11 +22,12 @@ driven sphere : one whose spin is imposed; a driven body is a set of them with a
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.grid import Index
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import (
     Pair,
@@ -104,7 +105,7 @@ class Driving:
         return self.every
 
     @property
-    def places(self) -> list[Any]:
+    def places(self) -> list[Index]:
         """Indices that pick the driven spheres out of an array (..., *N): one index here; on lattices one for each
         driven plane.
         """
@@ -410,7 +411,7 @@ class Planes(Driving):
         return needed or every[:1]
 
     @property
-    def places(self) -> list[Any]:
+    def places(self) -> list[Index]:
         return [(..., 0), (..., -1)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:

@@ -6,9 +6,9 @@ discs and (R, *N, 3) of spheres. Where they miss the imposed spins of driven sph
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.scene.array_files import own_array, read_arrays
@@ -84,7 +84,7 @@ def initial_spin(bearing: Bearing, start: str | np.ndarray, called: str = "initi
     return _fitting(bearing, read_arrays(Path(start), ["spin"])["spin"], start)
 
 
-def _fitting(bearing: Bearing, given: Any, source: str) -> np.ndarray:
+def _fitting(bearing: Bearing, given: ArrayLike, source: str) -> np.ndarray:
     """Return the spins of a user with an axis for the samples; raise InputError for a wrong shape or a value that is
     not finite.
 

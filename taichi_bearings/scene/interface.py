@@ -13,7 +13,6 @@ state minimises, the power or the dissipation potential. Letters: R samples, N s
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -99,7 +98,7 @@ class Interface:
     between: np.ndarray
     lower_bound: float = np.nan
     next_power: float = np.nan
-    spins: Any = None
+    spins: np.ndarray | None = None
 
     @property
     def unique(self) -> bool:
@@ -277,5 +276,5 @@ def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:
         scene = of_lattice(bearing)
         return np.where(cut_of(scene).above, scene.top_spin(scene.minimum_spin_axes)[:, None, ..., None], 0.0)
     cuts = [Interface.of(bearing.sample(number)) for number in range(bearing.replicas)]
-    spins = [cut.spins.T for cut in cuts if cut is not None]
+    spins = [cut.spins.T for cut in cuts if cut is not None and cut.spins is not None]
     return np.stack(spins, axis=1) if len(spins) == len(cuts) else None

@@ -16,6 +16,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.numerics.double_double import Pair, divide, exactly
@@ -228,7 +229,7 @@ class Packing(Bearing):
         spin[held], rest[held] = self.spin[held], 0.0
         return spin, rest
 
-    def inertias(self, mass: float, inertia: float | None, density: Any = None) -> np.ndarray:
+    def inertias(self, mass: float, inertia: float | None, density: ArrayLike | None = None) -> np.ndarray:
         """Return moments of inertia over squared radii, (spheres N,), mass.
 
         mass : of a sphere of the mean radius, if neither of the others is given. Masses grow with the radius to the D.
@@ -296,7 +297,7 @@ class Packing(Bearing):
         some = {name: None if values is None else values[pick] for name, values in given.items()}
         return self._with(**some, seed=seeds[0], seeds=seeds)
 
-    def _with(self, **changes: Any) -> "Packing":
+    def _with(self, **changes: object) -> "Packing":
         """Return a copy in which some fields have other values, by name; these are not checked. Both share the
         network.
         """
@@ -320,7 +321,7 @@ class Packing(Bearing):
         return html_table(repr(self), [("driven_bodies", bodies), *ranges])
 
     @classmethod
-    def lattice(cls, kind: str, cells: Any, periodic: Any = (), seed: int = 0, **others: Any) -> "Packing":
+    def lattice(cls, kind: str, cells: object, periodic: Any = (), seed: int = 0, **others: Any) -> "Packing":
         """Return the spheres of a lattice with two driven bodies: 0, the bottom, and 1, the top.
 
         Parameters

@@ -406,7 +406,7 @@ def imposed_direction(given: Any) -> tuple[float, float, float]:
     return parts
 
 
-def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
+def bearing_state(name: str, given: object, dimension: int) -> tuple[float, ...]:
     """Return the state of a plane as (A_x, A_y, A_z, C), in 2D as (A_z,); raise InputError for anything else.
 
     name : "top" or "bottom", for messages. given : three or four numbers, in 2D one; a single 0 is the state at rest.
@@ -447,7 +447,7 @@ def _seeds(given: Any) -> tuple[int, ...]:
         raise InputError(f"seeds are {shown(given)}; each must be {SEED.allowed}") from None
 
 
-def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
+def _arrays(kind: str, given: object) -> tuple[np.ndarray, ...]:
     """Return coefficients of the user as read-only copies, one array for each axis.
 
     kind : "coefficients" or "viscosities", for messages. given : the arrays.

@@ -387,7 +387,7 @@ class Solution:
         if self.scene.replicas == 1:
             return replace(one, **ended)
 
-        def placed(whole: np.ndarray, value: Any) -> np.ndarray:
+        def placed(whole: np.ndarray, value: object) -> np.ndarray:
             """Return a copy of `whole`, (R, ...), with the value of this replica replaced."""
             changed = np.array(whole)
             changed[number] = value

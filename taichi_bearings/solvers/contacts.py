@@ -13,9 +13,10 @@ of tangents of a contact.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.fields import Fields
 from taichi_bearings.fields.lists import AnySpec
@@ -26,7 +27,10 @@ from taichi_bearings.solvers.stopping import StopRule
 if TYPE_CHECKING:
     from taichi_bearings.conic.proximal import Unknowns
     from taichi_bearings.kernels.team import Sweeps, Team
-    from taichi_bearings.solvers.table import MethodOptions
+    from taichi_bearings.solvers.table import MethodOptions, Motion
+
+Inertia = float | np.ndarray
+"""Moments of inertia as `Contacts.inertias` returns them: one for all spheres, or one for each."""
 
 CONSTANT = ("is_free", "across", "coefficient", "viscosity", "numbers")
 """Fields that steps do not change."""
@@ -151,7 +155,7 @@ class Contacts(ABC):
         """
 
     @abstractmethod
-    def inertias(self, options: Any, density: Any) -> Any:
+    def inertias(self, options: "Motion", density: ArrayLike | None) -> Inertia:
         """Return the moments of inertia of the free spheres: one number, or (N spheres,).
 
         On a lattice they are mass * length^2. The unknowns of a packing are u = radius * spin, so that its moments are
@@ -162,7 +166,7 @@ class Contacts(ABC):
         """
 
     @abstractmethod
-    def common_inertia(self, inertia: Any) -> float:
+    def common_inertia(self, inertia: Inertia) -> float:
         """Return the moment of inertia in the constants of the kernel, by which it divides torques where the field
         `is_free` is 1.
 
@@ -172,7 +176,7 @@ class Contacts(ABC):
         """
 
     @abstractmethod
-    def fastest_modes(self, inertia: Any) -> tuple[float, float]:
+    def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
         """Return upper bounds on what the fastest modes of the network have: decay rate, and R^2 lambda / I.
 
         The first is the decay rate by viscosity, 1/time, 0 without. The second, 1/mass, is that of contacts that all
@@ -182,7 +186,7 @@ class Contacts(ABC):
         """
 
     @abstractmethod
-    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> "Unknowns":
+    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> "Unknowns":
         """Return the unknowns that an implicit step of the rigid-limit dynamics solves for.
 
         spin_axes : numbers of the axes of the spin components that move.
@@ -219,7 +223,7 @@ class Contacts(ABC):
         """
 
     @abstractmethod
-    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
+    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: object) -> Progress:
         """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
         left.
 

@@ -12,6 +12,7 @@ from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
@@ -128,7 +129,7 @@ class Dynamics(Method):
     state_names: ClassVar[tuple[str, ...]] = ()
     rest_gap: ClassVar = 1e-4
     aim = end = np.inf
-    density: Any = None
+    density: ArrayLike | None = None
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare to solve a scene, at time 0.
@@ -227,7 +228,7 @@ class Dynamics(Method):
         return Energy(self.kinetic_energy(staggered), spring, self.injected, self.work - spring, self.energy_at_start)
 
 
-def _with_type_of(now: Any, stored: np.ndarray) -> Any:
+def _with_type_of(now: object, stored: np.ndarray) -> Any:
     """Return a value of a checkpoint with the type of the value that it replaces: whole numbers, a number, or an array.
 
     now : the value that is replaced.

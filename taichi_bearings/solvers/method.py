@@ -125,7 +125,7 @@ class Method:
         """
         return self.contacts.proven_by(force)
 
-    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: Any) -> Progress:
+    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: object) -> Progress:
         """Return the progress for given spins and forces: with objective, its lower bound, and the largest torque left.
 
         staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.

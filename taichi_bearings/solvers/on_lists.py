@@ -6,9 +6,10 @@ that take part, C components of a spin. The unknowns are u = R omega, radius tim
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.conic.proximal import OfNetwork, Unknowns
 from taichi_bearings.fields import Fields, team_size
@@ -22,11 +23,14 @@ from taichi_bearings.scene import Bearing, Progress, Solution, Status
 from taichi_bearings.scene.packing import Packing, of_packing
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
-from taichi_bearings.solvers.contacts import Contacts, Ended, Launch
+from taichi_bearings.solvers.contacts import Contacts, Ended, Inertia, Launch
 from taichi_bearings.solvers.found import Found
 from taichi_bearings.solvers.packing_answer import judged
 from taichi_bearings.solvers.packing_bounds import PackingBounds
 from taichi_bearings.solvers.stopping import ended_as
+
+if TYPE_CHECKING:
+    from taichi_bearings.solvers.table import Motion
 
 NOTHING = (0.0,)  # passed for constants that all copies of the lists share, as there are none
 
@@ -169,7 +173,7 @@ class OnLists(Contacts):
             np.add.at(total, end, rows)
         return total.T[:, None]
 
-    def inertias(self, options: Any, density: Any) -> np.ndarray:
+    def inertias(self, options: "Motion", density: ArrayLike | None) -> np.ndarray:
         """Return the moments of inertia of the spheres over the squares of their radii, (N spheres,), mass.
 
         options : options of a method, with `mass` and `inertia`.
@@ -177,7 +181,7 @@ class OnLists(Contacts):
         """
         return self.scene.inertias(options.mass, options.inertia, density)
 
-    def common_inertia(self, inertia: Any) -> float:
+    def common_inertia(self, inertia: Inertia) -> float:
         """Return 1, the moment of inertia in the constants of the kernel: in a packing each sphere has one of its own,
         in the field `is_free`.
 
@@ -185,7 +189,7 @@ class OnLists(Contacts):
         """
         return 1.0
 
-    def fastest_modes(self, inertia: Any) -> tuple[float, float]:
+    def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
         """Return upper bounds on the decay rate by viscosity, 1/time, and on the largest eigenvalue of the contacts
         over the inertia, 1/mass, if all stick.
 
@@ -194,18 +198,18 @@ class OnLists(Contacts):
 
         inertia : (N spheres,), as from `inertias`, mass.
         """
-        network, viscosities = self.scene.network, self.scene.viscosities
-        decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], inertia)
-        return decay, network.largest_eigenvalue(np.ones(network.contacts), inertia)
+        network, viscosities, each = self.scene.network, self.scene.viscosities, np.asarray(inertia)
+        decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], each)
+        return decay, network.largest_eigenvalue(np.ones(network.contacts), each)
 
-    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> Unknowns:
+    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> Unknowns:
         """Return all unknowns u of the packing, as an implicit step solves for them.
 
         spin_axes : not used, as all components of a packing move.
         unit : unit of the unknowns in the solve, length/time.
         inertia : (N spheres,), as from `inertias`, mass.
         """
-        return OfNetwork(self.scene, unit, inertia)
+        return OfNetwork(self.scene, unit, np.asarray(inertia))
 
     @property
     def has_no_bound(self) -> bool:

@@ -7,6 +7,7 @@ of the lattice), E contacts, C carried spin components.
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec, block_size, team_size
@@ -16,12 +17,13 @@ from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.scene.scene import of_lattice
-from taichi_bearings.solvers.contacts import Contacts, Launch
+from taichi_bearings.solvers.contacts import Contacts, Inertia, Launch
 from taichi_bearings.solvers.gear import largest_laplacian_eigenvalue, largest_weighted_eigenvalue
 
 if TYPE_CHECKING:
     from taichi_bearings.conic.proximal import Unknowns
     from taichi_bearings.kernels.team import Sweeps, Team
+    from taichi_bearings.solvers.table import Motion
 
 
 class OnStrides(Contacts):
@@ -145,7 +147,7 @@ class OnStrides(Contacts):
         """
         return weights(bounds, self.scene.lattice, self.spin_axes)
 
-    def inertias(self, options: Any, density: Any) -> float:
+    def inertias(self, options: "Motion", density: ArrayLike | None) -> float:
         """Return the moment of inertia, mass * length^2, which all spheres have.
 
         options : options of a method, with `mass` and `inertia`.
@@ -153,14 +155,14 @@ class OnStrides(Contacts):
         """
         return inertia_of(self.scene, options)
 
-    def common_inertia(self, inertia: Any) -> float:
+    def common_inertia(self, inertia: Inertia) -> float:
         """Return the moment of inertia of all spheres as a number, which the kernel takes as one of its constants.
 
         inertia : as from `inertias`, mass * length^2.
         """
         return float(inertia)
 
-    def fastest_modes(self, inertia: Any) -> tuple[float, float]:
+    def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
         """Return the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, of the fastest modes.
 
         R is the radius, I the moment of inertia, lambda the largest eigenvalue of the Laplacian of the contacts if all
@@ -168,9 +170,9 @@ class OnStrides(Contacts):
 
         inertia : I, mass * length^2.
         """
-        return fastest_modes(self.scene, self.spin_axes, inertia)
+        return fastest_modes(self.scene, self.spin_axes, float(inertia))
 
-    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> "Unknowns":
+    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> "Unknowns":
         """Return the free spins of the spin components that move, as the unknowns of an implicit step.
 
         spin_axes : the components that move.
@@ -228,7 +230,7 @@ class OnStrides(Contacts):
         )
 
 
-def inertia_of(scene: Scene, options: Any) -> float:
+def inertia_of(scene: Scene, options: "Motion") -> float:
     """Return the moment of inertia of every sphere of a lattice, mass * length^2.
 
     It is the option `inertia` if given, else m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere.

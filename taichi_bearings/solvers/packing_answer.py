@@ -367,7 +367,7 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
         parts = (sparse.diags_array(across[t, slipping]) @ system.operator[t * count + slipping] for t in range(d))
         rows.append(sum(parts))
     slips, moves = sparse.csr_array(sparse.vstack(rows)), np.any(system.moved >= 0, axis=1)
-    motions = system.network.motions(slips, system.sphere, system.contact, moves)
+    motions = system.network.motions(slips, system.sphere, system.numbers, moves)
     if not motions.number:
         return found
     if motions.number > MOST_TIES:

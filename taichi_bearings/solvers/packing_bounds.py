@@ -62,7 +62,7 @@ class PackingBounds:
         if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
             return 0.0, force
         own = force[:, 0, self.of_system]
-        candidates = [own] if system.network.along_axes(system.contact) else []
+        candidates = [own] if system.network.along_axes(system.numbers) else []
         candidates += [self._balanced(own)] if whole else []
         best, found = 0.0, own
         for candidate in candidates:

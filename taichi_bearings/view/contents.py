@@ -1,10 +1,9 @@
 """Collects what the page of a run holds: numbers for people, and arrays as small as a picture needs them."""
 
-from typing import Any
-
 import numpy as np
 from matplotlib import colormaps
 
+from taichi_bearings.plain_files import Json
 from taichi_bearings.plots.bearing import SPIN_COLOURS
 from taichi_bearings.plots.spins import POWER_COLOURS
 from taichi_bearings.plots.structure import colour_of_turn
@@ -97,7 +96,7 @@ def _shown_snapshots(moments: Moments) -> np.ndarray:
     return np.unique(np.linspace(0, len(moments.time) - 1, min(most, len(moments.time))).round().astype(int))
 
 
-def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
+def facts_of(drawn: PointsAndLines) -> Json:
     """Return the numbers and words that the page shows, by name, in types that JSON has."""
     structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.scene.law
     own, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
@@ -125,7 +124,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     }
 
 
-def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
+def _of_lattice(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
     """Return four things that the page says of a lattice: entries of its facts by name; the largest imposed spin,
     1/time; the power in its natural unit, in words; and the bound, in words.
     """
@@ -150,7 +149,7 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
     return own, scene.fastest, natural, bound
 
 
-def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
+def _of_packing(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
     """Return four things that the page says of a packing: entries of its facts by name; the largest imposed radius *
     spin over the median radius, 1/time; an empty text; and the bound, in words.
     """
@@ -187,7 +186,7 @@ def _median(radius: np.ndarray) -> float:
     return float(np.sort(radius)[len(radius) // 2])
 
 
-def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
+def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> Json:
     """Return where the scales of colours begin and end, by name. fastest : the largest imposed spin, of a sphere of
     median size, 1/time.
     """
@@ -203,7 +202,7 @@ def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
     }
 
 
-def _snapshots(moments: Moments | None) -> dict[str, Any]:
+def _snapshots(moments: Moments | None) -> Json:
     """Return the times of the snapshots that the page shows, and words for those left out, by name. moments : the
     snapshots; None without.
     """

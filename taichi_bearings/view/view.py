@@ -10,11 +10,11 @@ import re
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from taichi_bearings.files.whole_file import refuse_ending, write_text
+from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.stages import stage
@@ -28,7 +28,7 @@ NUMBER_TYPES = {"float32": "f4", "int32": "i4", "uint8": "u1"}  # types of array
 
 def view(
     run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
-) -> dict[str, Any]:
+) -> Json:
     """Write one sample of a run as an interactive HTML page, and return facts about the page.
 
     run : a run directory or its run.h5.
@@ -51,7 +51,7 @@ def view(
     return {"file": str(path), "bytes": path.stat().st_size, **shown, **replica_drawn(found, replica)}
 
 
-def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
+def page_of(facts: Mapping[str, object], arrays: Mapping[str, np.ndarray]) -> str:
     """Return the HTML text of a page that needs no other file.
 
     facts : numbers and words by name. arrays : what is drawn, by name. Both come from
@@ -82,7 +82,7 @@ def _compressed_text(content: bytes) -> str:
     return base64.b64encode(gzip.compress(content, mtime=0)).decode()
 
 
-def _joined_bytes(arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[dict[str, Any]]]:
+def _joined_bytes(arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[Json]]:
     """Return all arrays as bytes, one after the other, little-endian and longer numbers first; and where each lies, a
     list with name, type, offset in bytes and length.
     """

@@ -179,7 +179,7 @@ def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target
 
 
 def _product(
-    rows: int, width: int, depth: int, left: Any, right: Any, ld: Any, target: Any, ld_target: Any
+    rows: int, width: int, depth: int, left: object, right: object, ld: object, target: object, ld_target: object
 ) -> tuple[Any, ...]:
     """Return the arguments of `dgemm` for target (rows, width) -= left (rows, depth) right (width, depth)^T.
 
