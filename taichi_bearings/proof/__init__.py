@@ -38,7 +38,7 @@ The theorems
 5. Excess. Let E be Phi(u) less what F proves by 1. At every minimum the sum of phi(y*) + phi*(F) - F . y* is at most E,
    and with damping the sum of eta |y* - y|^2 / 2 as well. [states.py]
 6. Cuts. In one component minima are mixtures of lightest cuts. On these no contact has more than E over the jump left
-   between |F| and its limit. [states.py]
+   between |F| and its limit. [minima_by_cuts.py]
 7. One minimum. Let contacts T rest, and let the curvature of Phi along all that T allows be tau or more, in some norm.
    If the slope of Phi is below 0.72 tau rho, and no slip changes by more than a quarter within rho, then (P) with T at
    rest has one minimum there. If T can bear inside its discs what the other contacts leave to it, this is the only

@@ -63,7 +63,8 @@ def imposed_exactly(network: JudgedNetwork) -> bool:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
-    """(R,) mask of the samples for which case 3 is proven; tried only where the given spins are nearly such a state."""
+    """Return the mask (R,) of the samples for which case 3 is proven; it is tried only where the given spins are nearly
+    such a state."""
     nearly = ~network.counts | (network.slip.most <= NEARLY_NONE * network.box.max(initial=0.0))
     found = nearly.reshape(network.count, -1).all(axis=1)
     for number in np.flatnonzero(found).tolist():
@@ -72,8 +73,7 @@ def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
 
 
 def _rolls_exactly(network: JudgedNetwork) -> bool:
-    """Return True if case 3 is proven for one packing; it is tried only where the given spins are nearly such a
-    state."""
+    """Return True if case 3 is proven for the single sample of a network."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
     # Leave out spheres that can make any slips, then contacts that exact motions let roll. Parts with other contacts

@@ -1,10 +1,25 @@
-"""Which contacts slip at every minimum, proven from approximate spins and friction: theorems 4 to 6, and which file
-proves what.
+"""Which contacts slip at every minimum: the theorem that applies to each kind of network, and theorems 4 and 5.
 
-Letters: in shapes E contacts of one sample, m of all samples, R samples; in formulas T the contacts without any slip, S
-the others, D a domain (spheres that T joins in a component, which turn as one), E the excess: potential of the given
-spins less what the friction proves; y and y* slips at hand and at a minimum, F friction.
+Symbols
+    E contacts of one sample, m of all R samples (in shapes); n : number of slipping contacts.
+    T : contacts without any slip. S : the others. D : a domain, spheres that T joins in a component and that turn as
+    one.
+    E (in formulas) : excess, the potential of the given spins less what the friction proves.
+    y, y* : slip at hand and at a minimum. F : friction. phi, phi* : potential of a contact and its conjugate, see the
+        door of this folder (__init__.py).
 
+What is used, by the contact law and by how the components of spins matter
+* One component (all of 2D, cubic lattices driven about x or y), friction alone: minima are mixtures of lightest cuts
+  (minima_by_cuts.py).
+* Two components or more that do not mix (lattices; normals along the axes), friction alone: steps 1 to 3 below; where
+  friction is repeated, so that minima may tie, tied_minima.py first.
+* Components that mix: the minimum is enclosed (oblique.py); where that fails, `_by_cones`, see below.
+* With damping: no slip is further than (2 E / eta)^1/2 from the given one. Steps 1 to 3 say the rest, with the domains
+  of contacts whose share of friction left exceeds their slip over the jump. In packings the contacts that are still
+  undecided are tried part by part (resting.py); with oblique normals also beside loops that cannot roll as their
+  normals are rounded (loops.py, borne.py).
+
+The proof that S slips and T rests
 1. Over motions that keep every domain in one piece the power is a convex function with a single minimum, close to these
    spins (curvature.py).
 2. At that minimum every contact of S still slips and exerts its friction along the slip; this is known closely. What
@@ -15,45 +30,26 @@ spins less what the friction proves; y and y* slips at hand and at a minimum, F 
 3. All minima share all optimal forces (equations.md, 7): where the friction is below its limit nothing slips. So T
    rests at every minimum. Every minimum then is one of step 1, where there is only one, and S slips at it.
 
-With one component (all of 2D, and cubic lattices driven about x or y) step 1 has no curvature. There minima are
-mixtures of lightest cuts, and friction in balance leaves little unused on them. Let G be the gap between the bounds
-over the jump, a force. A contact from u to v on such a cut, with friction f in the direction of the cut, has mu F_n - f
-<= G. So if one can go from a sphere to another and back along contacts with mu F_n - f > G, both are on one side of
-every lightest cut. That decides contacts one by one. Where cuts tie, the contacts that are left open are counted in
-whole numbers: which are in all lightest cuts, in some, in none (numerics/exact_cuts.py).
-
-For any network: at any minimum the sum over all contacts of phi(y) + phi*(F) - F . y is at most E. So with damping eta
-no slip is further than (2 E / eta)^1/2 from the given one. Steps 1 to 3 say the rest: the domains are those of contacts
-whose share of friction left exceeds their slip over the jump. Slips are the same at all minima.
-
-One component alone may have many imposed values (then each step between them has its cuts) and odd loops (then the cuts
-are those of the double cover, each sphere with either sign).
-
-Where components mix the minimum is enclosed (oblique.py). Where that fails, each contact has its share of E: one at its
-limit at least mu F_n b^2 / (2 |y*|), b the part of its slip y* across its friction F; one with m = mu F_n - |F| left at
-least m |y*|. With |y*| bounded above, their sum is a quadratic form of y* that is at most E, and so is that of the
-given slips. Its floor, by an elimination, says how far minima are.
-
-What is still undecided of packings with damping is tried part by part (resting.py); oblique ones also beside loops that
-cannot roll as their normals are rounded (loops.py, borne.py).
+What the excess says of any network (theorem 5). At any minimum the sum over all contacts of phi(y*) + phi*(F) - F . y*
+is at most E. With damping this alone bounds |y* - y|. With friction alone a contact at its limit has at least the share
+mu F_n b^2 / (2 |y*|), b the part of y* across F, and one with margin m = mu F_n - |F| left has at least m |y*|. With
+|y*| bounded above, these shares are a quadratic form of y* that is at most E, and so is that of the given slips. Its
+floor, by an elimination, says how far minima are (`_by_cones`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import prod
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from taichi_bearings.numerics.exact_cuts import cuts_between, whole_numbers
-from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum
-from taichi_bearings.proof.enclosure import UP, Enclosure, joined
+from taichi_bearings.proof.enclosure import UP
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.listed import moments
+from taichi_bearings.proof.minima_by_cuts import states_by_cuts
 from taichi_bearings.proof.resting import at_rest
 from taichi_bearings.proof.rounded_elimination import EPS
 from taichi_bearings.proof.springs import slip_rows, weighed
@@ -61,12 +57,10 @@ from taichi_bearings.proof.tied_minima import MISSED_LIMIT, tied_states
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 PROVEN_AT_ONCE = 200_000  # most spheres of samples that are proven together
-NEARLY_LEAST = 1e-9  # excess over the power, up to which cuts are counted in whole numbers
-MOST_COUNTED = 40_000  # most contacts of a sample for which that is done
-MOST_LEVELS = 100  # most steps between imposed values of a part that are looked at, the largest ones
+# What is tried as resting, and by which form minima are enclosed. A wrong choice only makes a proof fail.
 STILL, STILL_IN_PAIRS = 1e-12, 1e-28  # slip over the fastest imposed one that may be 0; by spins in twice the precision
 CLEAR_RATIO = 10  # ratio of slip / jump and (friction left) / limit, either way, from which damping leaves no doubt
-CLEAR_ROOM = 1e-3  # friction left over the limit, above which a contact may well rest
+CLEAR_ROOM = 1e-3  # (friction left) / limit, above which a contact may well rest
 STIFFEST = 1e4  # largest weight of a contact off its limit in the form, over the one that it would have at its limit
 PASSES = 2  # number of times that the form is made, the second time with the bounds on slips of the first
 
@@ -163,105 +157,14 @@ def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
 
 
 def _by_cuts(bounds: Bounds, k: int) -> list[States]:
-    """Return the states where component k alone matters, by its lightest cuts, part by part and sample by sample. A
-    contact slips if it is between the sides of every lightest cut of some step of imposed values; it rests if it is on
-    one side of every lightest cut at all steps."""
-    network, count = bounds.network, len(bounds.network.free)
-    own = np.flatnonzero(network.feels[k])
-    (first, second), sample = network.graph.contact[:, own], network.sample_of(own)
-    label, odd, sign = network.signs(k)
-    pull = network.moment[k].at(own)
-    if (bounds.worst > 1).any():
-        pull = pull / Enclosure.exact(bounds.worst[sample])
-    strength = network.holding.at(own)
-    held = np.unique(network.graph.contact[:, own])
-    held = held[~network.free[held]]
-    is_double = bool(odd[first].any())
-    if is_double:  # double cover: nodes u and -u of each sphere, so that u_i + u_j is high less low, in either copy
-        low, high = np.append(second + count, first + count), np.append(first, second)
-        pull, strength = joined([pull, pull]), joined([strength, strength])
-        label = pieces(2 * count, low, high)
-        node, value = np.append(held, held + count), joined([network.imposed[k].at(held), -network.imposed[k].at(held)])
-    else:
-        low, high, pull = first, second, pull.signed(sign[second])
-        node, value = held, network.imposed[k].signed(sign).at(held)
-    up, down = (strength - pull).lower(), (strength + pull).lower()
-    size, alike, slips = len(label), np.ones(len(low), dtype=bool), np.zeros(len(low), dtype=bool)
-    order = np.lexsort((value.low, value.high, label[node]))
-    node, value, part = node[order], value[order], label[node[order]]
-    step = value[1:] - value[:-1]
-    differs = (value.high[1:] != value.high[:-1]) | (value.low[1:] != value.low[:-1])
-    steps = np.flatnonzero(differs & (part[1:] == part[:-1]))
-    steps = steps[np.lexsort((-step.high[steps], part[steps]))]
-    rank = np.arange(len(steps)) - np.searchsorted(part[steps], part[steps])  # by size, in each part
-    open_ = np.bincount(part[steps], np.where(rank < MOST_LEVELS, 0.0, step.most[steps]), size)[label[low]]
-    tied, once = np.zeros(len(low), dtype=bool), (np.bincount(part[steps], minlength=size) == 1)[label[low]]
-    for number in range(min(int(rank.max(initial=-1)) + 1, MOST_LEVELS)):
-        mine = steps[rank == number]
-        begin, most, least = np.full(size, len(node)), np.zeros(size), np.zeros(size)
-        begin[part[mine]], most[part[mine]], least[part[mine]] = mine, step.most[mine], step[mine].lower()
-        # ends of a contact with more friction left than the excess allows: if the one is above the cut, so is the other
-        room = (1 + is_double) * np.tile(bounds.excess[sample], 1 + is_double) / np.maximum(least[label[low]], 0.0) * UP
-        rises, falls = up > room, down > room
-        tail, head = np.append(high[rises], low[falls]), np.append(low[rises], high[falls])
-        follows = sparse.csr_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(size, size))
-        together = connected_components(follows, directed=True, connection="strong")[1]
-        place, known = np.arange(len(node)), begin[part] < len(node)
-        above = reached(follows, node[known & (place > begin[part])])
-        below = reached(follows.T.tocsr(), node[known & (place <= begin[part])])
-        alike = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
-        apart = (above[low] & below[high]) | (below[low] & above[high])
-        if not (is_double or (alike | apart).all()):
-            near, some, every = _in_whole_numbers(bounds, own, np.stack([low, high]), above, below)
-            alike[near], apart[near] = ~some, every
-            tied[near] |= some & ~every & once[near]
-        slips |= apart
-        open_ = open_ + np.where(alike, 0.0, most[label[low]])
-    slips, tied, open_ = slips[: len(own)], tied[: len(own)], open_[: len(own)]
-    states = np.where(network.acts & network.counts & network.feels[k], UNDECIDED, SLIPLESS)
-    states[own] = np.select([slips, tied, open_ == 0], [SLIPPING, TIED, SLIPLESS], UNDECIDED)
-    return [States(of, _is_one(of), "cuts (nearly) tie") for of in states.reshape(network.count, -1)]
+    """Return the states where component k alone matters, by its lightest cuts; one object a sample."""
+    states = states_by_cuts(bounds, k)
+    return [States(of, _is_one(of), "cuts (nearly) tie") for of in states.reshape(bounds.network.count, -1)]
 
 
 def _is_one(states: np.ndarray) -> bool | None:
     """Return whether there is only one minimum, by the states (E,) of all contacts; None if that is not known."""
     return False if (states == TIED).any() else None if (states == UNDECIDED).any() else True
-
-
-def _in_whole_numbers(
-    bounds: Bounds, own: np.ndarray, ends: np.ndarray, above: np.ndarray, below: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decide contacts near cuts that (nearly) tie in whole numbers. Returns their numbers (q,), 0 to m - 1, and masks
-    (q,): whether each is in some lightest cut, and in all of them.
-
-    own : (m,), indices of the contacts in the network.
-    ends : (2, m), their spheres.
-    above, below : masks of the spheres on either side of every lightest cut.
-
-    Samples far from their minimum, or with too many contacts to be counted, are left out.
-    """
-    network, between = bounds.network, ~(above | below)
-    near = np.flatnonzero(between[ends].any(axis=0))
-    sample = network.sample_of(own[near])
-    counts = (bounds.excess <= NEARLY_LEAST * bounds.upper) & (
-        np.bincount(sample, minlength=network.count) <= MOST_COUNTED
-    )
-    near = near[counts[sample]]
-    weight = prod((whole_numbers(of[own[near]]) for of in network.factors), start=np.ones(len(near), dtype=object))
-    cuts = cuts_between(ends[:, near], weight, above, between)[0]
-    return near, cuts.some, cuts.every
-
-
-def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
-    """Return the mask (nodes,) of the nodes that can be reached from any of the nodes `starts` along the edges of the
-    directed graph `follows` (nodes, nodes)."""
-    size = follows.shape[0]
-    ends = (np.full(len(starts), size), starts)
-    source = sparse.csr_array((np.ones(len(starts), dtype=np.int8), ends), shape=(size + 1, size + 1))
-    whole = sparse.block_diag([follows, sparse.csr_array((1, 1), dtype=np.int8)], format="csr") + source
-    reached = np.zeros(size + 1, dtype=bool)
-    reached[breadth_first_order(whole, size, return_predecessors=False)] = True
-    return reached[:-1]
 
 
 def _by_curvature(network: JudgedNetwork) -> list[States]:
@@ -285,13 +188,13 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
 
 
 def _halves(network: JudgedNetwork) -> list[JudgedNetwork]:
-    """The first and the second half of the samples of a network."""
+    """Return the first and the second half of the samples of a network."""
     return [network.some(slice(None, network.count // 2)), network.some(slice(network.count // 2, None))]
 
 
 def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
-    """States of samples of a packing by steps 1 to 3 of the module docstring, where contacts that hardly slip are taken
-    to rest. Samples are proven all at once, or else half by half."""
+    """Return the states of samples of a packing by steps 1 to 3 of the module docstring, where contacts that hardly
+    slip are taken to rest. Samples are proven all at once, or else half by half."""
     slip, fastest = network.slip.value, network.box.max()
     still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
     known = _by_domains(network, still)  # first as if spins were known in twice the precision
@@ -334,8 +237,8 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
 
 
 def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> list[States]:
-    """Return the states `told` of a packing, with the contacts added that resting.py or borne.py proves to rest. far :
-    (E,), bound on |slip at any minimum - given slip|."""
+    """Return the states `told` of samples of a packing, with the contacts added that resting.py or borne.py proves to
+    rest. far : (m,), bound on |slip at any minimum - given slip|."""
     network, known = bounds.network, np.concatenate([states.known for states in told])
     if not network.law.holds or not (network.counts & (known == UNDECIDED)).any():
         return told
