@@ -37,7 +37,7 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
 @click.option(
     "--time-limit",
     metavar="SECONDS",
-    help="Part methods: time limit of each. [default: 10, with --quick 1, with --full 60]",
+    help="Part methods: time limit of a solve. [default: 10, with --quick 1, with --full 60]",
 )
 @click.option(
     "--precision",

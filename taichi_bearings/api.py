@@ -173,7 +173,7 @@ def solve_many(
     """
     workers = SEED.named("workers", workers)
     if not isinstance(scenes, Iterable):
-        raise InputError(f"scenes is a {type(scenes).__name__}; it must be scenes, as in solve_many([scene])")
+        raise InputError(f"scenes is a {type(scenes).__name__}; it must be a list of scenes, as in solve_many([scene])")
     asked = {"tolerance": tolerance, **options}
     tasks = [JobTask(str(number), scene, _job(scene, method, asked, start)) for number, scene in enumerate(scenes)]
     found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))

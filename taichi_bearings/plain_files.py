@@ -84,7 +84,7 @@ def read_whole(path: Path, most: int) -> bytes:
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
     if len(content) > most:
-        raise FileError(f"{path} is longer than {most:,} bytes; that is the most that is read")
+        raise FileError(f"{path} is longer than {most:,} bytes, the most that this program reads")
     return content
 
 

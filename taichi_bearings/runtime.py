@@ -150,8 +150,8 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             )
         return _current
     if running_program() is not None:
-        words = "started by other code, and starting it for taichi_bearings would destroy the fields of that"
-        raise DeviceError(f"{compiler.name()} already runs in this process, {words}; {OWN_PROCESS}")
+        other = "started by other code, whose fields a new start would destroy"
+        raise DeviceError(f"{compiler.name()} already runs in this process, {other}; {OWN_PROCESS}")
     kept = compiler.cache_folder()
     compiled_before = kept is not None and any(kept.glob("*.tic"))
     with contextlib.redirect_stdout(io.StringIO()), compiler.environment(), _out_of_memory():

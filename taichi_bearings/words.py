@@ -95,7 +95,8 @@ def driving_words(values: Mapping[str, Any]) -> str:
         value = values.get(name)
         parts = [f"{part:g}" if isinstance(part, float | int) else part for part in listed(value)]
         if value:
-            words.append(f", {name} {','.join(parts[:3])}{';' * (len(parts) > 3)}{';'.join(parts[3:])}")
+            state, rate = ",".join(parts[:3]), "".join(f";{part}" for part in parts[3:])
+            words.append(f", {name} {state}{rate}")
     return "".join(words)
 
 

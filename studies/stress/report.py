@@ -187,7 +187,9 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
     found = [f"{summary['done']} of {summary['cells']} cells: {', '.join(words)}"]
     for method, of in summary["scaling"].items():
         exact, cells, deviation = (of[key] for key in ("exact", "of", "deviation"))
-        found.append(f"  other units, {method}: {exact} of {cells} powers scale exactly, the rest to {deviation:.1e}")
+        found.append(
+            f"  with other units, {method}: {exact} of {cells} powers are the same, the others within {deviation:.1e}"
+        )
     return found
 
 

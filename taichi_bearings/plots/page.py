@@ -136,7 +136,9 @@ def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
         raise InputError(f"plane is given {len(planes)} times; a figure shows at most {MOST_PLANES}")
     for axis, index in planes:
         if len(shape) == 2:
-            raise InputError(f"plane is {AXES[axis]}={index}, but the lattice is flat; only cubic ones are cut")
+            raise InputError(
+                f"plane is {AXES[axis]}={index}, but the lattice is two-dimensional; only in 3D can planes be chosen"
+            )
         if index >= shape[axis]:
             raise InputError(
                 f"plane is {AXES[axis]}={index}; the planes across {AXES[axis]} go from 0 to {shape[axis] - 1}"

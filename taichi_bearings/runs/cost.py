@@ -83,7 +83,7 @@ def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
     needed = bytes_of_lattice(row, lattice.shape, lattice.periodic, scene.replicas) - PROCESS_BYTES
     what = f"{row.name} of {counted(lattice.sites * scene.replicas, 'sphere')}"
     if needed == inf:
-        raise NotEnoughMemory(f"{what} needs more numbers in one factorisation than can be indexed, 2^31 - 1")
+        raise NotEnoughMemory(f"{what} is too large: its matrix factorisation needs more than 2^31 - 1 numbers")
     refuse_before(needed, what)
 
 

@@ -51,7 +51,7 @@ def draw_figure(
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):
-        raise InputError(f"replica is {sample}; the run has {len(solution.state)}, counted from 0")
+        raise InputError(f"replica is {sample}; the run has {len(solution.state)} replicas, counted from 0")
     if (lattice := solution.scene.network.lattice) is not None:
         _check_page(kind, lattice.shape, page)
     elif page.planes:
@@ -73,7 +73,7 @@ def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
     if page.view and kind not in WITH_VIEW:
         raise InputError(f"view is given, but {kind} shows nothing in 3D; these do: {', '.join(WITH_VIEW)}")
     if page.view and len(shape) == 2:
-        raise InputError("view is given, but the lattice is flat; only cubic ones are turned")
+        raise InputError("view is given, but the lattice is two-dimensional; leave it out")
     check_planes(page.planes, shape)
 
 

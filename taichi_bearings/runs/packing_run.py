@@ -49,9 +49,9 @@ def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None
     packing, named = packing_of(settings), settings.initial
     if named in STARTS or not Path(named).exists():
         return packing, None
-    start, one = read_arrays(Path(named), ["spin"])["spin"], packing.spin.shape
-    if start.shape not in (one, (packing.replicas, *one)):
-        raise InputError(f"spin in {named} has shape {start.shape}; this packing needs {one}")
+    start, shape = read_arrays(Path(named), ["spin"])["spin"], packing.spin.shape
+    if start.shape not in (shape, (packing.replicas, *shape)):
+        raise InputError(f"spin in {named} has shape {start.shape}; this packing needs {shape}")
     return packing, start
 
 

@@ -67,7 +67,9 @@ def build_scene(settings: RunSettings) -> Scene:
     """
     if settings.is_packing:
         key = "driven" if settings.packing is None else "packing"
-        raise InputError(f"{key} is {getattr(settings, key)!r}: that is for `bearings run` alone, not for this command")
+        raise InputError(
+            f"{key} is {getattr(settings, key)!r}: only `bearings run` can use that, not this command; leave it out"
+        )
     given = {key: getattr(settings, key) for key in Scene.PARAMETERS} | {"law": settings.law}
     if settings.coefficients is None:
         drawn: dict[str, Any] = {"seed": settings.seed, "replicas": settings.replicas, **settings.drawn}

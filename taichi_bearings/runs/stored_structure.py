@@ -134,7 +134,7 @@ class _Stored:
         spheres = np.bincount(domain)
         mean = np.stack([np.bincount(domain, values) / spheres for values in spins.reshape(len(axes), -1)], axis=1)
         if len(found) != count or len(lock) != count or lock.min() < 0 or lock.max() > Lock.BOTH:
-            raise ValueError("domains/lock has not one entry for each domain in domains/labels")
+            raise ValueError("domains/lock must have one row for each domain in domains/labels")
         names = [f"component_domain/{AXES[k]}" for k in axes]
         labels = np.stack([self.get(name, *shape) for name in names])
         return RigidDomains(axes, labels, domain.reshape(shape), spheres, mean, 0.0, lock, above[:, first].T)

@@ -73,7 +73,7 @@ class Distribution:
             if not np.isfinite(value) or (value <= 0 and not signed):
                 raise InputError(f"{word} of distribution {self} is {value}; it must be a positive number")
         if "high" in values and not values["low"] <= values["high"]:
-            raise InputError(f"distribution {self} has low above high")
+            raise InputError(f"distribution {self} has low above high; low must be the smaller number")
         if values.get("sigma", 0.0) < 0:
             raise InputError(f"sigma of distribution {self} is {values['sigma']}; it must be 0 or more")
         if not 0 <= values.get("fraction", 0.0) <= 1:

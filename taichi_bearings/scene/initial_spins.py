@@ -55,8 +55,8 @@ def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
     carried = spins_of_two_domains(bearing)
     if carried is None:
         raise InputError(
-            "start is 'minimum-cut', but this packing has none: that needs no odd loops, and a jump between two driven "
-            "bodies, each in a bearing state"
+            "start is 'minimum-cut', which this packing does not have: that needs a packing without odd loops, and two "
+            "driven bodies in different bearing states"
         )
     return bearing.laboratory_spin(carried, bearing.minimum_spin_axes)
 

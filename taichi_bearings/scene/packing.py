@@ -284,7 +284,7 @@ class Packing(Bearing):
             return first
         for name in OF_ALL_SAMPLES:
             if not all(np.array_equal(getattr(first, name), getattr(one, name)) for one in samples):
-                raise InputError(f"{name} differs between samples; samples of one run differ in coefficients alone")
+                raise InputError(f"{name} differs between samples; in one run only coefficients may differ")
         changes = {name: [getattr(one, name) for one in samples] for name in OF_SAMPLES}
         stacked = {name: None if of[0] is None else read_only(np.stack(of)) for name, of in changes.items()}
         return first._with(**stacked, seeds=tuple(one.seed for one in samples))

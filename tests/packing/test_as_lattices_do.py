@@ -225,7 +225,7 @@ def test_a_callback_hears_and_stops_and_many_are_solved():
     (lambda p: solve(p, "operator-splitting"), "of a packing it can be auto, planar-cut"),
     (lambda p: solve(p, "cundall-strack", torque=1.0, duration=1.0), "with the law coulomb does not use it"),
     (lambda p: solve(p, torque="0:1:0.1"), "torque is '0:1:0.1'; it must be 0 or a number"),
-    (lambda p: solve(p, "gradient-descent", start="minimum-cut"), "needs no odd loops"),
+    (lambda p: solve(p, "gradient-descent", start="minimum-cut"), "without odd loops"),
     (lambda p: solve(p).plot("history"), "the history of the run has 0 steps"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(call, sentence):

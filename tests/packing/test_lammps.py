@@ -105,8 +105,12 @@ def test_a_packing_is_the_same_there_and_back(tmp_path, dimension):
 
 
 WRONG = [
-    (ATOMS.replace("pp ff ff", "xy xz yz pp ff ff"), CONTACTS, "line 16 must be a row of 3 numbers"),
-    (ATOMS.replace("pp ff ff", "pp ff"), CONTACTS, 'line 15 must be "ITEM: BOX BOUNDS", for a triclinic box'),
+    (ATOMS.replace("pp ff ff", "xy xz yz pp ff ff"), CONTACTS, "at line 16 a row of 3 numbers is expected"),
+    (
+        ATOMS.replace("pp ff ff", "pp ff"),
+        CONTACTS,
+        'at line 15 the line "ITEM: BOX BOUNDS" must end with three boundary flags',
+    ),
     (
         ATOMS.replace("ATOMS\n3", "ATOMS\n4"),
         CONTACTS,
@@ -115,15 +119,15 @@ WRONG = [
     (
         ATOMS.replace("ATOMS\n3", "ATOMS\n2"),
         CONTACTS,
-        'line 22 must be "ITEM: TIMESTEP", since the number of rows is said to be 2',
+        'at line 22 the line "ITEM: TIMESTEP" is expected, since 2 rows are announced',
     ),
     (ATOMS.replace("ATOMS\n3", "ATOMS\n99999999999999"), CONTACTS, "line 14 must be a whole number"),
-    (ATOMS.replace("10 1 0.5", "10 1 zero"), CONTACTS, "line 21 must be a row of 9 numbers"),
-    (ATOMS.replace("10 1 0.5", "1_0 1 0.5"), CONTACTS, "line 21 must be a row of 9 numbers"),
+    (ATOMS.replace("10 1 0.5", "10 1 zero"), CONTACTS, "at line 21 a row of 9 numbers is expected"),
+    (ATOMS.replace("10 1 0.5", "1_0 1 0.5"), CONTACTS, "at line 21 a row of 9 numbers is expected"),
     (
         ATOMS.replace("10 1 0.5", "10.5 1 0.5"),
         CONTACTS,
-        "line 21 must be a row of 9 numbers, with whole numbers for ids and types",
+        "at line 21 a row of 9 numbers is expected, with whole ones for ids and types",
     ),
     (ATOMS.replace("10 1 0.5", "20 1 0.5"), CONTACTS, "line 22 of .* has atom 20 a second time"),
     (
@@ -133,7 +137,7 @@ WRONG = [
     ),
     (ATOMS.replace("0.5 1 1 1 1", "0.5 1 1 0 1"), CONTACTS, "line 21 of .*: the radius of atom 10 is 0; it must be"),
     (ATOMS.replace("diameter", "mass"), CONTACTS, "must have one column diameter"),
-    (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "a lower bound and a larger upper one"),
+    (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "each with a lower and a larger upper bound"),
     (
         ATOMS.replace("0.0 4.0", "0.0 2.0"),
         CONTACTS.replace("0 4", "0 2"),

@@ -74,7 +74,7 @@ def test_memory_is_told_within_a_factor_of_1_3_of_what_is_allocated(words, tmp_p
     ("shape", "method", "words"),
     [
         ((96, 96, 96), "interior-point", "interior-point of 884,736 spheres needs some"),
-        ((128, 128, 128), "interior-point", "interior-point of 2,097,152 spheres needs more numbers"),
+        ((128, 128, 128), "interior-point", "interior-point of 2,097,152 spheres is too large"),
         ((2000, 2000), "auto", "a run of 4,000,000 spheres needs some"),
         ((10_000, 10_000, 10), "auto", "a run of 1,000,000,000 spheres needs some"),
     ],

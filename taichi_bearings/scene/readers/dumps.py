@@ -131,7 +131,7 @@ class _Reader:
         self._next("a timestep")
         kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
         if items and kind != items:
-            raise self._wrong(f'"ITEM: NUMBER OF {items}"')
+            raise self._wrong(f'the line "ITEM: NUMBER OF {items}" is expected')
         count = _integer(self.path, self.line + 1, self._next("a number"), 0, most)
         text = self._next(f"ITEM: BOX BOUNDS or ITEM: {kind}").decode("latin-1").strip()
         box = None
@@ -139,7 +139,7 @@ class _Reader:
             box = self._box(text[len("ITEM: BOX BOUNDS") :].split())
             text = self._next(f"ITEM: {kind} and names of columns").decode("latin-1").strip()
         if not text.startswith(f"ITEM: {kind} "):
-            raise self._wrong(f'"ITEM: {kind}", followed by the names of the columns')
+            raise self._wrong(f'the line "ITEM: {kind}" with the names of the columns is expected')
         names = text[len(f"ITEM: {kind}") :].split()
         line, table = self.line, self._rows(names, count, wanted(names), whole)
         return Frame(self.path, step, names, box, table, line, self.is_rounded)
@@ -160,7 +160,7 @@ class _Reader:
 
     def _wrong(self, expected: str) -> FileError:
         """Return the error for the line read last. expected : what it should be."""
-        return FileError(f"{self.path} is not a LAMMPS dump, or is damaged: line {self.line} must be {expected}")
+        return FileError(f"{self.path} is not a LAMMPS dump, or is damaged: at line {self.line} {expected}")
 
     def _header(self, begin: str, expected: str) -> list[str]:
         """Return the words of the next line after "ITEM: " and `begin`; raise FileError for another line. expected :
@@ -169,7 +169,7 @@ class _Reader:
         words = self._next(expected).decode("latin-1").strip()
         found = words[len(f"ITEM: {begin}") :].split()
         if not words.startswith(f"ITEM: {begin}") or not found:
-            raise self._wrong(expected)
+            raise self._wrong(f'the line "{expected}" is expected')
         return found
 
     def _box(self, words: list[str]) -> Box:
@@ -178,12 +178,14 @@ class _Reader:
         """
         flags, kind = words[-3:], " ".join(words[:-3])
         if FLAGS.get(len(words)) != kind or any(len(flag) != 2 or set(flag) - set("pfsm") for flag in flags):
-            raise self._wrong('"ITEM: BOX BOUNDS", for a triclinic box "xy xz yz", then three flags such as "pp ff pp"')
+            raise self._wrong('the line "ITEM: BOX BOUNDS" must end with three boundary flags, such as "pp ff pp"')
         width = {"": 2, "xy xz yz": 3, "abc origin": 4}[kind]
         rows = [self._numbers(self._next("bounds"), list(range(width)), width, 0) for _ in range(3)]
         box = Box.of_bounds(np.array(rows), [flag == "pp" for flag in flags] if flags else None)
         if box is None:
-            raise self._wrong("the last of three lines of the box, each with a lower bound and a larger upper one")
+            raise self._wrong(
+                "the last of the lines on the box is expected, each with a lower and a larger upper bound"
+            )
         return box
 
     def _numbers(self, line: bytes, places: list[int], width: int, whole: int) -> list[float]:
@@ -205,7 +207,7 @@ class _Reader:
             if any(not (value.is_integer() and 0 <= value <= MOST_INTEGER) for value in numbers[:whole]):
                 raise ValueError
         except ValueError:
-            raise self._wrong(f"a row of {width} numbers, with whole numbers for ids and types") from None
+            raise self._wrong(f"a row of {width} numbers is expected, with whole ones for ids and types") from None
         if not self.is_rounded and any(b"e" in words[place].lower() for place in places[:whole]):
             self.is_rounded = True
         return numbers
@@ -227,5 +229,5 @@ class _Reader:
             after = next(self.lines, b"ITEM: ")
             if not after.startswith(b"ITEM: ") and after.strip():
                 self.line += 1
-                raise self._wrong(f'"ITEM: TIMESTEP", since the number of rows is said to be {count}')
+                raise self._wrong(f'the line "ITEM: TIMESTEP" is expected, since {count} rows are announced')
         return np.frombuffer(values, dtype=np.float64).reshape(count, len(wanted))

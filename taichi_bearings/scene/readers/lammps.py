@@ -142,10 +142,11 @@ def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tu
             told = "; ".join(dict.fromkeys(cut))
             logging.getLogger(__name__).warning("bearings: %s; the timestep %d is read instead", told, step)
         return frame, rows
-    which = "no timestep" if asked.step is None else f"timestep {shown(asked.step)} is not there or not"
     reasons = f": {'; '.join(dict.fromkeys(cut))}" if cut else ""
-    complete = "is complete" if asked.step is None else "complete"
-    raise FileError(f"{which} {complete} in both {atoms} and {contacts}{reasons}")
+    if asked.step is None:
+        raise FileError(f"no timestep is complete in both {atoms} and {contacts}{reasons}")
+    step = shown(asked.step)
+    raise FileError(f"timestep {step} is not there or not complete in both {atoms} and {contacts}{reasons}")
 
 
 def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:

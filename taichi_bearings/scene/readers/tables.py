@@ -101,7 +101,7 @@ def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]
         elif not words.startswith("#"):
             rows.append(_row(path, line, _cells(words, delimiter), head))
             if len(rows) > most:
-                raise FileError(f"{path} has more than {most:,} rows; that is the most that is read")
+                raise FileError(f"{path} has more than {most:,} rows, the most that this program reads")
     if head is None:
         raise FileError(f"{path} has no header such as {','.join(needed)}, so its columns have no names")
     table = np.array(rows, dtype=float).reshape(len(rows), len(head))
