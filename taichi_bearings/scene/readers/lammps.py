@@ -145,8 +145,8 @@ def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tu
     reasons = f": {'; '.join(dict.fromkeys(cut))}" if cut else ""
     if asked.step is None:
         raise FileError(f"no timestep is complete in both {atoms} and {contacts}{reasons}")
-    step = shown(asked.step)
-    raise FileError(f"timestep {step} is not there or not complete in both {atoms} and {contacts}{reasons}")
+    asked_step = shown(asked.step)
+    raise FileError(f"timestep {asked_step} is not there or not complete in both {atoms} and {contacts}{reasons}")
 
 
 def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
