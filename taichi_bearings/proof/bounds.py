@@ -36,15 +36,18 @@ PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} ti
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds on the least potential of each sample, in units of power of the network, and what they rest on.
+    """Bounds on the least potential of each of R samples, in units of power of the network, and what they rest on.
+
+    F is the stored friction, or, where components mix, what springs have made of it. It is multiplied by a factor s, at
+    most 1, so that s F is within the limits of all contacts without damping.
 
     upper, lower : (R,), the potential of the stored spins, rounded up, and what the friction proves, rounded down.
-    excess : (R,), bound E on the potential of the stored spins less what the friction proves, 0 or more.
-    size : (m,), s |F|.
+    excess : (R,), bound on the potential of the stored spins less what the friction proves, 0 or more.
+    size : (m,), s |F| of each of the m contacts.
     worst : (R,), 1 / s.
     proof : (R,), PROVEN, or the words that restrict `lower` to slower spins.
-    largest_torque : (R,), largest torque over radius that the stored friction leaves over.
-    price : (R,), what these torques may cost at spins within the box.
+    largest_torque : (R,), largest torque over radius that the stored friction leaves over on a free sphere.
+    price : (R,), what these torques may cost at spins within the box of imposed spins.
     springs : the springs that took torques away, where components mix; None elsewhere, or if none could be made.
     friction : F by component after springs have balanced it, where components mix; else empty.
     alone : of several samples in which components mix, the bounds of each sample by itself; else empty. The fields

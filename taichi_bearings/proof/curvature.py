@@ -326,7 +326,7 @@ class Form:
 
     rows : A, a sparse matrix of doubles.
     doubt : matrix of the same shape, bounds on the errors of the entries of A.
-    squares : (n,), squared lengths of the columns before they were scaled: the numbers h.
+    squares : (n,), squared lengths of the columns before they were scaled.
     elimination : the elimination of A^T A, ordered but not carried out.
     """
 

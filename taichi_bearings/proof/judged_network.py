@@ -42,15 +42,19 @@ from taichi_bearings.scene.law import Law
 
 @dataclass(frozen=True)
 class JudgedNetwork:
-    """Spins, friction and contacts of R samples, as enclosures in the units `speed_unit` and `force_unit`.
+    """Spins, friction and contacts of R samples side by side, as enclosures in the units `speed_unit` and `force_unit`.
+
+    There are n spheres and m contacts in all samples together. u is spin times radius, n (as a vector) the unit normal
+    of a contact, F the friction on its second sphere; C = 1 (discs) or 3 components.
 
     law : the contact law.
     count : R, the number of samples.
     free : (n,) mask of the spheres that are not driven.
     speed_unit : a power of two; on lattices a power of two times the radius.
     force_unit : (R,), powers of two.
-    spin : u by component, C enclosures (n,), on lattices with the sign s.
-    moment : n x F by component, C enclosures (m,), 0 where a contact does not act.
+    spin : u by component, C enclosures (n,); on lattices times the sign of the sublattice, so that equal u roll.
+    moment : n x F, what friction turns both spheres with, by component, C enclosures (m,); 0 where a contact takes no
+        part.
     holding, slope : friction limits mu F_n and damping eta, enclosures (m,), 0 where a law has none.
     imposed : by component, C enclosures (n,), u of driven spheres, 0 for free ones; on lattices measured from the
         bottom.
@@ -212,8 +216,9 @@ class JudgedNetwork:
         return row_sum(whole.reshaped((self.count, -1)))
 
     def slips(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """Return (u_i + u_j) x n by component, C enclosures (m,): the slip v but for its sign. spin : u by component, C
-        enclosures (n,)."""
+        """Return (u_i + u_j) x n of all m contacts by component, C enclosures (m,): the slip but for its sign, from the
+        spins times radius u of both spheres and the normal n. spin : u by component, C enclosures (n,) for the n
+        spheres."""
         first, second = self.graph.contact
         return across([part.at(first) + part.at(second) for part in spin], self.graph.normal)
 
@@ -234,14 +239,14 @@ class JudgedNetwork:
 
     @cached_property
     def own_torques(self) -> list[Enclosure]:
-        """Torques over radius that the stored friction leaves over: sums of `own_moment` at each sphere, by component,
-        C enclosures (n,)."""
+        """Torques over radius that the stored friction leaves over on each of the n spheres: by component, C enclosures
+        (n,)."""
         return self.torques(self.own_moment)
 
     @cached_property
     def own_moment(self) -> list[Enclosure]:
-        """Moments n x F of the stored friction by component, C enclosures (m,), of the contacts that can dissipate; 0
-        in components in which no moment does any work."""
+        """Moments n x F of the stored friction F by component, C enclosures (m,), of the contacts that can dissipate; 0
+        for others, and in components in which no moment does any work."""
         own, all_count = self.graph.working(self.box), bool((self.counts == self.acts).all())
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
         return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
@@ -261,8 +266,8 @@ class JudgedNetwork:
         return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Return the sums at each sphere, by component, C enclosures (n,), of moments. moment : by component, C
-        enclosures (m,)."""
+        """Return the sums of moments at each of the n spheres, by component, C enclosures (n,). moment : by component,
+        C enclosures (m,) for the m contacts."""
         return self.graph.torques(moment)
 
     @cached_property

@@ -18,7 +18,8 @@ from taichi_bearings.scene.network import Network
 
 
 class Listed:
-    """Contacts given by the indices of their spheres. Nothing in it changes once it is made."""
+    """Contacts given by the indices of their spheres: m contacts and n spheres in all, with C components of spins.
+    Nothing in it changes once it is made."""
 
     layered = False
     """True where spins are signed by sublattice and measured from the bottom of a lattice, whose two driven planes hold

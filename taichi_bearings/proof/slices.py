@@ -22,7 +22,8 @@ Place = tuple[slice, ...]
 
 
 class Grid(Listed):
-    """The contacts of R samples of a lattice, for the proofs.
+    """The contacts of R samples of a lattice, for the proofs: n spheres and m contacts in all, with C components of
+    spins.
 
     samples : the samples whose contacts these are.
     """

@@ -189,9 +189,10 @@ def floor_of_slips(
 
 
 def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarray) -> list[Part]:
-    """Return the parts in which slips are eliminated, by nested dissection of the contacts; moving spheres join these.
+    """Return the parts in which the slips of contacts are eliminated, by nested dissection of these contacts; two of
+    them are coupled if they share a moving sphere.
 
-    moves : (N,) mask of the spheres that move. contact : (n,), the contact of each slip.
+    moves : (N,) mask of the spheres that move. contact : (n,), the contact of each of the n slip components.
     """
     own, node = np.unique(contact, return_inverse=True)
     ends = network.graph.contact[:, own]
