@@ -1,9 +1,9 @@
 """Proof that contacts which can roll exactly rest at every minimum, beside loops that cannot: part of theorem 8.
 
 What is proven. Some contacts, called X, can all roll at once, exactly (exact_motions.py). They rest at every minimum if
-some friction G on X, below every friction limit, does for the optimal friction F*: it exerts the same torques on free
-spheres (resting.py). Contacts beside X may belong to loops of which only bounds on the friction are known (loops.py).
-So G is sought for all friction that these bounds allow, at once.
+some friction G on X, below every friction limit, can replace the optimal friction F* there: it exerts the same torques
+on free spheres (resting.py). Contacts beside X may belong to loops of which only bounds on the friction are known
+(loops.py). So G is sought for all friction that these bounds allow, at once.
 
 Symbols
     N spheres, E contacts. X : the contacts that can roll exactly, q of them, on spheres with n unknowns.
@@ -19,7 +19,7 @@ The proof
 1. Without any R: contacts of loops rest if the bound on |F*| that loops.py gives is below mu F_n
    (`at_rest_beside_loops`).
 2. For each load find R by springs at the contacts of X. Any R would do; springs that are weaker where a contact has
-   less friction left make the bounds of step 4 better, so several stiffnesses are tried.
+   less friction left make the bounds of step 3 better, so several stiffnesses are tried.
 3. Then G = F + sum of R f over f of other contacts + sum of R c. Its size at a contact of X is at most |F + R (middles
    of c)| + sum of |R| (half lengths of c) + sum of |R| (bounds on f).
 4. G does not quite balance: it leaves residuals of R and rounding. The torques of G - F* as they are exactly lie in the

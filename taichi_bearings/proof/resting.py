@@ -1,5 +1,9 @@
 """Proof that contacts of a packing rest at every minimum, part by part, where friction is nearly known: theorem 8.
 
+What is proven. Where the friction of slipping contacts is known closely, other contacts need not slip if they can bear
+what these leave to them. The theorem holds for any network; this file uses it where components do not mix, borne.py for
+normals in any direction.
+
 Symbols
     N spheres, E contacts. K : matrix of slips, b : slips of what is imposed; y = K u + b are the slips of spins u.
     u*, y* : spins and slips of a minimum. F* : optimal friction: in balance on every free sphere, along y* where y* is
@@ -9,11 +13,11 @@ Symbols
 
 Theorem. The contacts of X slip at no minimum if
 a. spins u exist at which nothing of X slips, K u + b = 0 in the rows of X, and
-b. some friction G on X does for F*: it exerts the same torques, K^T G = K^T F* on the free spheres, and |G| < mu F_n at
-   every contact of X.
-Proof. Over X, the sum of (F* - G) . y* is (F* - G) . (K u* + b) = (F* - G) . b = -(F* - G) . K u = 0, first by b, then
-by a, then by b again. So the sum of F* . y*, that is of mu F_n |y*| + eta |y*|^2, equals that of G . y*. But G . y* is
-smaller than mu F_n |y*| at every contact, unless all y* are 0.
+b. some friction G on X can replace F* there: it exerts the same torques, K^T G = K^T F* on the free spheres, and |G| <
+   mu F_n at every contact of X.
+Proof. Sums are over X. As y* = K u* + b, (F* - G) . y* = (F* - G) . b, since K^T (F* - G) = 0. This is -(F* - G) . K u,
+since b = -K u by a, and that is 0, since K^T (F* - G) = 0 once more. So the sum of F* . y*, that is of mu F_n |y*| +
+eta |y*|^2, equals that of G . y*. But G . y* is smaller than mu F_n |y*| at every contact that slips. So none does.
 
 How it is used, where components do not mix (discs; normals along the axes). What contacts of X join through free
 spheres in one component is a *part*.
@@ -41,9 +45,8 @@ from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import signs
 from taichi_bearings.proof.slipless_state import imposed_exactly
 
-SHARE_AROUND = (
-    1.5  # largest change of a force over the sum of r over its part: 1 along the tree, 1/2 around an odd loop
-)
+# Largest change of a force over the sum of r over its part: 1 along the tree, 1/2 around a loop with an odd number.
+SHARE_AROUND = 1.5
 
 
 def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
