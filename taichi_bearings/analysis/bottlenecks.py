@@ -93,8 +93,8 @@ class Bottlenecks:
         with stage("finding the backbone"):
             in_piece = network.spanning.ravel()[network.ends[0]]
             low, high = network.body[network.ends[:, in_piece]]
-            outside = np.full(len(network.held), network.bodies)
-            block = _blocks(np.append(low, network.held), np.append(high, outside), network.bodies + 1)
+            outside = np.full(len(network.driven_nodes), network.bodies)
+            block = _blocks(np.append(low, network.driven_nodes), np.append(high, outside), network.bodies + 1)
             through[in_piece] = np.isin(block[: len(low)], block[len(low) :])
         return through
 
@@ -225,7 +225,7 @@ def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.nd
     pairs. Two driven spheres are a pair if they have links to the same connected piece of free spheres.
     """
     touching = _pieces_beside(network)
-    touched = [network.touched_of(body).tolist() for body in network.held]
+    touched = [network.touched_of(body).tolist() for body in network.driven_nodes]
     for number, own in enumerate(touched[:-1]):
         others = [sphere for of in touched[number + 1 :] for sphere in of]
         spanning = _all_of(touching[sphere] for sphere in own) & _all_of(touching[sphere] for sphere in others)

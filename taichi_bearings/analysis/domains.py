@@ -53,10 +53,10 @@ class RigidDomains:
     bearing.
 
     spin_axes : numbers of the C spin components that the driving needs.
-    component_domain : (C, *N), number of the domain of each sphere by component: there only that component has to
-        agree.
+    component_domain : (components C, spheres *N), number of the domain of each sphere by component: there only that
+        component has to agree.
     domain : (*N), number of the rigid domain of each sphere: 0, 1, ... by falling number of spheres.
-    spheres : (D,), spheres of each of the D rigid domains, driven ones included.
+    spheres : (domains D,), spheres of each of the D rigid domains, driven ones included.
     staggered : (D, C), mean spin of each, 1/time, with opposite signs for neighbours and measured from the bottom
         plane.
     spread : largest difference, over all components, between the spin of a sphere and the mean of its domain (or the
@@ -163,36 +163,40 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
     return RigidDomains.of(spin_axes, labels, tied, staggered.reshape(len(spin_axes), -1), above, network.shape)
 
 
-def turning_domains(
-    network: SliplessNetwork, turned: np.ndarray, states: np.ndarray | None, near: float, axes: tuple[int, ...]
+def domains_of_packing(
+    network: SliplessNetwork, signed_speeds: np.ndarray, states: np.ndarray | None, near: float, axes: tuple[int, ...]
 ) -> RigidDomains:
     """Return the rigid domains of a sample of a packing, found from its spins.
 
     A domain has the spheres of one connected piece of slipless contacts that have the same sign * radius * spin, with
     signs by which neighbours differ. It is locked to a driven body that is among them.
 
-    network : the slipless contacts. turned : (spheres N, components C), sign * radius * spin, length/time.
+    network : the slipless contacts. signed_speeds : (spheres N, components C), sign * radius * spin, length/time.
     states : (2, N, C), these numbers if all spheres rotated with the first, or with the second, of two driven bodies;
         None if there are no two bodies in bearing states.
     near : difference of speeds within a domain that rounding may cause, length/time. axes : numbers of the components
         that are compared.
     """
-    piece, whole, largest = network.component, network.whole, np.abs(turned).max(initial=0.0)
-    low, high = np.zeros((2, *turned.shape)) if states is None else states
+    piece, whole, largest = network.component, network.whole, np.abs(signed_speeds).max(initial=0.0)
+    low, high = np.zeros((2, *signed_speeds.shape)) if states is None else states
     # spheres with the bearing state of a body are one domain, though their speeds may differ: two values stand for them
     apart = 4 * largest
-    values = np.where(np.abs(turned - low) <= near, -apart, np.where(np.abs(turned - high) <= near, apart, turned))
-    labels = np.stack([_alike(piece, (turned if states is None else values)[:, k], near) for k in axes])
+    values = np.where(
+        np.abs(signed_speeds - low) <= near,
+        -apart,
+        np.where(np.abs(signed_speeds - high) <= near, apart, signed_speeds),
+    )
+    labels = np.stack([_alike(piece, (signed_speeds if states is None else values)[:, k], near) for k in axes])
     held = np.flatnonzero(~whole.free)
     bodies, body = np.unique(whole.body[held], return_inverse=True)
-    tied = np.zeros((len(axes), len(turned)), dtype=np.int64)
+    tied = np.zeros((len(axes), len(signed_speeds)), dtype=np.int64)
     for lock, label in zip(tied, labels, strict=True):
         np.bitwise_or.at(lock, label[held], 1 << np.minimum(body, MOST_BODIES))
     tied = np.take_along_axis(tied, labels, axis=1)
     jump = (high - low)[:, axes].T
     jump[np.abs(jump) <= SAME_STATE * largest] = 0.0  # rounding of states that agree
     names = ("bottom", "top") if len(bodies) == 2 else tuple(f"body {number}" for number in bodies[:MOST_BODIES])
-    above = (turned - low)[:, axes].T
+    above = (signed_speeds - low)[:, axes].T
     return RigidDomains.of(axes, labels, tied, above, None if states is None else jump, piece.shape, names)
 
 

@@ -23,7 +23,7 @@ class SampleCounts:
 
     first, bins_per_decade : bin number b covers powers from 10^((first + b) / bins_per_decade) to the begin of bin b +
         1.
-    count : (S, B) slipping contacts in each bin.
+    count : (S, bins B) slipping contacts in each bin.
     contacts : (S, 4) contacts in each of the states COUNTED_STATES.
     """
 
@@ -48,7 +48,7 @@ class PowerHistogram:
     """Distribution of power over the slipping contacts of all samples.
 
     edges : (B + 1,) power in `units`, evenly spaced in the logarithm.
-    count : (B,) slipping contacts in each bin. standard_error : (B,) of the count.
+    count : (bins B,) slipping contacts in each bin. standard_error : (B,) of the count.
     density, density_error : (B,) share of the slipping contacts per decade of power, and its standard error.
     slipless, tied, undecided : numbers of contacts in these states, which are in no bin.
     slip_threshold : largest slip speed, length/time, up to which contacts counted as slipless in one of the runs.

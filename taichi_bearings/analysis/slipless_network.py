@@ -103,7 +103,7 @@ class SliplessNetwork:
         return int(self.body.max(initial=-1)) + 1
 
     @cached_property
-    def held(self) -> np.ndarray:
+    def driven_nodes(self) -> np.ndarray:
         """Numbers of the nodes that are driven bodies, in rising order."""
         return np.unique(self.body[~self.free.ravel()])
 
@@ -152,7 +152,7 @@ class SliplessNetwork:
         (spheres,).
         """
         label = self.pieces()
-        several = np.bincount(label[self.held], minlength=len(label)) > 1
+        several = np.bincount(label[self.driven_nodes], minlength=len(label)) > 1
         return np.asarray(several[self.component])
 
     def _share(self, chosen: np.ndarray) -> Any:
@@ -177,7 +177,7 @@ class SliplessNetwork:
 
         It is also the smallest number of contacts whose removal separates the bodies (Menger's theorem).
         """
-        return int(maximum_flow(self.graph(), *self.held).flow_value) if len(self.held) == 2 else None
+        return int(maximum_flow(self.graph(), *self.driven_nodes).flow_value) if len(self.driven_nodes) == 2 else None
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
         """Return an array (contacts,) over all contacts: the values of the edges, and 0 elsewhere. values :
@@ -194,13 +194,13 @@ class SliplessNetwork:
         It leads from bottom to top on a lattice; among equally short paths it is the first that a breadth-first search
         finds. It is empty if there is no path, or more than MOST_BODIES bodies.
         """
-        if not self.spans or len(self.held) > MOST_BODIES:
+        if not self.spans or len(self.driven_nodes) > MOST_BODIES:
             return np.empty(0, dtype=int)
-        graph, (start, stop) = self.graph(), self.held[[0, -1]]
-        if len(self.held) > 2:
-            far = dijkstra(graph, unweighted=True, indices=self.held)[:, self.held]
+        graph, (start, stop) = self.graph(), self.driven_nodes[[0, -1]]
+        if len(self.driven_nodes) > 2:
+            far = dijkstra(graph, unweighted=True, indices=self.driven_nodes)[:, self.driven_nodes]
             np.fill_diagonal(far, np.inf)
-            start, stop = self.held[list(np.unravel_index(far.argmin(), far.shape))]
+            start, stop = self.driven_nodes[list(np.unravel_index(far.argmin(), far.shape))]
         before, nodes = breadth_first_order(graph, start, directed=False)[1], [stop]
         while nodes[-1] != start:
             nodes.append(before[nodes[-1]])
@@ -261,8 +261,8 @@ class SliplessNetwork:
 def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
     """Return a mask (nodes,) of the nodes in pieces of a graph with a closed path that goes around a periodic axis.
 
-    nodes : their number. ends : (2, edges E), nodes of the E edges. turns : (E,), whole numbers, how often an edge goes
-        around from its first end to the second.
+    nodes : their number. ends : (2, edges E), nodes of the E edges. turns : (edges E,), whole numbers, how often an
+        edge goes around from its first end to the second.
 
     A closed path goes around if its turns do not add up to 0. A piece without such a path can be unrolled: its nodes
     have whole numbers (places) whose differences are the turns of the edges.

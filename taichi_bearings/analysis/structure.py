@@ -26,7 +26,7 @@ from scipy.sparse.csgraph import connected_components, laplacian
 from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
-from taichi_bearings.analysis.domains import RigidDomains, rigid_domains, turning_domains
+from taichi_bearings.analysis.domains import RigidDomains, domains_of_packing, rigid_domains
 from taichi_bearings.analysis.slipless_network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.analysis.topology import self_stress_of
 from taichi_bearings.plain_files import Json
@@ -49,9 +49,9 @@ MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "sp
 class TorqueFlow:
     """The torque that drives a sample, and the power that it brings into the network of contacts.
 
-    total : (C,), torque that drives the top plane, or the second of two bodies, and holds the other one, force *
-        length, by spin component; with fewer or more than two bodies that of each, (bodies, C). The torque on each
-        sphere is counted with the sign of its sublattice.
+    total : (components C,), torque that drives the top plane, or the second of two bodies, and holds the other one,
+        force * length, by spin component; with fewer or more than two bodies that of each, (bodies, C). The torque on
+        each sphere is counted with the sign of its sublattice.
     power : (bodies,), power that each body spends, energy/time; from certifying forces of the Coulomb law it is a lower
         bound.
     slipless_share : fraction of the power between two bodies that slipless contacts carry; 0 without power, None where
@@ -204,7 +204,7 @@ class Structure:
     @cached_property
     def bottlenecks(self) -> Bottlenecks | None:
         """Contacts that carry most paths between driven bodies; None with fewer than two, or more than MOST_BODIES."""
-        return Bottlenecks(self.network) if 2 <= len(self.network.held) <= MOST_BODIES else None
+        return Bottlenecks(self.network) if 2 <= len(self.network.driven_nodes) <= MOST_BODIES else None
 
     @cached_property
     def interface(self) -> Interface | None:
@@ -214,8 +214,8 @@ class Structure:
 
     @cached_read_only
     def signs(self) -> tuple[np.ndarray, np.ndarray]:
-        """Two arrays (spheres N,): a mask of the spheres in connected parts with odd loops, and signs, +1 or -1, by
-        which neighbours differ in the other parts.
+        """Two arrays (spheres N,): a mask of the spheres in connected parts with odd loops (closed chains of an odd
+        number of contacts), and signs, +1 or -1, by which neighbours differ in the other parts.
         """
         return self.whole.sublattices
 
@@ -230,12 +230,12 @@ class Structure:
         return None if found is None else found[1]
 
     @cached_read_only
-    def turned(self) -> np.ndarray:
+    def signed_speeds(self) -> np.ndarray:
         """(spheres N, components C), sign * radius * spin of all spheres, length/time, with signs by which neighbours
         differ.
 
-        Parts with odd loops have no such signs; there the first component of each sphere that is not 0 is made
-        positive.
+        Parts with odd loops (closed chains of an odd number of contacts) have no such signs; there the first component
+        of each sphere that is not 0 is made positive.
         """
         odd, sign = self.signs
         u = sign[:, None] * self.speeds(self.spin)
@@ -253,8 +253,12 @@ class Structure:
             if self.whole.lattice is not None:
                 axes = self.scene.minimum_spin_axes
                 return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
-            near = max(SAME_STATE * np.abs(self.turned).max(initial=0.0), 2 * self.slip[self.slipless].max(initial=0.0))
-            return turning_domains(self.network, self.turned, self.states, near, self._slipping_components(near))
+            near = max(
+                SAME_STATE * np.abs(self.signed_speeds).max(initial=0.0), 2 * self.slip[self.slipless].max(initial=0.0)
+            )
+            return domains_of_packing(
+                self.network, self.signed_speeds, self.states, near, self._slipping_components(near)
+            )
 
     @cached_read_only
     def domain(self) -> np.ndarray:

@@ -72,7 +72,8 @@ def topology_of(bearing: Bearing) -> Topology:
 
 
 def smallest_odd_loop(network: Network) -> int | None:
-    """Return the number of contacts in the smallest odd loop; None if there is none or the network is too large.
+    """Return the number of contacts in the smallest odd loop, a closed chain of an odd number of contacts; None if
+    there is none or the network is too large.
 
     An odd loop through a sphere is a path in the double cover from the sphere to its other copy. The double cover has
     two copies of each sphere, and each contact joins opposite copies.
@@ -134,7 +135,7 @@ def _motions(
 
     free : (spheres N,), mask of the spheres that may rotate. contact : (n,), numbers of the contacts that must not
     slip.
-        components : numbers of the spin components that may be other than 0.
+    components : numbers of the spin components that may be other than 0.
     """
     # the motions are the kernel of the operator: by singular values if it is small, else by sparse elimination
     moved = np.full((network.spheres, network.components), -1)

@@ -41,9 +41,9 @@ class Geometry:
     """Points and lines of the file. A line across a periodic side leads to an *image*: its second sphere drawn once
     more, on the other side.
 
-    sphere : (P,) number of the sphere of each point: first all spheres, then one for each image.
+    sphere : (points P,) number of the sphere of each point: first all spheres, then one for each image.
     place : (P, 3) length. The height is along z in 3D and along y in 2D.
-    ends : (L, 2) the two points of each line.
+    ends : (lines L, 2) the two points of each line.
     spheres : number of spheres.
     """
 
@@ -183,7 +183,7 @@ def _put_column(
     """Write a column of point or cell data, and for each time step where its rows begin.
 
     root : the group /VTKHDF. steps : the group of the time steps, or None. group : "PointData" or "CellData". name,
-        column : of the data.
+    column : of the data.
     before : (steps, rows, ...) values at the snapshots; None if they do not change.
     """
     rows = column.values if before is None else np.concatenate([*before, column.values])

@@ -61,7 +61,7 @@ def column(values: Sequence[Any], units: str, description: str) -> Finding:
     """Return a column of the table of a scan.
 
     values : one for each sample: texts, truth values, whole numbers or other numbers; None where a sample has none.
-        units, description : of the column.
+    units, description : of the column.
 
     Truth values of which some are None stay as they are, in an array of objects, for :func:`write_scan`.
     """
@@ -80,7 +80,7 @@ def column(values: Sequence[Any], units: str, description: str) -> Finding:
 TRUTHS_WITH_GAPS = "1 true, 0 false, not-a-number where a sample has none"
 
 
-def is_of_truths(values: np.ndarray) -> bool:
+def holds_truths_with_gaps(values: np.ndarray) -> bool:
     """Return True if a column holds truth values, of which some are None."""
     return values.dtype == object and not any(isinstance(value, str) for value in values)
 
@@ -89,7 +89,7 @@ def as_stored(values: np.ndarray) -> np.ndarray:
     """Return a column (samples,) as scan.h5 holds it: truth values of which some are None become 1, 0 and NaN; all
     others stay.
     """
-    return values.astype(float) if is_of_truths(values) else values
+    return values.astype(float) if holds_truths_with_gaps(values) else values
 
 
 def write_scan(
@@ -109,7 +109,7 @@ def write_scan(
         table.attrs["columns"] = list(columns)
         for name, item in columns.items():
             values, text = as_stored(item.values), item.description
-            if is_of_truths(item.values):
+            if holds_truths_with_gaps(item.values):
                 text = f"{text} ({TRUTHS_WITH_GAPS})"
             kind = h5py.string_dtype() if values.dtype == object else values.dtype
             put(table, name, values, item.units, text, dtype=kind)

@@ -218,8 +218,8 @@ BESIDE = 0.5  # share of the distance between two named ticks over which the poi
 class Curve:
     """A curve of P points with error bars.
 
-    label : for the legend. x, y : (P,) the points. low, high : (P,) ends of the bars; not-a-number where there are
-        none.
+    label : for the legend. x, y : (points P,) the points. low, high : (P,) ends of the bars; not-a-number where there
+        are none.
     """
 
     label: str

@@ -32,7 +32,18 @@ if TYPE_CHECKING:
 
 FILL = {"b": 0, "i": -1, "u": 255, "f": np.nan}
 """Numbers that fill up shorter arrays where samples are stacked, by NumPy's letter for the kind of number."""
-TOLD_OF_RUN = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "spin_top", "spin_bottom", "version")
+REPEATED_OF_RUN = (
+    "status",
+    "method",
+    "law",
+    "shape",
+    "spheres",
+    "contacts",
+    "seed",
+    "spin_top",
+    "spin_bottom",
+    "version",
+)
 """Numbers and words of the run that the report of an analysis repeats."""
 
 
@@ -89,7 +100,7 @@ class Analysis:
             **together(numbers),
             "threshold": found_by if threshold is None else threshold,
             "states": proven if threshold is None else "threshold",
-            **{name: result.numbers[name] for name in TOLD_OF_RUN if name in result.numbers},
+            **{name: result.numbers[name] for name in REPEATED_OF_RUN if name in result.numbers},
             **result.asked.driving,
             "seconds": time.perf_counter() - began,
         }

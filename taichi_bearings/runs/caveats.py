@@ -69,10 +69,10 @@ def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield how many contacts of a packing were found from its centres, and how many have no normal force."""
     network, pressing = solution.scene.network, solution.scene.sample(0).normal_force
     if settings.has_table and settings.contacts is None:
-        from taichi_bearings.scene.readers.found import TOLERANCE, told
+        from taichi_bearings.scene.readers.found import TOLERANCE, contact_summary
 
         share = TOLERANCE if settings.touching is None else settings.touching
-        yield told(network.contact.T, network.spheres, share)[0]
+        yield contact_summary(network.contact.T, network.spheres, share)[0]
     idle = int((np.asarray(pressing) == 0).sum())
     if idle:
         do = "bears no normal force and does not act" if idle == 1 else "bear no normal force and do not act"

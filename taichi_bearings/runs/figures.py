@@ -87,7 +87,7 @@ def draw_snapshot(
     """Draw the spins of the snapshot that is nearest to a simulated time, and the contacts that slip in it.
 
     answer : what was solved. replica : number of the sample. time : simulated time; the title has that of the snapshot.
-        slip_threshold : as for :func:`moment_of`. page : how the figure is printed.
+    slip_threshold : as for :func:`moment_of`. page : how the figure is printed.
 
     Raises InputError if the run has no snapshots or does not reach that time.
     """

@@ -28,7 +28,8 @@ DOMAIN_KINDS = "0 bottom, 1 top, 2 both, 3 mixed, 4 partly, 5 neither"
 class Moments:
     """Spins, slips and contact states of a sample at S snapshots of a dynamics, the end left out.
 
-    time : (S,), simulated time. spin : (S, N, 3), laboratory spins, 1/time. slip : (S, E), slip speeds, length/time.
+    time : (snapshots S,), simulated time. spin : (S, spheres N, 3), laboratory spins, 1/time. slip : (S, contacts E),
+    slip speeds, length/time.
     state : (S, E), contact states: slipping where the slip is above `threshold`, length/time. Friction would be a
         better criterion, but snapshots do not hold it.
     """
@@ -49,7 +50,7 @@ class PointsAndLines:
 
     structure : spheres, contacts and answer of the sample. Its properties that take long to compute, such as rigid
     domains, are not to be asked for; `drawn` has those that are known.
-    spheres, contacts : columns (N, ...) of the spheres, and (E,) of the contacts, by name.
+    spheres, contacts : columns (N, ...) of the spheres, and (contacts E,) of the contacts, by name.
     time : simulated time at the end of a dynamics, else None.
     moments : its snapshots before the end, None if there are none.
     """

@@ -135,7 +135,7 @@ class Job:
 
     settings : what was asked for.
     scene : what is solved, with all replicas.
-    spin : initial spins, (R, *N) or (R, *N, 3), 1/time; None for a packing whose start has only a name.
+    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; None for a packing whose start has only a name.
     method : the method for a lattice; None for a packing, whose settings name it.
     """
 
@@ -302,7 +302,7 @@ def run(
     with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
             found = replace(job.solve(monitors), path=directory.path, command=command())
-            return kept(found, partial(publish, directory, found), title)
+            return written_or_rescued(found, partial(publish, directory, found), title)
         stored = self_contained(job.settings, job.scene, job.spin, directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
@@ -316,13 +316,13 @@ def command() -> str:
     return " ".join(["bearings", *sys.argv[1:]])
 
 
-def kept(
+def written_or_rescued(
     found: Result, write: Callable[[], Result], title: bool = True, otherwise: str = "the result is lost"
 ) -> Result:
     """Write a result and its figures, and return it with the path where it is stored.
 
     found : the result. write : function that writes its files and returns it. title : True for words above figures.
-        otherwise : end of the message if nothing can be written.
+    otherwise : end of the message if nothing can be written.
 
     If its path cannot be written, the result goes to a temporary folder; if that cannot be written either, WriteError
     is raised. After an interrupt, now or during the solve, the files are still written, but no figures.
@@ -342,7 +342,7 @@ def kept(
 def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Result:
     """Write a result, into a temporary folder if its own path cannot be written, and return it with its path.
 
-    found, write, otherwise : as for :func:`kept`.
+    found, write, otherwise : as for :func:`written_or_rescued`.
     """
     try:
         return write()
@@ -441,7 +441,9 @@ def _solve_with_checkpoints(
             write_run(folder, found)
         return found
 
-    return kept(found, complete, title, f"`bearings run --resume {path}` goes on from the last checkpoint")
+    return written_or_rescued(
+        found, complete, title, f"`bearings run --resume {path}` goes on from the last checkpoint"
+    )
 
 
 PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")  # files that other commands draw into a run directory

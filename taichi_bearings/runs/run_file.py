@@ -266,7 +266,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     replicas, apart = scene.replicas, not is_lattice and scene.replicas > 1
 
     def number(name: str) -> np.ndarray:
-        """Return an attribute with a value for each sample, (R,); not-a-number where it is missing."""
+        """Return an attribute with a value for each sample, (samples R,); not-a-number where it is missing."""
         value = attributes.get(name, "")
         values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
         kinds = "UO" if name == "proof" else "biuf"

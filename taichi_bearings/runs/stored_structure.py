@@ -28,7 +28,7 @@ states of the run."""
 class Drawn:
     """What figures and exports show of the structure of a sample; empty if the sample was not analysed.
 
-    spheres, contacts : columns by name, (N,) over the spheres, and (E,) over the contacts.
+    spheres, contacts : columns by name, (spheres N,) over the spheres, and (contacts E,) over the contacts.
     domains : the rigid domains of a lattice, None for packings.
     path : (L,) numbers of the spheres along one shortest path of slipless contacts, empty if there is none.
     is_known : True if the sample was analysed.

@@ -67,8 +67,8 @@ def _with_driven(found: Solution) -> Solution:
 
 
 def _by_friction(solution: Solution, solve: Solve) -> Solution:
-    """Return the answer at strength 1 without viscosity: solved anew if the law has friction and viscosity, else the
-    answer itself.
+    """Return the answer with the top moved as imposed (strength 1) but without viscosity: solved anew if the law has
+    both friction and viscosity, else the answer itself.
 
     solution : the answer at strength 1. solve : function that solves another scene the same way.
     """

@@ -55,7 +55,7 @@ TORQUE_COST = 1e-12  # friction counts as balanced if unbalanced torques lower t
 PROVEN_STATES = {"slipless": SLIPLESS, "slipping": SLIPPING, "tied": TIED, "unproven": UNDECIDED}
 OF_STATES = {"contacts", "slipping", "slipless", "undecided", "unproven", "states_proven", "minimum_is_unique"}
 """Numbers that are not compared in files of layout 1, as their states had other codes."""
-UNJUDGED = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
+NOT_PROVABLE = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
 
 
 def verify(path: str | Path) -> Json:
@@ -77,10 +77,10 @@ def verify(path: str | Path) -> Json:
         known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
         raise FileError(f"{file_of(path)} has the law {scene.law.name!r}; {known} can be verified")
     with stage("proving"), one_thread():
-        anew = Anew(run)
+        anew = NewProof(run)
         report, found = anew.report, [*anew.contradictions()]
     with stage("drawing the coefficients again"):
-        found += _not_of_their_seeds(run)
+        found += _seed_contradictions(run)
     found += [f"{name} was changed after it was written" for name in changed]
     said = {name: run.attributes.get(name) for name in ("status", "seed")}
     return {
@@ -120,7 +120,7 @@ def _judgements(solution: Solution) -> list[Judgement]:
 
 
 @dataclass(frozen=True)
-class Anew:
+class NewProof:
     """Bounds and contact states of a run, proven anew from the spins and friction forces in its file.
 
     run : the run as its file says. The proof is called judgement, see proof/judgement.py.
@@ -216,7 +216,7 @@ class Anew:
             "balanced": [False] * len(acts),
             "inside_discs": [False] * len(acts),
             "states_proven": [dict.fromkeys(PROVEN_STATES, 0) | {"unproven": number} for number in acts],
-            "unproven_because": [UNJUDGED] * len(acts),
+            "unproven_because": [NOT_PROVABLE] * len(acts),
         }
 
     def contradictions(self) -> Iterator[str]:
@@ -225,20 +225,20 @@ class Anew:
         if not self.judgements:
             certain = stored.states_proven.any() or (stored.lower_bound > 0).any()
             if certain or Status.CERTIFIED in stored.own["status"]:
-                yield f"{UNJUDGED}: what is said of it is not proven"
+                yield f"{NOT_PROVABLE}: what is said of it is not proven"
             return
         yield from self._contacts()
-        yield from _not_driven_so(stored)
+        yield from _driving_contradictions(stored)
         left_out = OF_STATES if attributes["schema_version"] == 1 else set()
         numbers = numbers_of(replace(self.run, solution=self.solution))
         held = {name: value for name, value in numbers.items() if name not in left_out}
-        yield from _said_otherwise(attributes, held, stored.scene.replicas)
+        yield from _contradicted_attributes(attributes, held, stored.scene.replicas)
 
     def _contacts(self) -> Iterator[str]:
         """Yield sentences on arrays of contacts that do not follow from spins and coefficients, or that claim more than
         is proven.
         """
-        stored, new = self.run.solution, dict(found_in(self.solution, HELD))
+        stored, new = self.run.solution, dict(found_in(self.solution, JUDGED_CONTACTS))
         wrong = {f"another {row.text} than spins and coefficients give": _differ(row.of(stored), value)
                  for row, value in new.items()}  # fmt: skip
         driven = self.known == DRIVEN
@@ -260,7 +260,7 @@ def _of_sample(number: int, count: int) -> str:
     return f"sample {number}: " if count > 1 else ""
 
 
-HELD = {name: CONTACTS[name] for name in ("slip", "power")}
+JUDGED_CONTACTS = {name: CONTACTS[name] for name in ("slip", "power")}
 """Quantities of the contacts that follow from spins and coefficients."""
 
 
@@ -284,7 +284,7 @@ def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarr
     return ~(close | (said == true) | (np.isnan(said) & np.isnan(true)))
 
 
-def _not_driven_so(stored: Solution) -> Iterator[str]:
+def _driving_contradictions(stored: Solution) -> Iterator[str]:
     """Yield a sentence for each sample whose driven spheres do not have exactly the imposed spins. stored : the answer
     in the file.
     """
@@ -297,7 +297,7 @@ def _not_driven_so(stored: Solution) -> Iterator[str]:
         yield f"{where}the spins of driven spheres are not those that the scene imposes"
 
 
-def _not_of_their_seeds(run: Result) -> list[str]:
+def _seed_contradictions(run: Result) -> list[str]:
     """Return sentences on shape, seeds and coefficients that contradict the scene of the file.
 
     Coefficients that are said to be drawn must be exactly those of their seeds.
@@ -323,7 +323,7 @@ def _not_of_their_seeds(run: Result) -> list[str]:
     return found
 
 
-def _said_otherwise(said: Mapping[str, Any], numbers: Mapping[str, Any], count: int) -> Iterator[str]:
+def _contradicted_attributes(said: Mapping[str, Any], numbers: Mapping[str, Any], count: int) -> Iterator[str]:
     """Yield sentences on attributes of the file that differ from what the file proves.
 
     said : the attributes by name. numbers : what is proven, by name. count : number of samples.

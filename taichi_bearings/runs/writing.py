@@ -45,7 +45,7 @@ def self_contained(
     """Return settings that name only files in the run directory itself, so that it can be moved and run again.
 
     scene : what is solved. spin : initial spins, or None. folder : the run directory, to which the files are written.
-        name : of the file that will hold coefficients and packing, run.h5; in runs with checkpoints other files hold
+    name : of the file that will hold coefficients and packing, run.h5; in runs with checkpoints other files hold
         them, and are written now, as the run may be resumed before there is a run.h5.
     """
     with_file = settings.checkpoint_every is not None

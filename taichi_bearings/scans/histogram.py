@@ -51,7 +51,7 @@ class Source:
     path : of its file.
     reasons : (asked,) why each sample has no result; "" for the S that have one.
     whole_column : returns the values (asked,) of a scalar by its name, or raises InputError.
-    contacts : (S,) number of contacts that are not between driven spheres.
+    contacts : (samples S,) number of contacts that are not between driven spheres.
     counts : returns the distributions of power, given bins a decade and the unit of power (S,).
     disorder : returns names (S,), equal for samples of one disorder in one system.
     is_scan : True if powers are known by their bins alone.

@@ -39,7 +39,7 @@ class Bearing(ABC):
 
     law : the contact law, one for all contacts.
     seeds : (R,), from which the disorder of each sample is drawn.
-    normal_force : force, one number for all contacts or (E,).
+    normal_force : force, one number for all contacts or (contacts E,).
     drawn : the distributions that the coefficients are known to be drawn from with these seeds, by the name of the
         option of `bearings run`; empty if that is not known.
     schematic : True where centres are for drawings alone, and need not agree with radii and contacts.
@@ -122,7 +122,7 @@ class Bearing(ABC):
         On lattices they are 0 at contacts between two driven spheres, which never slip there.
         """
         held, *beside = self._coefficients
-        if self.driving.rubs:
+        if self.driving.driven_contacts_slip:
             return (self.strength * held, *beside)
         acts = self.network.has_free_end
         return (self.strength * np.where(acts, held, 0.0), *(np.where(acts, values, 0.0) for values in beside))
@@ -243,8 +243,8 @@ class Bearing(ABC):
         return self.driving.laboratory(staggered, rest, spin_axes)
 
     def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, samples R, spheres *N) measured from 0 instead of from the spins of the bottom
-        plane.
+        """Return the carried spin (the form in which solvers compute)s (C, samples R, spheres *N) measured from 0
+        instead of from the spins of the bottom plane.
 
         Solvers measure the spins of lattices from those of the bottom; kinetic energies need them from 0. spin_axes :
         numbers of the C components.
@@ -252,8 +252,8 @@ class Bearing(ABC):
         return self.driving.absolute(staggered, spin_axes)
 
     def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Give driven spheres their imposed values in an array of carried spins (C, samples R, spheres *N), in place;
-        return the same array.
+        """Give driven spheres their imposed values in an array of carried spin (the form in which solvers compute)s (C,
+        samples R, spheres *N), in place; return the same array.
 
         spin_axes : numbers of the C components.
         """
@@ -269,8 +269,8 @@ class Bearing(ABC):
         return np.zeros((2, len(spin_axes))) if found is None else found
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, samples R, spheres *N) clipped to the bounds of :meth:`box`, or as they are
-        where no bounds are known.
+        """Return the carried spin (the form in which solvers compute)s (C, samples R, spheres *N) clipped to the bounds
+        of :meth:`box`, or as they are where no bounds are known.
 
         Clipping never raises the power (equations.md, 4). spin_axes : numbers of the C components.
         """
@@ -281,8 +281,8 @@ class Bearing(ABC):
         return np.clip(staggered, low, high)
 
     def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the spin differences (d, samples R, contacts E) across all contacts at carried spins (components C, R,
-        spheres *N); d is the number of slip components.
+        """Return the spin differences (d, samples R, contacts E) across all contacts at carried spin (the form in which
+        solvers compute)s (components C, R, spheres *N); d is the number of slip components.
 
         The slip speed of a contact is `slip_radius` times the length of its difference. spin_axes : numbers of the C
         components.
@@ -355,7 +355,7 @@ class Bearing(ABC):
 
     @property
     def replicas(self) -> int:
-        """Number R of samples."""
+        """Number R of samples, called replicas where they are solved together."""
         return len(self.seeds)
 
     @cached_read_only

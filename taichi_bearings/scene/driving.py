@@ -45,7 +45,7 @@ from taichi_bearings.read_only import cached_read_only
 if TYPE_CHECKING:
     from taichi_bearings.scene.network import Network
 
-EVEN_RESIDUAL = 1e-12  # relative residual torque of the spins that `Driving.evenly` returns
+EVEN_RESIDUAL = 1e-12  # relative residual torque of the spins that `Driving.of_equal_viscosity` returns
 SAME_DRIVING = 4  # imposed speeds that differ by no more than so many units in the last place are taken as equal
 
 
@@ -57,7 +57,7 @@ class Driving:
     surface speed R omega, so l is the radius R, s = 1 and x0 = 0. The subclass for lattices has other s, l and x0.
     """
 
-    rubs = True  # whether contacts between driven spheres may slip
+    driven_contacts_slip = True  # whether contacts between driven spheres may slip
 
     def __init__(self, network: "Network", spin: np.ndarray, contact: np.ndarray) -> None:
         """Store what is imposed on a network.
@@ -89,7 +89,9 @@ class Driving:
 
     @property
     def slip_radius(self) -> float:
-        """Factor that turns a difference of carried spins into a slip: 1, or on lattices the radius."""
+        """Factor that turns a difference of carried spins (the form in which solvers compute) into a slip: 1, or on
+        lattices the radius.
+        """
         return 1.0
 
     @property
@@ -112,7 +114,8 @@ class Driving:
         return [(..., self.network.is_driven)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
-        """Return the imposed carried spins in twice the precision: a list with one pair for each index in `places`.
+        """Return the imposed carried spins (the form in which solvers compute) in twice the precision: a list with one
+        pair for each index in `places`.
 
         Each pair has the doubles, (C, n) for n driven spheres or (C, *plane) on lattices, and what their rounding
         leaves out. spin_axes : numbers of the C components.
@@ -128,8 +131,10 @@ class Driving:
         """
         return None
 
-    def left_out(self, component: int) -> np.ndarray:
-        """Return carried spins (spheres *N) for a component that is not solved for: 0 here. component : its number."""
+    def unsolved_component(self, component: int) -> np.ndarray:
+        """Return carried spin (the form in which solvers compute)s (spheres *N) for a component that is not solved for:
+        0 here. component : its number.
+        """
         return np.zeros(self.shape)
 
     @cached_read_only
@@ -146,8 +151,8 @@ class Driving:
         """Diagonal of the smallest box that holds all imposed surface speeds times the signs of the sublattices,
         length/time; 0 where nothing is driven.
 
-        Neighbours have opposite signs, +1 and -1. Pieces of the network with odd loops have no such signs; their
-        spheres enter with both.
+        Neighbours have opposite signs, +1 and -1. Pieces of the network with odd loops (closed chains of an odd number
+        of contacts) have no such signs; their spheres enter with both.
         """
         held = ~self.network.free
         if not held.any():
@@ -185,8 +190,8 @@ class Driving:
         return float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray | None:
-        """Return bounds (2, C), lower and upper: some minimum has all carried spins between them; None where none are
-        known.
+        """Return bounds (2, C), lower and upper: some minimum has all carried spins (the form in which solvers compute)
+        between them; None where none are known.
 
         Here none are known, since normals may be oblique. spin_axes : numbers of the C components.
         """
@@ -200,8 +205,8 @@ class Driving:
         return np.zeros(len(present), dtype=bool)
 
     def impose(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Give driven spheres their imposed values in an array of carried spins (C, samples R, spheres *N), in place;
-        return the same array.
+        """Give driven spheres their imposed values in an array of carried spin (the form in which solvers compute)s (C,
+        samples R, spheres *N), in place; return the same array.
 
         spin_axes : numbers of the C components.
         """
@@ -232,14 +237,14 @@ class Driving:
 
         carried : spins (C, R, *N) in the form that solvers store. rest : (C, R, *N), small numbers to add to these, or
             None for nothing; not used on driven spheres, whose imposed spins are known in twice the precision.
-            spin_axes : numbers of the C components.
+        spin_axes : numbers of the C components.
         """
         every = self.every
         high = np.empty((len(every), carried.shape[1], *self.shape))
         low = np.zeros_like(high)
         for slot, component in enumerate(every):
             if component not in spin_axes:
-                high[slot] = self.left_out(component)
+                high[slot] = self.unsolved_component(component)
                 continue
             high[slot] = carried[spin_axes.index(component)]
             if rest is not None:
@@ -255,9 +260,9 @@ class Driving:
         spin, rounding = (
             part[0] if len(every) == 1 else np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in pair
         )
-        return self.as_given(spin, rounding)
+        return self.with_exact_imposed(spin, rounding)
 
-    def evenly(self) -> np.ndarray:
+    def of_equal_viscosity(self) -> np.ndarray:
         """Return the carried spins (the form in which solvers compute; components C, 1, spheres *N) of least power if
         all contacts in `contact` had the same viscosity.
 
@@ -275,7 +280,7 @@ class Driving:
             found[moved], _ = cg(matrix.T @ matrix, -(matrix.T @ (whole @ given)), rtol=EVEN_RESIDUAL)
         return self.impose(found.reshape(-1, network.components).T[:, None].copy(), self.every)
 
-    def as_given(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
+    def with_exact_imposed(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
         """Replace the laboratory spins of driven spheres by exactly those that the user gave; their rounding errors
         become 0.
 
@@ -286,7 +291,8 @@ class Driving:
         return spin, rounding
 
     def absolute(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, samples R, spheres *N) plus their offset x0, as kinetic energies need them.
+        """Return the carried spin (the form in which solvers compute)s (C, samples R, spheres *N) plus their offset x0,
+        as kinetic energies need them.
         spin_axes : numbers of the C components.
         """
         origin = self.origin(spin_axes)
@@ -296,7 +302,7 @@ class Driving:
         """Return laboratory spins, (spheres *N) of discs or (*N, 3) of spheres, 1/time, and an array of what their
         rounding leaves out.
 
-        Driven spheres have their imposed spins; free ones have the carried spin 0.
+        Driven spheres have their imposed spins; free ones have the carried spin (the form in which solvers compute) 0.
         """
         at_rest = np.zeros((len(self.every), 1, *self.shape))
         spin, rest = self.laboratory(self.impose(at_rest, self.every), None, self.every)
@@ -331,7 +337,7 @@ class Planes(Driving):
     then at rest, and the top has the difference of the two states.
     """
 
-    rubs = False
+    driven_contacts_slip = False
 
     def __init__(
         self,
@@ -421,22 +427,22 @@ class Planes(Driving):
     def origin(self, spin_axes: tuple[int, ...]) -> Pair:
         return self.bottom_state(spin_axes)
 
-    def left_out(self, component: int) -> np.ndarray:
-        """Return carried spins (spheres *N) for a component that is not solved for: they rise linearly with the height
-        from the bottom, 0, to the top.
+    def unsolved_component(self, component: int) -> np.ndarray:
+        """Return carried spin (the form in which solvers compute)s (spheres *N) for a component that is not solved for:
+        they rise linearly with the height from the bottom, 0, to the top.
 
         No contact slips by them in a component that `minimum_spin_axes` leaves out. component : its number.
         """
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
 
-    def evenly(self) -> np.ndarray:
+    def of_equal_viscosity(self) -> np.ndarray:
         """Return carried spins (the form in which solvers compute; components C, 1, spheres *N) that rise linearly with
         the height: the minimum of a viscous law without disorder.
         """
         height = np.linspace(0.0, 1.0, self.lattice.shape[-1])
         return self.imposed_on_top(self.every)[0][:, None, ..., None] * height
 
-    def as_given(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
+    def with_exact_imposed(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
         return spin, rounding
 
     @cached_read_only
@@ -497,7 +503,8 @@ class Planes(Driving):
         return self.fastest
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return bounds (2, C), lower and upper: some minimum has all carried spins between them (equations.md, 4).
+        """Return bounds (2, C), lower and upper: some minimum has all carried spins (the form in which solvers compute)
+        between them (equations.md, 4).
 
         They are the smallest and largest of 0, the value of the bottom, and the values of the top. spin_axes : numbers
         of the C components.
@@ -551,7 +558,8 @@ class Planes(Driving):
         return self._of_layers(self.difference, self.lattice.all_spin_axes, self.lattice.shape[:-1])
 
     def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the carried spins of the top plane, (C, nx, ny), in 2D (C, nx), 1/time, in twice the precision.
+        """Return the carried spins (the form in which solvers compute) of the top plane, (C, nx, ny), in 2D (C, nx),
+        1/time, in twice the precision.
         spin_axes : numbers of the C components.
         """
         slots = [self.lattice.all_spin_axes.index(k) for k in spin_axes]
@@ -559,8 +567,8 @@ class Planes(Driving):
         return high[slots], low[slots]
 
     def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the carried spins of the top plane divided by `unit`, (C, nx, ny), in 2D (C, nx), in twice the
-        precision. spin_axes : numbers of the C components.
+        """Return the carried spins (the form in which solvers compute) of the top plane divided by `unit`, (C, nx, ny),
+        in 2D (C, nx), in twice the precision. spin_axes : numbers of the C components.
         """
         if self.in_units is not None:
             return self._of_layers(self.in_units, spin_axes, self.lattice.shape[:-1])

@@ -83,7 +83,8 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
 class _Contacts:
     """Contacts of a packing, and how far they agree with the centres of their spheres.
 
-    center : (N, D), length. contact : (E, 2), numbers of the first and second sphere. radius : (N,), length.
+    center : (spheres N, dimensions D), length. contact : (contacts E, 2), numbers of the first and second sphere.
+    radius : (N,), length.
     given : normals (E, D) of the user, or None. normal : these, or else `along`.
     vector : (E, D), length, from the centre of the first to that of the second sphere. size : (E,), its length. along :
         (E, D), its direction.

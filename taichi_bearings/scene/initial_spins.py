@@ -34,7 +34,7 @@ def linear_spin(bearing: Bearing) -> np.ndarray:
     On a lattice they change linearly with the height. Their shape is (samples R, spheres *N) for discs, (R, *N, 3) for
     spheres.
     """
-    even, every = bearing.driving.evenly(), bearing.driving.every
+    even, every = bearing.driving.of_equal_viscosity(), bearing.driving.every
     full = np.broadcast_to(even, (len(every), bearing.replicas, *even.shape[2:]))
     return bearing.laboratory_spin(full, every)
 

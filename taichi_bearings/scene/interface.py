@@ -34,14 +34,14 @@ def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
     length/time. The first state is that of the first driven body, continued to all spheres; the second that of the
     second body.
 
-    None if the network has odd loops, or another number of driven bodies, or if a body is in no bearing state, or if a
-    contact slips in one of the states, as some do across a periodic side.
+    None if the network has odd loops (closed chains of an odd number of contacts), or another number of driven bodies,
+    or if a body is in no bearing state, or if a contact slips in one of the states, as some do across a periodic side.
     """
     (odd, sign), bodies = bearing.network.sublattices, bearing.network.bodies
     if odd.any() or len(bodies) != 2:
         return None
-    turned = sign[:, None] * bearing.driven_speed
-    low, high = (_state(bearing.network.center, turned, bearing.network.body == body) for body in bodies)
+    signed_speeds = sign[:, None] * bearing.driven_speed
+    low, high = (_state(bearing.network.center, signed_speeds, bearing.network.body == body) for body in bodies)
     if low is None or high is None:
         return None
     for state in (low, high):
@@ -53,43 +53,44 @@ def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
     return sign, np.stack([low, high])
 
 
-def _state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarray | None:
+def _state(center: np.ndarray, signed_speeds: np.ndarray, own: np.ndarray) -> np.ndarray | None:
     """Return the bearing state A + c x of a driven body, continued to all spheres, (spheres N, components C),
     length/time; None if the body is in none.
 
-    center : (N, dimensions D), positions x, length. turned : (N, C), sign * radius * spin, length/time. own : (N,) mask
-        of the spheres of the body, to whose values A and c are fitted. Where c = 0 fits, it is 0.
+    center : (N, dimensions D), positions x, length. signed_speeds : (N, C), sign * radius * spin, length/time. own :
+        (N,) mask of the spheres of the body, to whose values A and c are fitted. Where c = 0 fits, it is 0.
     """
-    value = turned[own][0]
-    if (turned[own] == value).all():
-        return np.broadcast_to(value, turned.shape)
-    if turned.shape[1] == 1:
+    value = signed_speeds[own][0]
+    if (signed_speeds[own] == value).all():
+        return np.broadcast_to(value, signed_speeds.shape)
+    if signed_speeds.shape[1] == 1:
         return None
     rows = np.concatenate([np.tile(np.eye(3), (own.sum(), 1)), center[own].reshape(-1, 1)], axis=1)
-    found = np.linalg.lstsq(rows, turned[own].ravel(), rcond=None)[0]
-    missed = np.abs(rows @ found - turned[own].ravel()).max()
-    return found[:3] + found[3] * center if missed <= SAME_STATE * np.abs(turned).max(initial=0.0) else None
+    found = np.linalg.lstsq(rows, signed_speeds[own].ravel(), rcond=None)[0]
+    missed = np.abs(rows @ found - signed_speeds[own].ravel()).max()
+    return found[:3] + found[3] * center if missed <= SAME_STATE * np.abs(signed_speeds).max(initial=0.0) else None
 
 
 @dataclass(frozen=True)
 class Interface:
     """The lightest interface between two rigid domains of one sample: a minimum cut.
 
-    If every sphere turned with the bottom or with the top (in a packing with the first or the second driven body), all
-    slip would be at the interface of the two domains, and the lightest interface would dissipate least. In 2D with
-    Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
+    If every sphere signed_speeds with the bottom or with the top (in a packing with the first or the second driven
+    body), all slip would be at the interface of the two domains, and the lightest interface would dissipate least. In
+    2D with Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
     (equations.md, 5).
 
     power : energy/time, that the two rigid domains dissipate.
-    contacts : (E,) mask of the contacts that slip between them.
-    above : mask over the spheres, in the shape of the lattice or (N,): those that turn with the top or second body.
+    contacts : (contacts E,) mask of the contacts that slip between them.
+    above : mask over the spheres, in the shape of the lattice or (spheres N,): those that turn with the top or second
+    body.
     between : mask of the same shape: spheres that may be on the other side of another interface that is equally light,
         or so nearly that rounding hides the difference. If there are none, every other interface is proven heavier.
     lower_bound : energy/time, proven, of lattices alone: no two rigid domains have a smaller objective.
     next_power : objective, energy/time, of the lightest other interface of which both domains are in one piece; NaN
         where it is not known, as in 3D and in packings (see
         :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
-    spins : of packings alone: u of the two rigid domains, (N, C), length/time.
+    spins : of packings alone: u of the two rigid domains, (N, components C), length/time.
     """
 
     power: float
@@ -157,15 +158,16 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
 
     contact : (n,) numbers of the contacts. across : (contacts E,) slip of each contact if it is on the interface,
     length/time.
-        states : (2, spheres N, components C), the two bearing states as sign * radius * spin, length/time.
+    states : (2, spheres N, components C), the two bearing states as sign * radius * spin, length/time.
 
     The states are fitted to imposed spins, so they are uncertain by rounding, and by as much as the imposed spins miss
     them.
     """
     bodies, sign = bearing.network.bodies, bearing.network.sublattices[1]
-    turned, largest = sign[:, None] * bearing.driven_speed, np.abs(states).max()
+    signed_speeds, largest = sign[:, None] * bearing.driven_speed, np.abs(states).max()
     missed = [
-        np.abs(turned - state)[bearing.network.body == body].max() for state, body in zip(states, bodies, strict=True)
+        np.abs(signed_speeds - state)[bearing.network.body == body].max()
+        for state, body in zip(states, bodies, strict=True)
     ]
     off = 4 * (sum(missed) + STATE_ROUNDING * largest)
     of = tuple(values[0, contact] for values in bearing.material)

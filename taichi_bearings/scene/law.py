@@ -87,18 +87,27 @@ class Law:
         return self.holds and not self.flows
 
     def holding_force(self, of: Coefficients) -> np.ndarray | None:
-        """Return the largest force that each contact bears without slipping; None for a law without friction."""
+        """Return the largest force (..., E) that each of E contacts bears without slipping; None for a law without
+        friction.
+
+        of : coefficients of the law, a tuple of arrays (..., E).
+        """
         return of[0] if self.holds else None
 
     def viscosity(self, of: Coefficients) -> np.ndarray | None:
-        """Return the slope of the force over the slip, force * time/length; None for a law without viscosity."""
+        """Return the slope (..., E) of the force over the slip, force * time/length; None for a law without viscosity.
+
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        """
         return of[-1] if self.flows else None
 
     def resistance(self, of: Coefficients, slip: np.ndarray) -> np.ndarray | None:
         """Return (force - holding force) / slip, (..., E), force * time/length; None for friction alone.
 
-        slip : speeds (..., E), length/time. The result is the viscosity at any slip. For a law that overrides `force`
-        it is computed from that function, and is 0 where nothing slips.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+
+        The holding force is the largest force without slip. The result is the viscosity at any slip. For a law that
+        overrides `force` it is computed from that function, and is 0 where nothing slips.
         """
         if type(self).force is Law.force:
             return self.viscosity(of)
@@ -107,11 +116,13 @@ class Law:
         return np.divide(excess, slip, out=np.zeros_like(excess), where=slip > 0)
 
     def steepest(self, of: Coefficients, slip: float) -> np.ndarray:
-        """Return the largest slope of the force over the slip, (..., E), between a slip of 0 and this one.
+        """Return the largest slope (..., E) of the force over the slip, force * time/length, between a slip of 0 and
+        this one.
 
-        slip : speed, length/time. The slope is infinite for laws with friction, and where it is not known. A law that
-        overrides `force` has to override this as well if gradient descent is to solve it, as the slope limits its
-        steps.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speed, length/time.
+
+        The slope is infinite for laws with friction, and where it is not known. A law that overrides `force` has to
+        override this as well if gradient descent is to solve it, as the slope limits its steps.
         """
         found = self.viscosity(of)
         if self.is_sum and found is not None and not self.holds:
@@ -119,28 +130,40 @@ class Law:
         return np.full_like(of[0], np.inf)
 
     def force(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
-        """Return the size of the force at each slipping contact, (..., E). slip : speeds (..., E), length/time."""
+        """Return the size of the force (..., E) at each slipping contact.
+
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+        """
         return self._sum(of, np.ones_like(slip), slip)
 
     def power(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
-        """Return the dissipated power of each contact, (..., E), energy/time. slip : speeds (..., E), length/time."""
+        """Return the dissipated power (..., E) of each contact, energy/time.
+
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+        """
         return self._sum(of, slip, slip**2)
 
     def potential(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
-        """Return the potential of each contact, (..., E), energy/time: the integral of the force from 0 to the slip.
+        """Return the dissipation potential (..., E) of each contact, energy/time: the integral of the force from 0 to
+        the slip.
 
-        slip : speeds (..., E), length/time.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
         """
         return self._sum(of, slip, slip**2 / 2)
 
     def objective(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
-        """Return the power or the potential of each contact, (..., E), energy/time: whichever the law `minimises`."""
+        """Return the power or the potential (..., E) of each contact, energy/time: whichever the law `minimises`.
+
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+        """
         return self.power(of, slip) if self.minimises == "power" else self.potential(of, slip)
 
     def conjugate(self, of: Coefficients, force: np.ndarray) -> np.ndarray:
-        """Return the dual phi*(f) of each contact, (..., E), energy/time. force : sizes of forces, (..., E).
+        """Return the dual phi*(f) = max over slips v of (f v - potential(v)), (..., E), energy/time, of each contact.
 
-        With friction alone it is infinite for a force above the holding force.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. force : sizes f of forces, (..., E).
+
+        With friction alone it is 0, or infinite for a force above the friction force.
         """
         held, viscosity = self.holding_force(of), self.viscosity(of)
         excess = force if held is None else np.maximum(force - held, 0.0)
@@ -149,9 +172,10 @@ class Law:
         return excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
 
     def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
-        """Return the sum over the coefficients, each times its function of the slip.
+        """Return the sum over the coefficients of the law, each times its function of the slip, (..., E).
 
-        friction, viscous : values (..., E) of that function for friction and for viscosity.
+        of : coefficients, a tuple of arrays (..., E). friction, viscous : values (..., E) of that function for friction
+            and for viscosity.
         """
         terms = [
             values * (friction if quantity.is_friction else viscous)
@@ -170,9 +194,10 @@ LAWS = {law.name: law for law in (COULOMB, VISCOUS, COULOMB_VISCOUS)}
 
 
 def check_law(law: Law, of: Coefficients, fastest: float) -> None:
-    """Check a law of one's own at some contacts and slips; raise InputError with the first condition that it violates.
+    """Check a law that a user has defined, at some contacts and slips; raise InputError with the first condition that
+    it violates.
 
-    law : the law. of : its coefficients, (..., E) each, of which `CONTACTS_TRIED` contacts are tried.
+    law : the law. of : its coefficients, a tuple of arrays (..., E), of which `CONTACTS_TRIED` contacts are tried.
     fastest : length/time. The slips that are tried are 0, and 1e-9 to 1e3 times this speed.
 
     A lower bound follows from any balanced forces if phi is convex and phi* is its conjugate (Rockafellar, Convex

@@ -45,8 +45,8 @@ OF_LATTICE: dict[str, Callable[[Lattice], np.ndarray]] = {
 class Network:
     """Spheres and their contacts; arrays are read-only.
 
-    center : (N, D), length. radius : (N,), length.
-    contact : (2, E), numbers of the first and the second sphere of each contact.
+    center : (spheres N, dimensions D), length. radius : (N,), length.
+    contact : (2, contacts E), numbers of the first and the second sphere of each contact.
     normal : (E, D), unit vectors from the first to the second sphere.
     body : (N,), number of the driven body of each sphere, -1 for free spheres.
     lattice : the lattice whose contacts these are, None for other packings.
@@ -132,8 +132,8 @@ class Network:
 
     @cached_read_only
     def sublattices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Two arrays (spheres N,): a mask of the spheres in connected pieces with odd loops, and signs, +1 or -1, that
-        differ across each contact of the other pieces.
+        """Two arrays (spheres N,): a mask of the spheres in connected pieces with odd loops (closed chains of an odd
+        number of contacts), and signs, +1 or -1, that differ across each contact of the other pieces.
         """
         return odd_pieces(self.spheres, *self.contact)
 
@@ -261,38 +261,40 @@ class Network:
     def needed(
         self, imposed: np.ndarray, contact: np.ndarray, moves: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, int | None]:
-        """Return which components of the spins have to be found, and those that are known beforehand.
+        """Return which spin components have to be solved for, and the values of those that are known beforehand.
 
-        Three things are returned: u (spheres N, components C) of driven spheres, and of components by which no contact
-        needs to slip; a mask (N, C) of the components that have to be found; and the number of independent motions
-        without slip, None where normals are oblique. In each such motion one spin is held at 0, so that it is not to be
-        found.
+        The three results are: known values of u = radius * spin, (spheres N, components C), length/time: of driven
+        spheres, and of components by which no contact has to slip; a mask (N, C) of the components to be solved for;
+        and the number of independent motions without slip, None where normals are oblique. In each such motion one spin
+        is set to 0, so that the solution is unique.
 
-        imposed : u (N, C) of driven spheres, 0 of others, length/time. contact : numbers of the contacts to consider.
-        moves : (N,) mask of the spheres whose spins are asked for.
+        imposed : u (N, C) of driven spheres, 0 of others, length/time. contact : (n,) numbers of the contacts to
+            consider. moves : (N,) mask of the spheres whose spins are wanted.
 
-        Where normals lie along the axes, a component takes part in slips of other components by their lengths alone.
-        So if all spheres can have values in one component by which no contact slips, they have them at some minimum.
-        That is so where, in each piece, the imposed values times the sign of the sublattice agree, or are 0 if the
-        piece has odd loops. A piece without driven spheres and without odd loops has one motion without slip.
+        Where normals lie along the axes, each component of the spins adds its square to the squared slip. So if all
+        spheres can have values in one component by which no contact slips, they have them at some minimum. That is
+        possible where, in each connected piece, the imposed values times the sign of the sublattice agree, or are 0 if
+        the piece has odd loops (closed chains of an odd number of contacts). A piece without driven spheres and without
+        odd loops has one motion without slip.
         """
         known, wanted = imposed.copy(), np.tile(moves[:, None], imposed.shape[1])
         if not self.along_axes(contact):
             return known, wanted, None
-        number, held = 0, ~self.free
+        number, held = 0, ~self.free  # motions without slip; mask of driven spheres
         for k in range(wanted.shape[1]) if self.dimension == 3 else ():
             ends = self.contact[:, contact[self.normal[contact, k] == 0]]
             odd, sign = odd_pieces(self.spheres, *ends)
             label = pieces(self.spheres, *ends)
-            turned = sign * imposed[:, k]
+            signed = sign * imposed[:, k]
+            # range of the imposed values times sign in each piece
             low, high = np.full(label.max() + 1, np.inf), np.full(label.max() + 1, -np.inf)
-            np.minimum.at(low, label[held], turned[held])
-            np.maximum.at(high, label[held], turned[held])
-            loose = np.isinf(low)
+            np.minimum.at(low, label[held], signed[held])
+            np.maximum.at(high, label[held], signed[held])
+            loose = np.isinf(low)  # pieces without driven spheres
             turning = np.flatnonzero(moves & loose[label] & ~odd)
             first = turning[np.unique(label[turning], return_index=True)[1]]
             number += len(first)
-            if (low < high).any() or (odd[held] & (turned[held] != 0)).any():
+            if (low < high).any() or (odd[held] & (signed[held] != 0)).any():
                 wanted[first, k] = False
             else:
                 wanted[:, k] = False

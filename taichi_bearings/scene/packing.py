@@ -32,8 +32,7 @@ from taichi_bearings.scene.generators import random_packing, space_filling
 from taichi_bearings.scene.generators.lattices import KINDS, Built, built, driven_bodies
 from taichi_bearings.scene.law import COULOMB, LAWS, Law, law_named
 from taichi_bearings.scene.network import Network
-from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed, from_centers
-from taichi_bearings.scene.readers.found import told as contacts_told
+from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed, contact_summary, from_centers
 from taichi_bearings.scene.readers.lammps import Asked, read_dumps
 from taichi_bearings.scene.readers.tables import read_contacts, read_spheres
 from taichi_bearings.scene.scene import bearing_state, imposed_direction
@@ -161,7 +160,7 @@ class Packing(Bearing):
 
     def _take_coefficients(self) -> None:
         """Check friction and viscosity, or draw them from the seed where none are given, and store both as
-        arrays (E,).
+        arrays (contacts E,).
         """
         two = len(self.law.quantities) > 1
         if self.viscosity is not None and not two:
@@ -478,7 +477,8 @@ class Packing(Bearing):
         spin = spin if place.shape[1] == 3 else spin[:, 2]
         known = {f.name for f in fields(cls) if f.init} - {"center", "contact", "driven", "spin", "normal", "radius"}
         if strange := [name for name in others if name not in known]:
-            allowed = ", ".join(sorted(known))
+            of_sides = {"radius", "spin_bottom", "spin_top", "direction", "bottom", "top"}
+            allowed = ", ".join(sorted(known | of_sides))
             raise InputError(f"unknown argument {strange[0]!r}{meant(strange[0], known)}; allowed are {allowed}")
         spin = spin / size if at_surface else spin
         return cls(unit * radius * place, contact, body, spin, radius * size, normal, seed=seed, **others)
@@ -524,7 +524,7 @@ class Packing(Bearing):
         sides = Sides(**{name: others.pop(name) for name in SIDES_GIVEN if name in others})
         given = {name: values for name, values in (("driven", driven), ("spin", spin)) if values is not None}
         found = from_centers(center, radius, tolerance, given, sides, periodic)
-        sentence, alone = contacts_told(found["contact"], len(found["center"]), tolerance)
+        sentence, alone = contact_summary(found["contact"], len(found["center"]), tolerance)
         logging.getLogger(__name__).log(logging.WARNING if alone else logging.INFO, "bearings: %s", sentence)
         return cls(**{**found, **others})
 

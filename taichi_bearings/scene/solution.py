@@ -64,8 +64,8 @@ SLIPLESS, SLIPPING, UNDECIDED, DRIVEN, TIED = ContactState
 
 @dataclass(frozen=True)
 class Energy:
-    """Energy balance of a dynamics since its start; each field is an array (R,), one number for each sample, in units
-    of energy.
+    """Energy balance of a dynamics since its start; each field is an array (samples R,), one number for each sample, in
+    units of energy.
 
     kinetic : kinetic energy of the free spheres.
     spring : energy of the elongated springs at the contacts.
@@ -98,8 +98,8 @@ class Energy:
 class Snapshots:
     """Spins of a dynamics at S times.
 
-    time : (S,), simulated time.
-    spin : laboratory spins, (S, R, *N) of discs or (S, R, *N, 3) of spheres, 1/time.
+    time : (snapshots S,), simulated time.
+    spin : laboratory spins, (S, samples R, spheres *N) of discs or (S, R, *N, 3) of spheres, 1/time.
     """
 
     time: np.ndarray
@@ -112,10 +112,10 @@ class Progress:
     contacts, C spin components, d slip components, *N the shape of arrays over the spheres.
 
     iteration : iterations so far.
-    staggered : spins (C, R, *N) in the form that solvers store (scene/driving.py). spin_axes : numbers of their
-        components.
+    staggered : spins (components C, R, spheres *N) in the form that solvers store (scene/driving.py). spin_axes :
+        numbers of their components.
     rest : (C, R, *N), small numbers to add to them, from a method that knows its spins beyond rounding, else None.
-    force : contact forces (d, R, E), along the spin differences of the contacts.
+    force : contact forces (slip components d, R, contacts E), along the spin differences of the contacts.
     objective : (R,), energy/time, at these spins. lower_bound : (R,), energy/time, on the minimum of the objective.
     proof : forces, shaped as `force`, from which lower_bound follows; None if it follows from `force` itself.
     time : simulated time of a dynamics, else None.
@@ -207,9 +207,9 @@ class Solution:
 
     scene : the bearing that was solved, with all replicas. method : name of the method. status : how the run ended.
     iterations : number of iterations, the largest of all replicas.
-    spin, spin_rounding : laboratory spins, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time, and what their rounding leaves
-        out; the sum of both is the spin.
-    slip, power_per_contact, force : (R, E): slip speed, length/time; power, energy/time; size of the force.
+    spin, spin_rounding : laboratory spins, (R, spheres *N) in 2D and (R, *N, 3) in 3D, 1/time, and what their rounding
+        leaves out; the sum of both is the spin.
+    slip, power_per_contact, force : (R, contacts E): slip speed, length/time; power, energy/time; size of the force.
     friction : force on the upper sphere of each contact of a lattice, or on the second one in a packing, laboratory
         frame, (R, E, 3); in 2D (R, E), the component along z x n (lattice.grid.laboratory_forces). The lower bound
         follows from these forces: none exceeds the friction force of its contact, and they are in balance where such

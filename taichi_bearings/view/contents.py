@@ -74,7 +74,7 @@ def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
     """Return spins (snapshots S, spheres N, 3) of S snapshots without rotations that no contact resists
     (:meth:`Structure.shown_spin`).
 
-    drawn : the sample. spins : (S, N, 3).
+    drawn : the sample. spins : (snapshots S, N, 3).
     """
     if not drawn.is_lattice or drawn.network.dimension == 2:
         return spins

@@ -19,11 +19,12 @@ from taichi_bearings.words import shown
 
 @dataclass(frozen=True)
 class Cell:
-    """A rectangular cell of a lattice.
+    """A rectangular cell of a lattice with n spheres, in D dimensions.
 
-    size : (D,), diameters. basis : (n, D), centres of its n spheres as fractions of the size.
+    size : (D,), lengths of its edges in diameters. basis : (n, D), centres of its spheres as fractions of the size.
     parity : the sublattice, 0 or 1, of each sphere, (n,); and for each axis, (D,), 1 if sublattices are exchanged in
-    the next cell along it, else 0. None for a lattice with odd loops.
+        the next cell along it, else 0. None for a lattice with odd loops (closed chains of an odd number of contacts),
+        which has no sublattices.
     """
 
     size: tuple[float, ...]
@@ -162,9 +163,9 @@ def _of_bond(
     """Return the contacts (contacts E, 2) that one bond of a cell makes in all cells, and the unit vector (dimensions
     D,) of all of them.
 
-    grid : (cells, D), positions of all cells, in whole numbers. cells : number of cells along each axis. closed :
-        numbers of the periodic axes. each : number of spheres in a cell. first, second, step, vector : the bond, as
-        `_bonds` yields it.
+    grid : (cells, dimensions D), positions of all cells, in whole numbers. cells : number of cells along each axis.
+    closed : numbers of the periodic axes. each : number of spheres in a cell. first, second, step, vector : the
+        bond, as `_bonds` yields it.
     """
     there = grid + step
     for axis in closed:

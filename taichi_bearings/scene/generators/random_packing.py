@@ -36,7 +36,7 @@ when it was found."""
 class _Heap:
     """The spheres placed so far, and the pockets (places for a further sphere that touches D others), lowest first.
 
-    place : (N, D), centres. radius : (N,). Lengths are in radii of the small spheres.
+    place : (spheres N, D), centres. radius : (N,). Lengths are in radii of the small spheres.
     sides : (D,), lengths of the periodic sides, infinite along the height. sizes : the two radii.
     count : number of spheres placed so far. made : number of pockets made so far.
     pockets : for each radius of the sphere to come a heap of pockets: height, number, place, numbers of the D spheres

@@ -101,7 +101,7 @@ def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic
     return {**found, "radius": radius, "driven": driven, "spin": spin}
 
 
-def told(contact: np.ndarray, spheres: int, tolerance: float) -> tuple[str, int]:
+def contact_summary(contact: np.ndarray, spheres: int, tolerance: float) -> tuple[str, int]:
     """Return a sentence on the contacts that were found, for a log, and the number of spheres without a contact.
 
     contact : (contacts E, 2), spheres of each contact. spheres : their number. tolerance : gap or overlap, relative to
@@ -140,7 +140,7 @@ def _contacts(
 
     center : (spheres N, D), length. radius : (N,), length. share : largest gap or overlap, relative to the sum of two
     radii.
-        length : (D,), lengths of the periodic sides, 0 along other axes.
+    length : (D,), lengths of the periodic sides, 0 along other axes.
 
     Raises InputError if spheres overlap by more, or if none touch.
     """

@@ -28,7 +28,8 @@ class Asked:
     """What to read from dumps, in addition to the columns of contacts.
 
     step : the timestep; None for the last one that is complete in both files.
-    driven : number of the body of each driven atom, by id; or an array (N,) in the order of the ids, -1 for free atoms.
+    driven : number of the body of each driven atom, by id; or an array (spheres N,) in the order of the ids, -1 for
+    free atoms.
     driven_types : in place of `driven`, number of the body of all atoms of a type, by type.
     spin : imposed spin of each body, 1/time, by number of the body: a vector, or a number for discs. None to read the
         columns omegax, omegay and omegaz.
@@ -85,12 +86,15 @@ class Asked:
 def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked) -> dict[str, np.ndarray]:
     """Return the arrays of a packing by name, with spheres in the order of their ids.
 
-    atoms : has columns id, radius or diameter, and x y z, xu yu zu (unwrapped), xs ys zs or xsu ysu zsu (shares of the
-    box). contacts : has the columns named by `columns`: the ids of both atoms of a contact, as ("c_pair[1]",
-    "c_pair[2]"); then none, or the normal force, or the components of the force on the first atom. Rows whose force
-    does not press are left out, and counted in a warning. Both may be packed by gzip, bzip2 or xz.
+    atoms : dump with the columns id, radius or diameter, and x y z, xu yu zu (unwrapped), xs ys zs or xsu ysu zsu
+        (fractions of the box).
+    contacts : dump with the columns that `columns` names. Both files may be packed by gzip, bzip2 or xz.
+    columns : names of the columns with the ids of both atoms of a contact, such as ("c_pair[1]", "c_pair[2]"); then
+        none, or that of the normal force, or those of the components of the force on the first atom. Rows whose force
+        does not press are left out, and counted in a warning.
+    asked : options of the user.
 
-    Normals go the shortest way around periodic sides ("pp"). Ids printed as 1e+06 are those of the only atom that
+    Normals go the shortest way around periodic sides ("pp"). An id printed as 1e+06 belongs to the only atom whose id
     prints so. Raises FileError or InputError, one sentence, with the line of the file and the atoms at fault.
     """
     most = 2 + asked.dimension
@@ -181,7 +185,7 @@ def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) ->
     """Return the centres of the atoms, (spheres N, dimensions D), length.
 
     names : of the columns of positions, which are lengths or fractions of the box. place : (N, columns), their numbers.
-        asked : options of the user.
+    asked : options of the user.
     """
     if "s" in names[0]:
         if frame.box is None:
@@ -257,7 +261,7 @@ def _normals(
 
     rows, frame : timesteps of the dumps of contacts and of atoms. row : (E,), row of each contact in its dump. contact
         : (E, 2), numbers of its spheres. number : (spheres N,), ids of the atoms. spheres : centres and radii by name.
-        asked : options of the user.
+    asked : options of the user.
 
     Raises InputError for two atoms that do not touch, touch both ways around a periodic side, or come twice.
     """
@@ -327,7 +331,7 @@ def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> 
     atoms.
 
     rows : timestep of the dump of contacts. row : (E,), its rows that are contacts. frame : timestep of the atoms.
-        number : (spheres N,), their ids.
+    number : (spheres N,), their ids.
 
     Raises FileError for an id that no atom has, or that fits several atoms because it was printed with too few digits.
     """
