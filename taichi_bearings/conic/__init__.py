@@ -1,8 +1,19 @@
 """The Coulomb minimum as a conic programme: contact systems, cones, central path, and settling of contact states.
 
-The problem is to minimise the sum over contacts of mu b + eta |v|^2 / 2 over spins and bounds b >= |v|, where v is the
-slip. Its dual is to find contact forces f in balance with |f| <= mu. Interior-point steps follow the central path, on
-which the product of slip bound and friction margin is the same for all contacts, down to 0.
+The problem is to minimise the sum over contacts of mu b + eta |v|^2 / 2 over spins and bounds b >= |v|, where v = K u +
+b0 is the slip, linear in the spins u. Its dual is to find contact forces f in balance, K^T f = 0, with |f| <= mu (plus
+a viscous force eta v where there is a viscosity eta). The pair (b, v) and the pair (mu, -f) of each contact are points
+of second-order cones: head not smaller than the length of the tail. Interior-point steps (central_path.py, iterate.py)
+follow the central path, on which the product, bound times what is left of the friction, is the same for all contacts,
+down to 0. Near its end resolution.py decides which contacts slip; its head explains how, with an example.
+
+Where to find what: contact_system.py and contraction.py the map from spins to slips, whole and with contacts tied;
+newton_matrix.py and rows.py the linear systems of a step; central_path.py the steps; descent.py many samples on their
+way; last_decades.py, polish.py, slipless_forces.py, ties.py and resolution.py the end; proximal.py and
+friction_stage.py steps in time; shared.py what samples of one network share; strong_contacts.py and rolling.py helpers.
+
+Units: spins in units of the imposed jump, friction and forces in units of the mean friction of the sample, so that
+numbers are of order one. A "torque over the mean friction" is therefore just a number.
 
 Words and symbols in this folder:
 
@@ -14,18 +25,26 @@ d                   most slip components (rows) of a contact, 1 or 2
 unknowns            number of unknown components of the free spins
 S, samples          samples of one system, side by side
 C, R, N, E          spin components, samples, spheres and contacts of a scene
+K, operator         matrix (d n, unknowns) from spins to slips; its transpose gives torques of forces
 difference          slips v (d, n): differences of spins across contacts
 bound               b (n,), bounds on the slip speeds
 friction            mu F_n (n,), largest friction force, in units of its mean
 dual                minus the friction force, (d, n)
+viscosity           eta (n,), viscous force over slip speed
 margin              1 - |dual| / friction, the share of its friction that a contact has left
 product             bound times what is left of the friction, the same for all contacts on the path
 excess, gap         cost less what the forces prove; the same over the cost
 stick, slip         margin stays and slip vanishes at the end of the path, or the other way round
+decided             it is clear whether a contact sticks or slips
 tied                spins made equal across contacts that do not slip: one unknown for all of them;
                     but a contact state TIED means: slips at some minima and rests at others
 at limit            contacts that bear all their friction and yet do not slip
-head                one chosen unknown of each set of tied spins without a driven plane
+head                of a set of tied spins without a driven plane: one chosen spin of it;
+                    of a cone: bound or friction, while slip or force is its tail
+room                friction less the size of the force, (n,)
 smooth              contacts that have left their cones and obey the friction law exactly
+settle, resolve     to decide which contacts slip at the exact minimum
+staggered spins     spins with the sign of every second sphere changed, so that slips are differences
+Pair                sum of two doubles, (high, low): some 106 bits (numerics/double_double.py)
 ==================  ====================================================================================
 """

@@ -40,11 +40,13 @@ Viscous = np.ndarray | None
 def friction_stiffness(
     friction: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray, share: float = np.inf
 ) -> np.ndarray:
-    """Second derivative (d, d, n) of friction * |difference| and, if there is a viscosity, + viscosity * |difference|^2
-    / 2.
+    """Return the second derivative (d, d, n) of the cost of each contact with respect to its slip: of friction * |slip|
+    + viscosity * |slip|^2 / 2.
 
-    Along the slip, where friction has no curvature, it gets the weak stiffness LEAST_WORK / slip^2, at most `share`
-    times the stiffness friction / slip across it. friction, viscosity : (n,). difference : (d, n), not 0.
+    Along the slip friction has no second derivative; there a weak stiffness LEAST_WORK / slip^2, at most `share` times
+    the stiffness friction / slip across it, keeps matrices regular.
+
+    friction : (n,). viscosity : (n,), None for none. difference : (d, n), slips, none of them 0.
     """
     size = length(difference)
     along = difference / size
@@ -57,7 +59,9 @@ def friction_stiffness(
 
 
 def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
-    """The next point along the path. matrix : Newton matrix of the system of the iterate.
+    """Return the next point along the central path: one step of predictor, corrector and recentring.
+
+    iterate : a point of the path; not changed. matrix : Newton matrix of its system, which is factorised anew.
 
     Raises NotPositiveDefinite if the Newton matrix is singular to working precision.
     """
@@ -75,12 +79,15 @@ def flowing(
     spins: np.ndarray,
     inertia: Inertia | None = None,
 ) -> np.ndarray:
-    """Spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps. A path that begins
-    there leaves no torque on its way. Raises NotPositiveDefinite if the contrast of the viscosities is too large.
+    """Return spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps. A path that
+    begins there leaves no torque on its way.
 
-    viscosity : (n,).
-    spins : where to begin.
+    system : the n contacts. viscosity : (n,), viscous force over slip speed.
+    matrix : Newton matrix of the system, which is factorised anew.
+    spins : (unknowns,), where to begin.
     inertia : what resists a change of the spins; None for nothing.
+
+    Raises NotPositiveDefinite if viscosities differ by too many decades.
     """
     matrix.factorise(isotropic(system.offset, viscosity), inertia.weight if inertia else 0.0)
     best, least = spins, np.inf
@@ -97,11 +104,14 @@ def flowing(
 
 
 def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
-    """The iterate with the torques taken away that rounding has left. Forces of contacts in cones change in proportion
-    to the square of their margin.
+    """Return the point with its forces changed such that torques balance, up to rounding.
 
-    Stiff contacts feel the rounding of the spins: over six decades of friction a Newton step leaves torques of 1e-8.
-    Raises NotPositiveDefinite if the forces cannot be balanced.
+    iterate : a point of the path; not changed. matrix : Newton matrix of its system, which is factorised anew.
+
+    Forces of contacts in cones change in proportion to the square of their room, friction less force, and by at most
+    STEP_SHARE of the way to the first cone's boundary. Why it is needed: stiff contacts magnify the rounding of spins;
+    with friction over six decades a Newton step leaves torques of 1e-8. Raises NotPositiveDefinite if the forces cannot
+    be balanced.
     """
     friction, dual = iterate.friction, iterate.dual
     load = iterate.to_balance(iterate.spins)
@@ -115,10 +125,12 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of S samples: changes of the spins (unknowns, S), and of the numbers of contacts in slot `slot` of the
-    rows.
+    """A Newton step of S samples that is not taken yet.
 
-    found : (numbers, S), what the kernel found: how far primal and dual points may go, and the sums of products.
+    slot : 0 or 1, where the rows hold the changes of bounds, slips and forces.
+    spins : (unknowns or more, S), changes of the spins.
+    found : (numbers, S), what the kernel found: the multiples of the step at which primal and dual points leave their
+        cones, then sums of products of which :meth:`Path._target` tells how the mean product changes.
     """
 
     slot: int
@@ -127,26 +139,28 @@ class _Step:
 
     @property
     def lengths(self) -> np.ndarray:
-        """(2, S), the multiples of the step up to which primal and dual points stay in their cones."""
+        """(2, S), the multiples of the step at which primal points (bound, slip) and dual points (friction, force)
+        leave their cones."""
         return self.found[: kernels.LEAST_FOUND]
 
     @property
     def shorter(self) -> np.ndarray:
-        """(S,), the smaller one of both lengths."""
+        """(S,), the smaller one of both `lengths`."""
         return self.lengths.min(axis=0)
 
     @property
     def reach(self) -> np.ndarray:
-        """(S,), sum of both lengths, each counted as 1 at most: how good the step is."""
+        """(S,), sum of both `lengths`, each counted as 1 at most: the larger, the better the step."""
         along, dual_along = self.within(1.0)
         return along + dual_along
 
     def within(self, share: float) -> np.ndarray:
-        """Lengths (2, S) of the steps of primal and dual points that go this share of the way, and are at most 1."""
+        """Return the lengths (2, S) of the steps to take of primal and dual points: this share of the way to the
+        boundary of the cones, at most 1."""
         return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
-        """This step, with spins and findings of the `other` one for the samples (S,) that are `kept`."""
+        """Return this step with spins and findings of `other` for the samples of the mask `kept` (S,)."""
         return replace(
             self,
             spins=np.where(kept, other.spins, self.spins),
@@ -157,11 +171,15 @@ class _Step:
 class Path:
     """Up to S samples of one system side by side, each at a point of its central path.
 
-    The numbers of contacts stay in the rows from step to step. Samples do not influence each other.
+    Their numbers stay in the rows of memory that kernels work on from step to step. Samples do not influence each
+    other.
+
+    samples : S.
+    used : (S,) mask of the places that hold a sample.
     """
 
     def __init__(self, matrix: NewtonMatrix, samples: int = 1) -> None:
-        """Reserve places for `samples` samples of the system of a Newton matrix."""
+        """Reserve places for `samples` samples (1 or LANES) of the system of a Newton matrix. All places are empty."""
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
         self._given: list[Iterate | None] = [None] * samples
         self._spins = self._spins_before = np.zeros_like(self._rows.spins)
@@ -178,7 +196,7 @@ class Path:
         return np.array([iterate is not None for iterate in self._given])
 
     def put(self, sample: int, iterate: Iterate | None) -> None:
-        """Set place `sample` to go on from an iterate; with None it becomes free."""
+        """Let place number `sample` go on from a point of the path; with None the place becomes free."""
         self._given[sample] = iterate
         if iterate is None:
             return
@@ -208,7 +226,8 @@ class Path:
 
     @np.errstate(all="ignore")  # at the end, and where there is no sample, numbers that are not finite turn up
     def step(self) -> np.ndarray:
-        """Take one Newton step of every sample: predictor, corrector and recentring, most of the way to the boundary.
+        """Take one Newton step of every sample: predictor, corrector and recentring, STEP_SHARE of the way to the
+        boundary of the cones.
 
         Returns a mask (S,), True where the step was taken; False where the Newton matrix is singular to working
         precision.
@@ -243,8 +262,8 @@ class Path:
         return taken
 
     def _target(self, step: _Step) -> np.ndarray:
-        """(S,), the product to aim at: the present mean times the square of the share that the predictor `step` would
-        leave (Mehrotra), over 4."""
+        """Return the product (S,) to aim at. The predictor `step` would leave a share x of the present mean product;
+        the target is x^2 / 4 of it (Mehrotra takes x^3; a smaller x is a more credible predictor)."""
         count = np.array([max(1, iterate.in_cones) if iterate else 1 for iterate in self._given])
         product, by_reach, by_dual_reach, by_both = step.found[kernels.PRODUCT :]
         along, dual_along = step.within(1.0)
@@ -253,10 +272,11 @@ class Path:
         return np.minimum(1.0, remaining**2) * product / count / 4
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
-        """Gondzio's corrector: a step (in the other slot) that brings outlying products of a longer step closer to the
-        `target` (S,), for the samples that are `going` (S,).
+        """Return a step by one of Gondzio's correctors. Contacts whose product after a longer step would lie more than
+        a factor PRODUCT_SPREAD from the target are brought closer to it.
 
-        The other samples keep the step, or, where it was `rejected` (S,), the better one before it.
+        step : the present step. target : (S,), product to aim at. going : (S,) mask of the samples to correct; the
+            others keep the step or, where it was `rejected` (S,), the better one before it, which is in the other slot.
         """
         lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
@@ -266,7 +286,8 @@ class Path:
         return self._solved(1 - step.slot)
 
     def _refined(self, step: _Step) -> _Step:
-        """The step, solved again for the torques that rounding left, as long as that helps."""
+        """Return the step, solved again for the torques that rounding has left, as long as that at least halves them
+        and they are above STEP_TORQUE."""
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(STEP_REFINEMENTS):
             force = rows.two(kernels.FORCE)
@@ -285,8 +306,11 @@ class Path:
         return step
 
     def _solved(self, slot: int) -> _Step:
-        """The solution of W^-2 d(primal) + d(dual) = right-hand side that leaves the forces balanced, with W the
-        scaling of the cones and the right-hand side in slot `slot`."""
+        """Return the step that solves W^-2 d(primal) + d(dual) = right-hand side with all torques in balance, where W
+        is the scaling of the cones.
+
+        slot : 0 or 1, where the rows hold the right-hand side and get the step.
+        """
         pull = _in(slot, kernels.PULL)
         if self._viscosity is not None:
             forces = self._rows.two(pull) - self._viscosity * self._rows.two(kernels.SLIP)
@@ -296,8 +320,8 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """Overwrite the spins of the rows by the torques of the forces in two rows from `row` on, less those that the
-        inertia needs at `spins` (unknowns, S)."""
+        """Compute the torque on each unknown of the forces in rows `row` and `row + 1` (one row a component), less what
+        accelerates the spheres to `spins` (unknowns or more, S), and write it into the spins of the rows."""
         rows = self._rows
         rows.torques(row)
         if self._moving:
@@ -306,8 +330,12 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """The step of bounds, slips and duals that belongs to the step of the spins, in slot `slot`, and how far it may
-        go."""
+        """Return the step of bounds, slips and forces that belongs to the change of spins which stands in the rows, and
+        how far it may go.
+
+        slot : 0 or 1, where the rows get the step. With inertia or viscosity primal and dual points have to go equally
+            far.
+        """
         spins = self._rows.spins.copy()
         self._rows.change(_in(slot, kernels.CHANGE))
         found = self._rows.run(kernels.expand, (slot, slot))
@@ -316,17 +344,18 @@ class Path:
         return _Step(slot, spins, found)
 
     def gap(self, sample: int) -> float:
-        """The relative gap of a sample after a step, as :attr:`Iterate.gap`."""
+        """Relative gap of sample number `sample` after a step: (cost - lower bound) / cost, for balanced forces."""
         if self._viscosity is not None:
             return self.iterate(sample).gap
         return float(self._excess[sample] / self._power[sample])
 
     def cost(self, sample: int) -> float:
-        """The cost of a sample after a step, as :attr:`Iterate.cost`."""
+        """Cost of a sample after a step: friction times slip speed and half the viscous power."""
         return float(self._power[sample]) if self._viscosity is None else self.iterate(sample).cost
 
     def price_of_torques(self, sample: int) -> float:
-        """What leftover torques of a sample cost after a step, as :attr:`Iterate.price_of_torques`."""
+        """Return what unbalanced torques of a sample take from its lower bound at most, relative to its cost, as
+        :attr:`Iterate.price_of_torques`."""
         if self._viscosity is not None:
             return self.iterate(sample).price_of_torques
         if self._price is None:
@@ -336,16 +365,20 @@ class Path:
         return float(self._price[sample])
 
     def iterate(self, sample: int) -> Iterate:
-        """The point at which a sample is."""
+        """Return the point at which sample number `sample` is."""
         return self._read(sample, self._spins, kernels.BOUND, kernels.SLIP, kernels.DUAL)
 
     def before(self, sample: int) -> Iterate:
-        """The point at which a sample was before the last step."""
+        """Return the point at which sample number `sample` was before the last step."""
         of_before = kernels.BOUND_BEFORE, kernels.SLIP_BEFORE, kernels.DUAL_BEFORE
         return self._read(sample, self._spins_before, *of_before)
 
     def _read(self, sample: int, spins: np.ndarray, bound: int, slip: int, dual: int) -> Iterate:
-        """A point of a sample, read from the rows `bound`, `slip` and `dual`. spins : (unknowns or more, S)."""
+        """Return a point of sample number `sample`, read from the rows `bound`, `slip` (two rows) and `dual` (two
+        rows).
+
+        spins : (unknowns or more, S), spins of all samples.
+        """
         iterate, rows = self._given[sample], self._rows
         assert iterate is not None
         d = len(iterate.difference)
@@ -360,5 +393,5 @@ class Path:
 
 
 def _in(slot: int, row: int) -> int:
-    """Place, among all rows, of a row of the step in slot 0 or 1."""
+    """Return the number, among all rows, of row `row` of the step in slot 0 or 1."""
     return kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row

@@ -1,7 +1,8 @@
-"""Numbers (n,) and vectors (d, n) on contacts, and second-order cones of them.
+"""Arithmetic of second-order cones, contact by contact.
 
-A point of a second-order cone is a head (n,) and a tail (d, n) with head > |tail|: primal points (bound, slip
-difference) and dual points (friction, minus force). What Newton steps make of them is in kernels/central_path.py.
+A point of a second-order cone is a head (n,) and a tail (d, n) with head > |tail|, one for each of n contacts. There
+are two kinds: primal points (bound, slip) and dual points (friction, minus force). What Newton steps make of them is in
+kernels/central_path.py.
 """
 
 import numpy as np
@@ -10,23 +11,30 @@ Point = tuple[np.ndarray, np.ndarray]
 
 
 def length(tail: np.ndarray) -> np.ndarray:
-    """Euclidean length over the first axis, (n,)."""
+    """Return the length (n,) of each of n vectors (d, n)."""
     return np.abs(tail[0]) if len(tail) == 1 else np.sqrt(inner(tail, tail))
 
 
 def determinant(point: Point) -> np.ndarray:
-    """head^2 - |tail|^2 without cancellation beyond that of head - |tail|."""
+    """Return head^2 - |tail|^2 (n,) of the point of each contact's cone, without cancellation beyond that of head -
+    |tail|. It is positive inside the cone.
+
+    point : head (n,) and tail (d, n).
+    """
     head, size = point[0], length(point[1])
     return (head - size) * (head + size)
 
 
 def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Scalar products over the first axis, (n,)."""
+    """Return the scalar products (n,) of n pairs of vectors (d, n)."""
     return np.einsum("dn,dn->n", tail, other)
 
 
 def longest_step(point: Point, step: Point) -> float:
-    """Largest factor a for which point + a * step stays in the cone of every contact; infinity if it never leaves."""
+    """Return the largest a for which point + a * step stays in the cone of every contact; infinity if it never leaves.
+
+    point, step : head (n,) and tail (d, n) each; a cone is |tail| <= head. The point lies inside all cones.
+    """
     (head, tail), (dhead, dtail) = point, step
     # a solves quadratic * a^2 + 2 linear * a + constant = 0; the smallest positive root counts
     quadratic = dhead * dhead - inner(dtail, dtail)
@@ -41,6 +49,10 @@ def longest_step(point: Point, step: Point) -> float:
 
 
 def isotropic(vectors: np.ndarray, strength: np.ndarray | float = 1.0) -> np.ndarray:
-    """Stiffness `strength` (a number or (n,)) in every direction, as (d, d, n), for contacts with `vectors` (d, n); or
-    (d, d, n, S) for vectors (d, n, S)."""
+    """Return the stiffness matrices (d, d, n) of n contacts that resist every slip alike: `strength` times the unit
+    matrix.
+
+    vectors : any vectors (d, n) on the contacts, which tell the shape; or (d, n, S) of S samples, for (d, d, n, S).
+    strength : a number, or one for each contact, (n,).
+    """
     return np.multiply.outer(np.eye(len(vectors)), strength * np.ones_like(vectors[0]))

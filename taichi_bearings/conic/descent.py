@@ -1,4 +1,7 @@
-"""Samples of one system on their way along the central path, until the states of their contacts are settled."""
+"""Samples of one system on their way along the central path, until it is decided which of their contacts slip.
+
+"To settle the states" of a sample is to find out which contacts slip at its minimum (resolution.py).
+"""
 
 import time
 from collections import deque
@@ -26,16 +29,16 @@ DISTANT_GAP = 1e-4  # relative gap above which the price of leftover torques doe
 
 @dataclass
 class Sample:
-    """One sample on its way.
+    """One sample on its way along the central path.
 
-    iterate : where it is on the path.
+    iterate : the point at which it is.
     unit : power of two near the mean coefficient, in which its friction is measured.
     steps : number of steps taken.
-    gap : relative gap.
-    done : nothing is left to gain.
-    at_end : its contact states are to be settled before it goes on.
-    before : where it was one step before that, if known.
-    tried : relative gap at the last trial to settle the states.
+    gap : relative gap, (cost - lower bound) / cost.
+    done : True if nothing is left to gain.
+    at_end : True if its contact states are to be settled before it goes on.
+    before : the point one step before `iterate`, if it is known and `at_end` is set.
+    tried : relative gap at the last trial to settle the states; infinite before the first.
     resolved : the best minimum found so far.
     firm : (n,) mask of contacts that rest at every minimum, as they have more friction than the iterate counts; None
         for none.
@@ -70,24 +73,25 @@ class Descent:
         asked: bool = True,
         told: Callable[[Sample, float], None] | None = None,
     ) -> None:
-        """Prepare a descent; `samples` are set by the subclass.
+        """Prepare a descent; the subclass sets `samples`.
 
-        shared : what all samples share.
-        spheres : their number, by which the first gap for settling is chosen.
-        small : whether samples are treated as small ones, several side by side.
-        settles : whether contact states are settled here. This needs a law whose force does not depend on the slip
-            speed, so that contacts rest.
-        asked : whether states are wanted, and not only a bound.
-        told : function that is called with each sample and its cost after each of its steps.
+        shared : system, order of elimination and Newton matrix of all samples.
+        spheres : number of spheres, by which the first gap for settling is chosen.
+        small : True to treat samples as small ones, several side by side.
+        settles : True to settle contact states here. This needs a law whose force does not depend on the slip speed, so
+            that contacts rest.
+        asked : True if contact states are wanted, and not only a bound on the power.
+        told : function that is called with each sample and its cost after each of its steps; None for none.
         """
         self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
         self.told, self.step_seconds = told, 0.0  # duration of the last step
 
     def advance(self, steps: int) -> None:
-        """Take up to `steps` further steps of every sample that is not done. Where one leaves, another takes its place
-        beside the others.
+        """Take up to `steps` further steps of every sample that is not done, and settle contact states where it is
+        time.
 
-        Samples near the end of their paths wait for others: settling their states together takes half the time.
+        Several small samples are stepped side by side; where one leaves, another takes its place. Samples near the end
+        of their paths wait for others, as settling their states together takes half the time.
         """
         waiting = deque((sample, sample.steps + steps) for sample in self.samples if not sample.done)
         together = self.small and len(waiting) > 1
@@ -118,21 +122,24 @@ class Descent:
                     self._leave(path, place, sample)
 
     def _leave(self, path: Path, place: int, sample: Sample) -> None:
-        """Store the point that a sample has reached, unless it is done, and free its place on the path."""
+        """Store the point that a sample has reached, unless it is done, and free its place number `place` on the path."""
         if not sample.done:
             sample.iterate = path.iterate(place)
         path.put(place, None)
 
     @property
     def settles_at(self) -> float:
-        """Relative gap below which states are settled. In small samples it is one at which contacts that seem to stick
-        mostly do. In large ones there is no such gap, and a step costs more than following the last decades of the path
-        that much further."""
+        """Relative gap below which contact states are settled. In small samples it is one at which contacts that seem
+        to stick mostly do. In large ones there is no such gap; there a step costs more than following the last decades
+        of the path that much further, so SETTLING_GAP is used."""
         return min(SETTLING_GAP_FACTOR / self.spheres**2, FIRST_SETTLING_GAP) if self.small else SETTLING_GAP
 
     def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
-        """Note where a step of a sample has led, and whether its states are to be settled next. place : its place on
-        the path. taken : whether the step could be taken."""
+        """Note the gap that a sample has after a step, and whether it is done or its states are to be settled next.
+
+        place : its place on the path. taken : False if the step could not be taken; then the sample is done, at the
+            point before.
+        """
         gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
         sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
@@ -145,19 +152,22 @@ class Descent:
             sample.before = path.before(place) if accepted else None
 
     def _near(self, sample: Sample) -> float:
-        """Relative gap below which the states of a sample are to be settled; 0 if never. In small samples that is tried
-        once, and again where the path ends: nothing is gained by trying again at a smaller gap, as settling follows the
-        last decades of the path anyhow."""
+        """Return the relative gap below which the states of a sample are to be settled next; 0 if not again. In small
+        samples that is tried once, and again where the path ends: nothing is gained by trying at a smaller gap, as
+        settling follows the last decades of the path anyhow. In large ones it is tried again when the gap has fallen by
+        RETRY_FACTOR."""
         again = 0.0 if self.small and np.isfinite(sample.tried) else sample.tried / RETRY_FACTOR
         return min(self.settles_at, again) if self.settles else 0.0
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
-        """Relative gap of a sample after a step, with the price of torques that are left; not finite if it cannot be
-        computed.
+        """Return the relative gap of a sample after a step, plus what unbalanced torques cost where that matters; not
+        finite if it cannot be computed.
 
-        Its forces are balanced if they alone keep the sample from being settled; not if the settling of states balances
-        them.
+        sample : the sample. path, place : where it is.
+
+        Where the cost of unbalanced torques is more than the gap, forces are balanced first, except if the settling of
+        states is about to balance them.
         """
         gap = path.gap(place)
         price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
@@ -176,7 +186,8 @@ class Descent:
         return balanced.gap
 
     def _settle(self, samples: list[Sample]) -> None:
-        """Try to settle the states of some samples, and keep the better one of the minima found for each."""
+        """Try to settle the contact states of some samples, and keep the better one of the minima found for each so
+        far."""
         with stage("settling contact states", SETTLING_STEPS * self.step_seconds):
             resolved = resolve([s.iterate for s in samples], [s.before for s in samples], self.shared, self.small)
         for sample, found in zip(samples, resolved, strict=True):
@@ -188,8 +199,8 @@ class Descent:
             sample.done |= found.sure
 
     def _misses(self, sample: Sample, found: Resolved) -> tuple[bool, bool, float]:
-        """What a settled minimum misses, the most important first: forces that balance and bear the load; certainty;
-        and its gap with the price of leftover torques. The latter is the larger the more decades the coefficients span
-        and the further the path goes."""
+        """Return what the minimum `found` of a sample misses, smaller is better, the most important first: True if
+        slipless contacts do not bear their load; True if states are not sure; its gap with the cost of unbalanced
+        torques."""
         settled = replace(sample.iterate, difference=found.difference, dual=found.dual)
         return not found.borne, not found.sure, settled.gap + settled.price_of_torques

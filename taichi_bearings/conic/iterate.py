@@ -10,36 +10,43 @@ import numpy as np
 from taichi_bearings.conic.cones import inner, length
 from taichi_bearings.conic.contact_system import ContactSystem
 
-LEAST_GAP = 1e-13  # relative gap at which double precision ends
+LEAST_GAP = 1e-13  # relative gap at which double precision ends: some hundred roundings of 1e-15
 TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
 class Inertia:
-    """The cost weight / 2 |spins - origin|^2 beside the power: the torques then balance weight * (spins - origin)."""
+    """The inertia of spins that is added to the power in a step of time: the cost weight / 2 |spins - origin|^2.
+
+    The torques of the contacts then have to be weight * (spins - origin) instead of 0.
+
+    weight : moment of inertia over duration, in the units of friction over spin.
+    origin : (unknowns,), spins before the step.
+    """
 
     weight: float
     origin: np.ndarray
 
     def torques(self, spins: np.ndarray) -> np.ndarray:
-        """Torques (unknowns,) that bring the spins from their origin to `spins`."""
+        """Return the torques (unknowns,) that change the spins from their origin to `spins` (unknowns,)."""
         return self.weight * (spins - self.origin)
 
 
 @dataclass(frozen=True)
 class Iterate:
-    """A point inside all cones.
+    """A point of an interior-point method, inside the cones of all n contacts: slips below their bounds, forces below
+    friction.
 
-    system : the contacts.
+    system : the contacts, with the matrix from spins to slips (d components each).
     spins : (unknowns,).
-    friction : (n,), largest friction force.
-    bound : (n,), above the slip speed.
+    friction : (n,), largest friction force, in units of the mean of the sample.
+    bound : (n,), bounds on the slip speeds, each above its speed.
     difference : (d, n), slips.
     dual : (d, n), minus the contact force without its viscous part.
     smooth : (n,) mask of contacts that are in no cone but obey the law of friction exactly: dual = -friction *
-        direction of slip; None for none.
-    viscosity : (n,), None for Coulomb friction.
-    inertia : what resists a change of the spins; None if the minimum is sought.
+        direction of slip, bound = slip speed; None for none.
+    viscosity : (n,), viscous force over slip speed; None for Coulomb friction.
+    inertia : what resists a change of the spins; None if the minimum of the power is sought.
     """
 
     system: ContactSystem
@@ -61,15 +68,21 @@ class Iterate:
         slack: float,
         viscosity: np.ndarray | None = None,
     ) -> "Iterate":
-        """A point with bounds above the slips by about `slack`, and without forces other than viscous ones. spins :
-        (unknowns,). friction, viscosity : (n,)."""
+        """Return a point without forces other than viscous ones, with bounds above the slips: sqrt(slip^2 + slack^2).
+
+        system : the contacts. spins : (unknowns,). friction, viscosity : (n,). slack : in units of slip, positive.
+        """
         difference = system.differences(spins)
         bound = np.hypot(length(difference), slack)
         return cls(system, spins, friction, bound, difference, np.zeros_like(difference), viscosity=viscosity)
 
     def let_slip(self, slips: np.ndarray) -> "Iterate":
-        """The point after contacts of the mask `slips` (n,) have left their cones, and all others have come back into
-        them."""
+        """Return the point at which the contacts of the mask `slips` (n,) are outside their cones and obey the law of
+        friction exactly (`smooth`), and all others are in their cones.
+
+        Contacts that come back into their cones are put on the path: they get the force along their slip and the bound
+        at which their product is the mean one.
+        """
         bound, dual = self.bound, self.dual
         if self.smooth is not None:
             # contacts that come back are put on the path, with the mean product and a force along the slip
@@ -86,24 +99,24 @@ class Iterate:
 
     @property
     def in_cones(self) -> int:
-        """The number of contacts in cones."""
+        """Number of contacts in cones: those that are not `smooth`."""
         return len(self.friction) - (0 if self.smooth is None else int(self.smooth.sum()))
 
     @property
     def complementarity(self) -> float:
-        """The product of the path: mean over the contacts in cones of friction * bound - slip . force."""
+        """The product of the path: the mean over the contacts in cones of friction * bound - slip . force."""
         products = self.friction * self.bound + inner(self.difference, self.dual)
         products = products if self.smooth is None else np.where(self.smooth, 0.0, products)
         return float(products.sum()) / max(1, self.in_cones)
 
     @property
     def margin(self) -> np.ndarray:
-        """(n,), the share of its friction that each contact has left."""
+        """(n,), the share of its friction that each contact has left: 1 - |dual| / friction."""
         return 1 - length(self.dual) / self.friction
 
     @property
     def slip_over_margin(self) -> np.ndarray:
-        """(n,), slip speed over margin: along the path it goes to 0 where a contact sticks, and to infinity where it
+        """(n,), slip speed over margin. Along the path it goes to 0 where a contact sticks, and to infinity where it
         slips."""
         return length(self.difference) / np.maximum(self.margin, TINY)
 
@@ -113,36 +126,40 @@ class Iterate:
         return whole_dual(self.dual, self.viscosity, self.difference)
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
-        """Torques (unknowns,) that the inertia needs to have these spins; 0 without inertia."""
+        """Return the torques (unknowns,) that the contacts have to exert to give these spins (unknowns,); 0 without
+        inertia."""
         return 0.0 if self.inertia is None else self.inertia.torques(spins)
 
     @property
     def unbalanced(self) -> float:
-        """Largest torque that the forces leave on a sphere, apart from those that the inertia needs."""
+        """Largest torque that the contact forces leave on a sphere, apart from what accelerates it."""
         left = self.system.torques(self.whole_dual) - self.to_balance(self.spins)
         return float(np.abs(left).max(initial=0.0))
 
     @property
     def power(self) -> float:
-        """Friction times slip, summed over the contacts."""
+        """Power of friction: friction times slip speed, summed over the contacts."""
         return float(self.friction @ length(self.difference))
 
     @property
     def cost(self) -> float:
-        """The function that is minimised, without its part from inertia: friction times slip, and half the viscous
-        power."""
+        """The function that is minimised, without the part of inertia: friction times slip speed and half the viscous
+        power, summed over the contacts."""
         if self.viscosity is None:
             return self.power
         return self.power + float((self.viscosity * self.difference**2).sum()) / 2
 
     @property
     def price_of_torques(self) -> float:
-        """Bound on what leftover torques take from the lower bound, relative to the cost."""
+        """What unbalanced torques take from the lower bound on the cost, relative to the cost: the sum of their sizes.
+        That is a bound where no spin of a minimum exceeds the unit of spin."""
         return float(np.abs(self.system.torques(self.whole_dual)).sum()) / max(self.cost, TINY)
 
     @property
     def excess(self) -> float:
-        """Cost less dual cost for balanced forces, summed without cancellation; with or without inertia and viscosity.
+        """Cost less what the forces prove, friction * |slip| - slip . force summed over the contacts: for balanced
+        forces the least cost is not more than this below `cost`. Summed without cancellation; with or without inertia
+        and viscosity.
 
         With viscosity the dual cost of a force f is max(|f| - friction, 0)^2 / (2 viscosity). That is never more than
         the cost of the present slip, viscosity * slip^2 / 2, which is counted here.
@@ -151,11 +168,14 @@ class Iterate:
 
     @property
     def gap(self) -> float:
-        """(cost - lower bound) / cost for balanced forces."""
+        """(cost - lower bound) / cost, for balanced forces."""
         return self.excess / max(self.cost, TINY)
 
 
 def whole_dual(dual: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray) -> np.ndarray:
-    """Minus the forces (d, n) of friction and viscosity. dual : (d, n). viscosity : (n,), None for none. difference :
-    slips (d, n)."""
+    """Return minus the forces (d, n) of friction and viscosity of n contacts.
+
+    dual : (d, n), minus the friction forces. viscosity : (n,), viscous force over slip speed; None for none.
+    difference : (d, n), slips.
+    """
     return dual if viscosity is None else dual - viscosity * difference

@@ -1,18 +1,51 @@
-"""The exact minimum, from a point near the end of the central path: which contacts slip, to the last decade of slip.
+"""Finds which contacts slip at the exact minimum, from a point near the end of the central path.
 
-On the central path slip times friction margin is the same for all contacts. So a slip of 1e-9 can be seen only where
-margins of 1e-9 can, and double precision ends before. The way on has these steps:
+What is decided. The power of the contacts, the sum of mu |v| over all contacts, is to be least. At a minimum each
+contact either slips (v is not 0) or does not (v = 0). The central path (central_path.py) comes near the minimum, but at
+each of its points all contacts slip a little: slip speed times friction margin is the same number for all, the product.
+A slip of 1e-9 can therefore be seen only where margins of 1e-9 can, and double precision ends before. This module
+decides for every contact, and returns spins, slips and forces of the minimum (:class:`Resolved`).
 
-1. Contacts that seem to stick are tied. In small samples mostly all others slip. The path goes on until every contact
-   is decided (last_decades.py) if more contacts come to rest, or if the tied ones cannot bear what is left to them, and
-   in large samples always.
-2. With all slipless contacts tied the power is a smooth function. Newton's method finds its minimum, in the end in
-   twice the precision (polish.py).
-3. The tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
-   states are those of a minimum; whether that is proven is for taichi_bearings/proof to say.
-4. If they cannot, the path is followed once more with other contacts tied.
+Symbols (all words are in conic/__init__.py).
 
-Letters and words (n, d, unknowns, tied, margin, ...) are explained in conic/__init__.py.
+==========  ==========================================================================================
+u           spins of the free spheres, the unknowns (unknowns,)
+v = K u + b slip of each contact, (d, n): linear in the spins; b comes from the driven spheres
+mu          largest friction force of each contact, (n,), in units of their mean
+f           friction force of each contact, (d, n); `dual` is -f
+margin      1 - |f| / mu, the share of its friction that a contact does not use
+S           the contacts that slip
+==========  ==========================================================================================
+
+Theorem used (optimality of a convex function; Rockafellar, Convex Analysis, 1970, section 27). Spins are a minimum
+exactly if there are forces f such that
+
+(a) all torques balance: K^T f = 0;
+(b) each slipping contact has f = mu v / |v|, all its friction along its slip;
+(c) each other contact has |f| <= mu.
+
+So it is enough to guess S, and to check. With every contact outside S tied (its two ends turn as one, so v = 0) the
+power is a smooth function of the spins that are left; its minimum fulfils (b), and (a) for the tied sets of spins. What
+remains is (c): do forces within friction balance the torques inside the tied sets? If they do, all of (a) to (c) hold,
+and the guess was right. A wrong guess cannot pass, so no guess needs a proof. (All this is in floating point;
+taichi_bearings/proof makes it rigorous. With a viscosity eta the power has eta |v|^2 / 2 more for each contact and the
+force eta v more; nothing else changes.)
+
+Example: three contacts in a row with frictions 3, 1, 2, the first end at rest, the last one driven by a jump of 4. On
+the path the middle contact has nearly no margin and slips by nearly 4. With the others tied its slip is 4 and its force
+1. The tied contacts have to bear that force, and 1 is below 3 and 2: proven, the least power is 1 * 4.
+
+Steps of :func:`resolve`.
+
+1. Guess S from the last two points of the path (:func:`_seem_to_stick`). This is done in small samples only; in large
+   ones some guess is nearly always wrong.
+2. Find the minimum of the smooth power by Newton's method (:class:`_SmoothPower`). A slip that would be reversed leaves
+   S. The last Newton steps are in twice the precision (polish.py), as slips go down to 1e-15 of the jump and below.
+3. Look for the forces (c) (slipless_forces.py). If they exist and no slip is as small as rounding, the sample is done.
+4. Else follow the path on until slip and margin of each contact have parted (last_decades.py), and repeat steps 2 and 3
+   with the contacts that slip there, up to four times with different contacts tied (:func:`_minimum_along_path`).
+5. Refuse a minimum whose power differs from that of the path; find contacts that slip at some minima and rest at others
+   (ties.py).
 """
 
 from collections.abc import Sequence
@@ -35,39 +68,48 @@ from taichi_bearings.conic.ties import tied_contacts
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
-POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6  # relative bounds on the rise and on the fall of power from that of the path
-DECIDED_RATIO = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
-STICKING_TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
-DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
+# Numbers below without a reason were found by trial. None can make an answer wrong: a bad guess costs a further trial.
+# The power of a minimum may lie above that of the path by so much, relative: sums of 1e5 contacts round by about 1e-12.
+# It may lie below by the second number: paths that come here have relative gaps of at most 1e-8.
+POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6
+DECIDED_RATIO = 1e2  # a contact seems to stick if its margin is larger than its slip by more than this factor
+# A contact seems to stick if a step has left less than this share of its slip and more than this share of its margin;
+# of one of the two a step leaves about a fifth.
+STICKING_TREND = 0.6
+DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be undecided when the trials on the last decades begin
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
-FEW_DOUBTFUL = 3  # contacts that may be in doubt when the states are tried where no minima may tie
-# torques over the mean friction: at the first Newton's method ends, the second is accepted after its last step
+FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trial, made if minima can be unique
+# Largest torque over the mean friction: below the first, some 1e4 roundings of a force, Newton's method ends; below the
+# second, its end is accepted after its last step all the same.
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
 NEWTON_TRIALS = 2  # runs of Newton's method; before the second, contacts that have come to rest are tied
-# largest change of a slip by a step, over the slip; the second if the whole step would reverse the slip
-TURNED_SLIP_STEP, SLIP_STEP = 0.5, 0.95
-RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
-# smallest slip that needs no second look, known in twice the precision, and in one: 10^3 seed 559 asks for it
+# Most that a Newton step may change a slip, as a share of the slip: if the whole step would not reverse the slip, and
+# if it would.
+MOST_SLIP_CHANGE, MOST_CHANGE_IF_REVERSED = 0.5, 0.95
+RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would reverse it
+# Slips above these, over the imposed jump, are surely no rounding: spins known in twice the precision, and in doubles.
+# (10^3 spheres, seed 559, has a slip in between and needs the second look.)
 LEAST_SLIP_IN_PAIRS, LEAST_SLIP_IN_DOUBLES = 1e-22, 1e-9
 TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """A minimum of one sample: spins, slips, forces and contact states.
+    """A minimum of one sample, of n contacts with up to d slip components: spins, slips, forces and contact states.
 
-    spins : (unknowns,).
-    difference : (d, n), slips. They are more precise than those of `spins`, whose rounding can be a part of the
-        smallest slips, unless `rest` is added.
+    spins : (unknowns,), spins of the free spheres.
+    difference : (d, n), slips. They are more precise than slips computed from `spins`, whose rounding can be a part of
+        the smallest slips, unless `rest` is added.
     dual : (d, n), minus the friction forces.
     slipping : (n,) mask of contacts that slip.
     at_limit : (n,) mask of contacts that bear all their friction and yet do not slip.
-    heads : (unknowns,) mask, one representative unknown for each set of tied spins without a driven plane; holding
-        these makes the matrix of slipless contacts regular.
-    rest : (unknowns,), what the spins lack, in twice the precision; None if that is not known.
-    borne : whether the slipless contacts bear their load.
+    heads : (unknowns,) mask, one spin of each set of spins that slipless contacts tie together, without the sets that
+        are tied to a driven plane. With these spins held the matrix of the slipless contacts is regular.
+    rest : (unknowns,), what `spins` lack, so that spins + rest is known in twice the precision; None if it is not
+        known.
+    borne : True if forces within friction at the slipless contacts have been found that balance all torques.
     tied : (n,) mask of contacts that slip at some minima and rest at others; None if not looked for.
-    viscosity : (n,), None for friction alone.
+    viscosity : (n,), viscous force over slip speed; None for friction alone.
     """
 
     spins: np.ndarray
@@ -83,31 +125,32 @@ class Resolved:
 
     @property
     def ties(self) -> np.ndarray:
-        """(n,) mask of the contacts that are known to slip at some minima and rest at others."""
+        """(n,) mask of the contacts that are known to slip at some minima and to rest at others; all False if not
+        looked for."""
         return np.zeros_like(self.at_limit) if self.tied is None else self.tied
 
     @property
     def sure(self) -> bool:
-        """Whether a proof of the states can be expected: slipless contacts bear their load, and no slip is as small as
-        rounding."""
+        """True if a proof of the contact states can be expected: slipless contacts bear their load, and the smallest
+        slip is above what rounding can make."""
         faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
         return self.borne and length(self.difference)[self.slipping].min(initial=np.inf) > faintest
 
     @property
     def whole_dual(self) -> np.ndarray:
-        """Minus the force of every contact, (d, n), with its viscous part."""
+        """(d, n), minus the force of every contact, with its viscous part."""
         return whole_dual(self.dual, self.viscosity, self.difference)
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What samples of one network share.
+    """What the samples of one network share. Samples differ in the friction of their contacts alone.
 
-    system : the contacts of a sample.
-    order : order of elimination of its unknowns.
+    system : the contacts of one sample.
+    order : (unknowns,), order in which its unknowns are eliminated.
     matrix : Newton matrix of one sample, or of several at once.
-    top : for each spin of a sample the imposed spin of the top above it, in twice the precision; None where imposed
-        spins are doubles.
+    top : for each spin of a sample the imposed spin of the top sphere above it, as a sum of two doubles; None where
+        imposed spins are doubles.
     """
 
     system: ContactSystem
@@ -117,110 +160,131 @@ class Surroundings:
 
 
 def resolve(
-    iterates: Sequence[Iterate], before: Sequence[Iterate | None], lattice: Surroundings, small: bool
+    iterates: Sequence[Iterate], before: Sequence[Iterate | None], shared: Surroundings, small: bool
 ) -> list[Resolved | None]:
-    """The minimum of each sample; None where double precision does not reach it. The result for a sample does not
-    depend on the others, bit by bit.
+    """Return the minimum of each sample; None where double precision does not reach it. The result for a sample does
+    not depend on the other samples, bit by bit.
 
     iterates : points near the end of the central path, one for each sample; not changed.
     before : the points one step before, None where unknown.
-    small : whether in these samples most contacts that seem to stick do stick.
+    shared : system, order of elimination and Newton matrix of all samples.
+    small : True to guess the slipping contacts from the last step of the path at first (step 1 of the head of this
+        module); right mostly in small samples.
     """
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         steps = zip(iterates, before, strict=True)
-        # Step 1: guess the slipping contacts from the last two points of the path.
-        slipping = [~_sticking(here, there) if small and there is not None else None for here, there in steps]
-        minima = _minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, lattice)
-        # Steps 2 and 3: minima for these guesses, and forces of the slipless contacts.
-        found = _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], lattice)
+        # Steps 1 and 2: guess the slipping contacts from the last two points of the path; minima of the smooth power.
+        slipping = [~_seem_to_stick(here, there) if small and there is not None else None for here, there in steps]
+        minima = _smooth_minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, shared)
+        # Step 3, after step 2: forces of the slipless contacts at the minima for these guesses.
+        found = _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], shared)
         for number, iterate in enumerate(iterates):
             # Step 4, for samples without a sure minimum.
             quickly = found[number]
             if quickly is None or not quickly.sure:
                 with suppress(NotPositiveDefinite):
-                    found[number] = _followed(iterate, before[number], lattice) or quickly
-        lattice.matrix.forget()
+                    found[number] = _minimum_along_path(iterate, before[number], shared) or quickly
+        shared.matrix.forget()
+        # Step 5: compare with the power of the path, and look for ties.
         pairs = zip(iterates, found, strict=True)
-        return [settled and _least(iterate, settled, lattice) for iterate, settled in pairs]
+        return [settled and _checked(iterate, settled, shared) for iterate, settled in pairs]
 
 
-def _least(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolved | None:
-    """The minimum `settled`, completed by the contacts that slip at some minima only; None if its power is too far from
-    that of the path."""
+def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resolved | None:
+    """Return `settled`, the minimum of one sample, with the mask of contacts that slip at some minima only; None if its
+    power is not that of the path.
+
+    iterate : the point of the path from which it was found.
+    shared : what all samples share.
+
+    The path gives an upper bound on the least power. So a minimum may be above it by rounding only (POWER_BELOW), and
+    below it by the gap that the path still had (POWER_ABOVE).
+    """
     cost = replace(iterate, difference=settled.difference).cost
     if not -POWER_ABOVE < cost / iterate.cost - 1 < POWER_BELOW:
         return None
     if not settled.sure or iterate.viscosity is not None:  # with viscosity all minima have the same slips
         return settled
     of_minimum = settled.difference, settled.dual, settled.slipping, settled.at_limit
-    return replace(settled, tied=tied_contacts(lattice.system, lattice.order, iterate.friction, *of_minimum))
+    return replace(settled, tied=tied_contacts(shared.system, shared.order, iterate.friction, *of_minimum))
 
 
-def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
-    """(n,) mask of contacts that seem to stick: over the last step of the path their slips fell, their margins did
-    not."""
+def _seem_to_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
+    """(n,) mask of contacts that seem to stick. Over the last step of the path, from `before` to `iterate`, their slip
+    fell and their margin did not."""
     slip, slip_before = length(iterate.difference), length(before.difference)
     apart = iterate.margin > DECIDED_RATIO * slip
     return apart & (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
 
 
-def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
-    """The minimum found along the last decades of the path; None if none is found.
+def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surroundings) -> Resolved | None:
+    """Return the minimum of one sample, found on the last decades of its path, or None.
 
-    The path is followed until few contacts are in doubt. Then come trials, until the states of one are sure:
-    - Where minima cannot tie: with nothing tied, first until hardly any contact is in doubt, then until none is; then
-      with the contacts tied that surely stick.
-    - Where minima may tie: with these tied; then up to twice to the end of the path, with those tied as well that
-      surely stick at the end of the trial before, whose stiffness blurs the forces of the others; at last with nothing
+    iterate, before : the last two points of the path; the second may be None.
+    shared : what all samples share.
+
+    The path is followed until few contacts are undecided. Then come trials, up to the first one whose states are sure;
+    each is a minimum of the smooth power with balanced forces. Tied are contacts that surely stick:
+
+    - If minima can be unique: nothing tied, at FEW_DOUBTFUL undecided contacts; nothing tied, at none; those that stick
       tied.
+    - If there may be several minima (equal frictions): those that stick tied; then twice, to the end of the path, with
+      those tied as well that stuck at the end of the trial before, as their stiffness blurs the forces of the others;
+      last, nothing tied.
+
+    The best minimum found is returned even if its states are not sure.
     """
-    path, settled = LastDecades.after(iterate, before, lattice.matrix), None
+    path, settled = LastDecades.after(iterate, before, shared.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
     none, sticking = np.zeros_like(path.sticking), path.sticking
     if not (ties_possible := may_tie(iterate.friction, none)):
         with suppress(NotPositiveDefinite):
-            early = _tried_early(iterate, copy(path), lattice)
+            early = _early_minimum(iterate, copy(path), shared)
             if early is not None and early.sure:
                 return early
-    # of each trial: are contacts tied, and is the path followed to its end?
+    # for each trial: (are contacts tied?, is the path followed to its end?)
     first, second, free = (True, False), (True, True), (False, False)
     for ties, to_the_end in (first, second, second, free) if ties_possible else (free, first):
         with suppress(NotPositiveDefinite):
-            found, more = _over_tied(iterate, path, sticking if ties else none, lattice, to_the_end)
+            found, more = _minimum_with_tied(iterate, path, sticking if ties else none, shared, to_the_end)
             settled, sticking = found or settled, sticking | more if ties else sticking
         if settled is not None and settled.sure:
             break
     return settled
 
 
-def _tried_early(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
-    """The minimum if nearly all contacts are decided on `path`, with forces in balance; None where there is none.
+def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) -> Resolved | None:
+    """Return the minimum if all but FEW_DOUBTFUL contacts are decided on `path`, with forces in balance; else None.
 
-    How the ratios of the few others change nearly always tells whether they slip. The last steps, each with the matrix
-    of the whole lattice, would only make that certain, and balanced forces are certain enough.
+    iterate : the point at which the path was begun. shared : what all samples share.
+
+    The trend of the last undecided contacts nearly always tells whether they slip. Further steps, each with the matrix
+    of the whole network, would only make that certain, and so do balanced forces.
     """
     slipping = path.decide(FEW_DOUBTFUL)
     if slipping is None:
         return None
-    (found,) = _minima([iterate], [path.spins], [slipping], lattice)
-    (settled,) = _with_slipless_forces([iterate], [found], [path.point.dual], lattice)
+    (found,) = _smooth_minima([iterate], [path.spins], [slipping], shared)
+    (settled,) = _with_slipless_forces([iterate], [found], [path.point.dual], shared)
     return settled
 
 
-def _over_tied(
-    iterate: Iterate, path: LastDecades, sticking: np.ndarray, lattice: Surroundings, to_the_end: bool
+def _minimum_with_tied(
+    iterate: Iterate, path: LastDecades, sticking: np.ndarray, shared: Surroundings, to_the_end: bool
 ) -> tuple[Resolved | None, np.ndarray]:
-    """The minimum found when the path goes on with the contacts `sticking` (n,) tied, None if there is none; and a mask
-    (n,) of further contacts that surely stick at its end.
+    """Follow the path on with some contacts tied, and find the minimum at its end.
 
-    to_the_end : follow the path to its end, not only until no contact is in doubt.
+    iterate : the point at which the path was begun. path : the point that was reached; not changed.
+    sticking : (n,) mask of the contacts to tie. shared : what all samples share.
+    to_the_end : follow the path until double precision ends, not only until every contact is decided.
+    returns : the minimum, None if there is none; (n,) mask of the further contacts that surely stick at the end.
 
-    Slipless contacts begin with the forces that they have at the end of the path. Where minima may tie, a path with
-    other contacts tied can change these forces a lot; then the forces from before are tried as well.
+    Forces of slipless contacts are looked for near those at the end of the path. Where minima may tie, a path with tied
+    contacts can change these forces a lot; then those of `path` are tried as well.
     """
     none, later = np.zeros_like(sticking), path.point.dual.copy()
-    tied = Contraction(lattice.system, lattice.order, sticking) if sticking.any() else None
+    tied = Contraction(shared.system, shared.order, sticking) if sticking.any() else None
     rest = path.over(tied) if tied else copy(path)
     left = None if tied and tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
     if left is None:
@@ -228,21 +292,27 @@ def _over_tied(
     slipping, at_limit, sticking, kept = none.copy(), none.copy(), none.copy(), tied.kept if tied else slice(None)
     slipping[kept], at_limit[kept], sticking[kept] = left, rest.at_limit, rest.sticking
     later[:, kept] = rest.point.dual
-    (found,) = _minima([iterate], [tied.expanded(rest.spins) if tied else rest.spins], [slipping], lattice)
+    (found,) = _smooth_minima([iterate], [tied.expanded(rest.spins) if tied else rest.spins], [slipping], shared)
     if found is not None and at_limit.any():  # as are those that Newton's method has brought to rest
         found = replace(found, at_limit=(at_limit | slipping) & ~found.slipping)
     earlier = np.where(at_limit | (path.point.slip_over_margin > 1), later, path.point.dual)
-    (settled,) = _with_slipless_forces([iterate], [found], [later], lattice)
+    (settled,) = _with_slipless_forces([iterate], [found], [later], shared)
     if settled is None and may_tie(iterate.friction, at_limit):
-        (settled,) = _with_slipless_forces([iterate], [found], [earlier], lattice)
+        (settled,) = _with_slipless_forces([iterate], [found], [earlier], shared)
     return settled, sticking
 
 
 def _with_slipless_forces(
-    iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[np.ndarray], lattice: Surroundings
+    iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[np.ndarray], shared: Surroundings
 ) -> list[Resolved | None]:
-    """The minima, completed by forces of the slipless contacts that balance the others; None for a sample where no such
-    forces are found. near : duals (d, n) of the samples, near which they are looked for."""
+    """Return minima completed by forces of the slipless contacts that balance all torques (step 3 of the head of this
+    module); None for a sample where no such forces are found.
+
+    iterates : for each sample the point of the path, whose frictions are used. minima : for each sample its minimum or
+        None.
+    near : for each sample minus the forces (d, n) near which those of the slipless contacts are looked for.
+    shared : what all samples share.
+    """
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
     if some:
@@ -252,30 +322,33 @@ def _with_slipless_forces(
         dual = np.concatenate([np.where(found.slipping, found.whole_dual, near[n]) for n, found in some], axis=1)
         friction = np.concatenate([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
-        duals, fine = nearly_borne(lattice.system, lattice.matrix, friction, dual, slipping, at_limit, heads)
+        duals, fine = nearly_borne(shared.system, shared.matrix, friction, dual, slipping, at_limit, heads)
         for (number, found), whole, inside in zip(some, np.split(duals, len(some), axis=1), fine, strict=True):
             dual = np.where(found.slipping, found.dual, whole)
             settled[number] = replace(found, dual=dual, borne=True) if inside else None
     return settled
 
 
-def _minima(
-    iterates: Sequence[Iterate], spins: Sequence[Pair], given: Sequence[np.ndarray | None], lattice: Surroundings
+def _smooth_minima(
+    iterates: Sequence[Iterate], spins: Sequence[Pair], masks: Sequence[np.ndarray | None], shared: Surroundings
 ) -> list[Resolved | None]:
-    """The least power of each sample if only given contacts slip, or those of them that do not come to rest; None for a
-    sample where it is not found.
+    """Return the minimum of the smooth power of each sample: only some contacts may slip (step 2 of the head of this
+    module). None for a sample where it is not found.
 
-    spins : of each sample, where to begin.
-    given : (n,) mask of the contacts that slip, None for a sample that is left out.
+    iterates : for each sample the point of the path, whose frictions are used.
+    spins : for each sample (unknowns,) the spins to begin with, as sums of two doubles.
+    masks : for each sample the mask (n,) of contacts that may slip, None for a sample that is left out. Contacts that
+        come to rest are tied, and Newton's method is run once more (NEWTON_TRIALS).
+    shared : what all samples share.
     """
     found: list[Resolved | None] = [None] * len(iterates)
-    slipping = [mask for mask in given if mask is not None]
-    numbers = [number for number, mask in enumerate(given) if mask is not None]
+    slipping = [mask for mask in masks if mask is not None]
+    numbers = [number for number, mask in enumerate(masks) if mask is not None]
     spins = [spins[number] for number in numbers]
     for _ in range(NEWTON_TRIALS if numbers else 0):
-        trial = _Slipping([iterates[number] for number in numbers], slipping, lattice)
+        trial = _SmoothPower([iterates[number] for number in numbers], slipping, shared)
         at_rest = trial.descend((np.concatenate([s[0] for s in spins]), np.concatenate([s[1] for s in spins])))
-        for number, resolved in zip(numbers, trial.resolved(lattice.top), strict=True):
+        for number, resolved in zip(numbers, trial.resolved(shared.top), strict=True):
             found[number] = resolved
         again = np.flatnonzero(trial.tied.owners.any(at_rest)).tolist()
         if not again:
@@ -288,20 +361,28 @@ def _minima(
     return found
 
 
-class _Slipping:
-    """The power of samples as a function of the slips of some contacts, while all others are tied. It is smooth.
+class _SmoothPower:
+    """The power of some samples as a function of the spins while all contacts that do not slip are tied. It is smooth.
 
-    slipping : (n,) mask for each sample.
+    slipping : for each sample a mask (n,) of its n contacts that slip.
+    tied : the contacts and unknowns that are left.
+    matrix : second derivative of the power, factorised sample by sample.
+    friction, viscosity : (kept,), of the contacts that are left, all samples one after the other; no viscosity: None.
+    spins : (unknowns left,), where the samples are, as sums of two doubles. difference : (d, kept), the slips there.
     balanced : (samples,) mask of those that have come to the minimum of this function.
     """
 
-    def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], lattice: Surroundings) -> None:
-        """Tie all contacts that do not slip, and analyse the Newton matrix of what is left."""
-        self.iterates, self.samples, whole = iterates, len(iterates), lattice.system.copies(len(iterates))
-        self.tied = Contraction(whole, lattice.order, ~np.concatenate(slipping), self.samples)
+    def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], shared: Surroundings) -> None:
+        """Tie all contacts that do not slip, and analyse the matrix of second derivatives.
+
+        iterates : for each sample the point of the path, whose frictions are used.
+        slipping : for each sample a mask (n,). shared : what all samples share.
+        """
+        self.iterates, self.samples, whole = iterates, len(iterates), shared.system.copies(len(iterates))
+        self.tied = Contraction(whole, shared.order, ~np.concatenate(slipping), self.samples)
         self.slipping = self.everywhere(np.ones(len(self.tied.kept), dtype=bool))
         parts = [self.tied.span(sample) for sample in range(self.samples)]
-        self.matrix = NewtonMatrix(self.tied.system, self.tied.order, lattice.matrix.memory, parts=parts)
+        self.matrix = NewtonMatrix(self.tied.system, self.tied.order, shared.matrix.memory, parts=parts)
         self.friction = np.concatenate([iterate.friction for iterate in iterates])[self.tied.kept]
         viscosity = [iterate.viscosity for iterate in iterates if iterate.viscosity is not None]
         self.viscosity = np.concatenate(viscosity)[self.tied.kept] if viscosity else None
@@ -310,12 +391,13 @@ class _Slipping:
         self.difference: np.ndarray
 
     def descend(self, spins: Pair) -> np.ndarray:
-        """Run Newton's method from these spins of the whole systems until the torques are in balance. No slip may be
+        """Run Newton's method until all torques balance, and set `spins`, `difference` and `balanced`. No slip may be
         reversed.
 
-        Returns a mask over the contacts that are left, true for those that come to rest and have to be tied: they did
-        not slip to begin with, or the next step would reverse their slip. Their samples, and those in which the method
-        fails, end unbalanced.
+        spins : where to begin, (samples * unknowns,) spins before tying, as sums of two doubles.
+        returns : (kept,) mask of the contacts left that come to rest and have to be tied: they did not slip to begin
+            with, or the next step would reverse their slip. Samples with such contacts, and those in which the method
+            fails, end unbalanced.
         """
         system, owners, self.spins = self.tied.system, self.tied.owners, self.tied.contracted(spins)
         self.difference = self.tied.differences(self.spins)
@@ -339,7 +421,8 @@ class _Slipping:
             turned = inner(self.difference + change, self.difference) <= 0
             resting = turned & (slip < RESTING_SHARE * first) & going[of_contacts]
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
-            reach = owners.largest(length(change) / (np.where(turned, SLIP_STEP, TURNED_SLIP_STEP) * slip))
+            most = np.where(turned, MOST_CHANGE_IF_REVERSED, MOST_SLIP_CHANGE)
+            reach = owners.largest(length(change) / (most * slip))
             along, (high, low) = np.minimum(1.0, 1 / np.maximum(reach, TINY)), self.spins
             self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
             there = self.difference + along[of_contacts] * change
@@ -348,11 +431,16 @@ class _Slipping:
 
     @property
     def dual(self) -> np.ndarray:
+        """(d, kept), minus the friction forces: all friction of each contact left, along its slip."""
         return -self.friction * self.difference / length(self.difference)
 
     def resolved(self, top: Pair | None) -> list[Resolved | None]:
-        """The minima of the samples that are balanced, None for the others; in twice the precision where that is
-        reached. top : as of :class:`Surroundings`."""
+        """Return the minimum of each sample, None where torques do not balance; in twice the precision where that is
+        reached.
+
+        top : for each spin of a sample the imposed spin of the top above it, as a sum of two doubles; None where
+            imposed spins are doubles.
+        """
         if not self.balanced.any():
             return [None] * self.samples
         (spins, rest), difference, dual, fine = polished(
@@ -369,8 +457,11 @@ class _Slipping:
     def _each(
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
     ) -> list[Resolved]:
-        """The minima sample by sample, from arrays over all samples. rests : of each sample what its spins lack, or
-        None."""
+        """Return the minima sample by sample.
+
+        spins : (samples * unknowns,), before tying. rests : for each sample (unknowns,) what its spins lack, or None.
+        difference, dual : (d, kept), slips and minus the friction forces of the contacts left.
+        """
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
         at_limit = [np.zeros_like(mask) for mask in self.slipping]
         heads = np.split(self.tied.heads, self.samples)
@@ -378,8 +469,8 @@ class _Slipping:
         return [replace(of, viscosity=iterate.viscosity) for of, iterate in zip(found, self.iterates, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
-        """Values (..., kept) of the slipping contacts, spread over all contacts with zeros for the others: an array
-        (..., n) for each sample."""
+        """Return for each sample an array (..., n) over all its contacts: `values` (..., kept) at contacts that are
+        left, 0 at the others."""
         found = np.zeros((*values.shape[:-1], self.tied.whole.offset.shape[1]), values.dtype)
         found[..., self.tied.kept] = values
         return np.split(found, self.samples, axis=-1)

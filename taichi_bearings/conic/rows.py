@@ -1,7 +1,7 @@
-"""The numbers of all contacts as the kernels of a Newton step take them, of one sample or of several side by side.
+"""Numbers of all contacts as the kernels of a Newton step take them, for one sample or several side by side.
 
-Letters: n contacts with d slip components, S samples (1 or LANES), as in conic/__init__.py; rows and their names are
-those of kernels/central_path.py.
+Letters: n contacts with d slip components, S samples (1 or LANES), as in conic/__init__.py. The names of the rows
+(BOUND, SLIP, DUAL, ...) and what each holds are in kernels/central_path.py.
 """
 
 from collections.abc import Callable
@@ -25,14 +25,16 @@ Sums: TypeAlias = tuple[np.ndarray, np.ndarray] | sparse.csr_array
 
 
 class ContactRows:
-    """Memory for the Newton steps of S samples, and the maps between contacts and spins.
+    """Memory for the Newton steps of S samples, and the maps between spins and slips.
 
-    A row holds one number of every contact, contact by contact, those of all samples one after the other. Slips and
-    forces take two rows, one after the other, (2*contacts, S); the second counts where contacts have two slipping
-    components.
+    A row holds one number for every contact; contact by contact, the numbers of all samples follow each other. Slips
+    and forces are vectors of up to two components and take two rows, one after the other; the second is 0 at contacts
+    with one component. `contacts` counts the contacts with those that fill up blocks.
 
-    values : (rows, contacts, S).
+    values : (rows, contacts, S), all rows.
     spins : (unknowns or more, S), changes of the spins, or torques on them.
+    samples : S.
+    place : (unknowns,), place of each unknown in `spins`.
     """
 
     def __init__(
@@ -44,9 +46,10 @@ class ContactRows:
     ) -> None:
         """Reserve memory for the contacts of a system.
 
-        spins : array (unknowns or more, S) in which spins are to be.
+        spins : array (unknowns or more, S) that is used for spins and torques; S is the number of samples.
         place : (unknowns,), place of each unknown in it; None if they are in order.
-        laplacian : map from `stacked` stiffnesses to the entries of the Laplacian, for :meth:`add_stiffnesses`.
+        laplacian : matrix from `stacked` stiffnesses of the contacts to entries of the Newton matrix, which
+            :meth:`add_stiffnesses` needs; None if it is not called.
         """
         self.samples, self.spins, d = spins.shape[1], spins, len(system.offset)
         # Contacts with one component come before those with two, each kind padded to a multiple of BLOCK.
@@ -77,17 +80,19 @@ class ContactRows:
         self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
-        """Places of the first `count` rows of each contact in rows one after the other, row by row."""
+        """Return where the first `count` rows of each of the n contacts stand in consecutive rows of memory, (count *
+        n,), row by row."""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(
         self, kernel: tuple[Pass, Pass], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
     ) -> np.ndarray:
-        """Run a pass over all contacts and return what it finds, (found, S): minima first, then sums.
+        """Run a kernel over all contacts and return what it finds for each sample, (found, S): minima over the contacts
+        first, then sums.
 
-        kernel : one function for contacts with one component, and one for those with two.
-        slots : the step that is read, and the one that is written.
-        numbers : constants of the pass, one for all samples or (S,).
+        kernel : two functions, for contacts with one slip component and for those with two.
+        slots : the step (0 or 1) whose rows the kernel reads, and the step whose rows it writes.
+        numbers : constants of the kernel, at most MOST_CONSTANTS, each one number or (S,).
         """
         for own, number in zip(self._numbers, numbers, strict=False):
             own[:] = number
@@ -108,19 +113,26 @@ class ContactRows:
         )
 
     def change(self, row: int) -> None:
-        """Write the change of the slips that follows from that of the spins into two rows from `row` on."""
+        """Compute the change K x of the slips from the change x of the spins in `self.spins`, and write its two
+        components to rows `row` and `row + 1`."""
         self._add_up(self._changes, self.spins, self._flat, 0, row * self._contacts)
 
     def torques(self, row: int) -> None:
-        """Write the torques of the forces in two rows from `row` on over the spins: the transpose of `change`."""
+        """Compute the torques K^T f of the forces in rows `row` and `row + 1` (one row a component), and write them
+        into `self.spins`, which is overwritten. K is the matrix from spins to slips."""
         self._add_up(self._torques, self._flat, self.spins, row * self._contacts, 0)
 
     def add_stiffnesses(self, entries: np.ndarray) -> None:
-        """Write the entries (n or more, S) of the Laplacian of the stiffnesses in the rows."""
+        """Compute the entries of the Newton matrix K^T (stiffness) K from the stiffnesses of the contacts, which stand
+        in three rows, and write them into `entries` (entries or more, S)."""
         self._add_up(self._stiffnesses, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
 
     def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
-        """Multiply numbers by one of the maps: values from `first` on, results from `to` on in `found`."""
+        """Compute a product of a sparse matrix with numbers, and write it to `found`.
+
+        sums : the matrix, as :data:`Sums`. values : array that holds the numbers, flat in contacts or spins, from the
+            index `first` on. found : array for the result, which goes to the index `to` and on.
+        """
         key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
         if isinstance(sums, sparse.csr_array):
             rows, columns = sums.shape
@@ -132,25 +144,26 @@ class ContactRows:
         self._starts[key][0]()
 
     def put(self, row: int, sample: int, values: np.ndarray) -> None:
-        """Write numbers (n,), or vectors (d, n), of a sample into the rows from `row` on."""
+        """Write numbers (n,) of one sample into row `row`, or vectors (d, n) into the d rows from there on."""
         self.values[row : row + (len(values) if values.ndim == 2 else 1), self._at, sample] = values
 
     def numbers(self, row: int, sample: int) -> np.ndarray:
-        """Numbers (n,) of a sample in a row."""
+        """Return the numbers (n,) of one sample in a row."""
         return self.values[row, self._at, sample]
 
     def vectors(self, row: int, sample: int, count: int) -> np.ndarray:
-        """Vectors (count, n) of a sample in the rows from `row` on."""
+        """Return vectors (count, n) of one sample: the components that stand in `count` rows from `row` on."""
         return self.values[row : row + count, :, sample].take(self._at, axis=1)
 
     def two(self, row: int) -> np.ndarray:
-        """View (2*contacts, S) of two rows from `row` on."""
+        """Return a view (2*contacts, S) of rows `row` and `row + 1`: the two components of a vector on each contact."""
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)
 
 
 @lru_cache
 def compile_passes() -> None:
-    """Compile the passes on a tiny system: they are the same for all systems."""
+    """Compile the kernels of a Newton step, by running them on a system of two contacts: they are the same for all
+    systems."""
     felt = np.array([[True, True], [False, True]])
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
     rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), np.zeros((1, 1)))
@@ -160,8 +173,12 @@ def compile_passes() -> None:
 
 
 def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, shape: tuple[int, int]) -> Sums:
-    """Tables for kernels.add_up of a matrix whose entries are 1 or -1, with terms in the order of columns; for other
-    entries the matrix itself. row, column, sign : of each entry."""
+    """Return a sparse matrix of the given shape in the form that suits its entries (:data:`Sums`).
+
+    row, column, sign : row, column and value of each entry. If all values are 1 or -1, tables for `kernels.add_up` are
+        returned: where the terms of each row begin, and the columns of the terms, in rising order, those to be
+        subtracted as their bitwise complement.
+    """
     if (np.abs(sign) != 1).any():
         return sparse.csr_array((sign, (row, column)), shape=shape)
     order = np.lexsort((column, row))

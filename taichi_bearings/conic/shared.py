@@ -1,8 +1,8 @@
-"""What all samples on a network share: its rows (slips as functions of spins), an order of elimination, and the matrix
-of Newton steps.
+"""Makes what all samples on a network share: its rows (slips as functions of spins), an order of elimination, and the
+matrix of Newton steps.
 
-Seeds of one network differ only in their coefficients. So what follows from the network alone is made once, and small
-samples are factorised side by side.
+Samples of one network differ only in the friction of their contacts. So what follows from the network alone is made
+once, and small samples are factorised side by side.
 """
 
 import threading
@@ -19,15 +19,15 @@ from taichi_bearings.numerics.cholesky import Engine
 from taichi_bearings.numerics.cholesky.tuning import LAUNCH_UNKNOWNS
 from taichi_bearings.scene.bearing import Bearing
 
-KEPT_UNKNOWNS = 30_000  # number of unknowns from which the matrix of a network is not kept for its other samples
-SMALL_SPHERES = 5_000  # number of spheres below which states of signed rows are settled as those of small lattices
+KEPT_UNKNOWNS = 30_000  # from so many unknowns on the matrix of a network is not kept for its other samples (memory)
+SMALL_SPHERES = 5_000  # over signed spins systems with fewer spheres count as small, see `is_small`
 
 
 def system_of(bearing: Bearing) -> ContactSystem:
-    """The contact system of a bearing, in which no motion is left that makes no contact slip.
+    """Return the contact system of a bearing, without motions of the spheres at which no contact slips.
 
-    Oblique networks mostly have no such motion. One factorisation of their matrix, which is needed anyhow, tells
-    whether that is so. Only where it does not are motions looked for by elimination.
+    Such motions make the Newton matrix singular. On networks with oblique normals there mostly are none, and one
+    factorisation, which is needed anyhow, shows it. Only where it does not are motions looked for, by elimination.
     """
     system = ContactSystem.before_motions(bearing)
     if system.motions is not None or not system.unknowns:
@@ -41,10 +41,11 @@ def system_of(bearing: Bearing) -> ContactSystem:
 
 
 def surroundings_of(system: ContactSystem) -> Surroundings:
-    """System, order and matrix that samples share, over signed spins where the system has them.
+    """Return what all samples on the network of a contact system share: the system (over signed spins where it has
+    them, so that slips are differences), order of elimination and Newton matrix.
 
-    They are made once in each thread, as the numbers of a factorisation are kept in the matrix. Those of large systems
-    are not kept for other samples.
+    They are made once in each thread, as the numbers of a factorisation are stored in the matrix. Those of systems with
+    KEPT_UNKNOWNS or more unknowns are not kept for other samples.
     """
     name = _name()
     found = cast(Surroundings | None, system.kept.get(name))
@@ -58,19 +59,23 @@ def surroundings_of(system: ContactSystem) -> Surroundings:
 
 
 def is_small(system: ContactSystem) -> bool:
-    """True where samples are factorised side by side and, if their contact states are settled, this is done as in small
-    lattices."""
+    """Return True for systems of which several samples are factorised in one launch. Their contact states are then
+    first guessed from the last step of the path, as `small` of :func:`resolution.resolve` says.
+
+    Over plain spins (`system.sign` is None) the number of unknowns decides; over signed spins, as on lattices, the
+    number of spheres with an unknown spin.
+    """
     if system.sign is None:
         return system.unknowns < LAUNCH_UNKNOWNS
     return len(np.unique(system.sphere)) < SMALL_SPHERES
 
 
 def _name() -> tuple[str, int]:
-    """The key under which a thread keeps what it shares."""
+    """Return the key in `ContactSystem.kept` under which the present thread finds its :class:`Surroundings`."""
     return "surroundings", threading.get_ident()
 
 
 def _made(system: ContactSystem, rows: ContactSystem) -> Surroundings:
-    """System, order and matrix over the given rows. system : decides whether samples are small."""
+    """Make a new :class:`Surroundings` over the system `rows`."""
     order = order_by_place(rows)
     return Surroundings(rows, order, NewtonMatrix(rows, order, engine=Engine.LAUNCH if is_small(rows) else None), None)

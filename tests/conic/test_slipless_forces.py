@@ -92,7 +92,7 @@ def test_states_with_tiny_slips_are_proven_and_the_same_from_any_start(shape, se
 def test_states_are_proven_before_the_last_steps_of_the_path(monkeypatch):
     """Those cost as much as all that settling takes, and where no minima tie nothing is left for them to decide."""
     late = []
-    monkeypatch.setattr(resolution, "_over_tied", lambda *given: late.append(given))
+    monkeypatch.setattr(resolution, "_minimum_with_tied", lambda *given: late.append(given))
     solution = minimum_of(make_scene((12, 12, 12), seeds=(29,)))
     assert solution.states_proven[0]
     assert not late
