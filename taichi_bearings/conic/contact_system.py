@@ -1,15 +1,16 @@
-"""The unknown spins of a problem, and the slips that they make: rows y = K x + b over the contacts that act.
+"""The unknown spins of a problem, and the slips that they make: slip = K x + b for each contact.
 
-The unknowns x are components of the spins of free spheres. In a network of any kind the rows lie along the tangents of
-its contacts (:meth:`ContactSystem.of`). Where components do not mix and no loop is odd, signs by which neighbours
-differ turn sums of spins into differences, and a row is the difference of two unknowns (:meth:`ContactSystem.signed`).
-For a lattice such rows follow from its strides (:func:`lattice_system`): staggered spins are measured from the bottom
-plane in units of the imposed jump, forces in units of the sample's mean coefficient times the normal force, so that
-every number is of order one whatever units the scene is in.
+The unknowns x are components of the spins of free spheres; K is a sparse matrix and b what imposed spins contribute. A
+row of K is one slip component of one contact. In a network of any kind the rows lie along the tangents of its contacts
+(:meth:`ContactSystem.of`). Where components of the spins do not mix and no loop of contacts is odd, signs by which
+neighbours differ turn sums of spins into differences, and a row is the difference of two unknowns
+(:meth:`ContactSystem.signed`). For a lattice such rows follow from its strides (:func:`lattice_system`): staggered
+spins are measured from the bottom plane in units of the imposed jump, forces in units of the sample's mean coefficient
+times the normal force, so that every number is of order one whatever units the scene is in.
 
 Letters: R samples, N spheres, E contacts, C spin components, D dimensions; n contacts of a system, of which d is the
-most rows that one has (equations.md). Vectors across contacts are (d, n): a contact with fewer rows has them first, and
-0 in the others. A contact "feels" a component of the spins that makes it slip.
+most slip components that one has (equations.md). Vectors across contacts are (d, n): a contact with fewer components
+has them first, and 0 in the others. A contact "feels" a component of the spins that makes it slip; u = radius * spin.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,33 +33,34 @@ OF_ROWS = ("operator", "transposed", "across", "feels")  # properties that do no
 
 
 def _nothing() -> np.ndarray:
-    """An empty array, for fields that only the system of a whole network has."""
+    """Return an empty array, for fields that only the system of a whole network has."""
     return np.zeros((0, 0), dtype=np.int64)
 
 
 @dataclass(frozen=True)
 class ContactSystem:
-    """n contacts, each with up to d rows, over a vector of unknown spins.
+    """n contacts, each with up to d slip components (rows), over a vector of unknown spins x: slip = K x + b.
 
-    unknowns : their number.
+    unknowns : number of unknowns.
     offset : b, (d, n), what the imposed spins contribute to the slips.
     felt : (d, n) mask of the rows that exist.
-    ends : (2, d, n), the unknowns whose difference is taken, the one below first; -1 where the spin is imposed. None
-        where slips are other sums of unknowns.
+    ends : (2, d, n), the two unknowns whose difference (second less first) is the slip, the lower sphere first; -1
+        where the spin is imposed. None where slips are other sums of unknowns.
     slips : K, (d*n, unknowns), where `ends` is None: all first rows of the contacts, then all second ones.
 
-    The other fields are empty or None unless the system is that of a whole network:
+    The other fields are empty or None unless the system is that of a whole network, of N spheres with C spin
+    components:
 
-    contact : (n,), numbers of the contacts among the E of the network.
+    contact : (n,), numbers of the contacts in the network.
     slot : (d, n), the spin component or the tangent of each row.
-    place : (D, unknowns), where the spins are.
+    place : (D, unknowns), where the sphere of each unknown is.
     whole : the network whose contacts these are; None for a lattice in strides.
     sphere : (unknowns,), the sphere of each unknown.
     moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0.
-    known : (N, C), spins u = R omega that are not unknown.
-    sign : (N, C), factors that turn u into unknowns; None for all 1.
+    known : (N, C), u = radius * spin where it is not unknown.
+    sign : (N, C), factors +1 and -1 that turn u into unknowns; None for all 1.
     motions : number of motions without slip before one spin of each was held; None if undecided.
-    kept : what methods have made of the network, for other coefficients on it.
+    kept : what methods have made of the network, for other frictions on it.
     """
 
     unknowns: int
@@ -79,16 +81,19 @@ class ContactSystem:
 
     @classmethod
     def of(cls, bearing: Bearing) -> "ContactSystem":
-        """The system of a bearing: rows along the tangents of all contacts that act (with a coefficient in some sample,
-        and a free end) in parts which touch a driven sphere. The unknowns are u of the spheres in these parts; of each
-        motion that makes no contact slip one spin is left out."""
+        """Return the system of a bearing, with rows along the tangents of contacts.
+
+        Contacts are those with a friction or damping above 0 in some sample and a free sphere, in connected parts that
+        touch a driven sphere. The unknowns are u = radius * spin of the free spheres in these parts. Of each motion
+        that makes no contact slip one spin is left out.
+        """
         found = cls.before_motions(bearing)
         return found if found.motions is not None else found.without_motions()
 
     @classmethod
     def before_motions(cls, bearing: Bearing) -> "ContactSystem":
-        """The system as :meth:`of` makes it, except that with oblique normals motions that make no contact slip are
-        still among the unknowns; then `motions` is None."""
+        """Return the system that :meth:`of` returns, except that with oblique normals motions that make no contact slip
+        are still among the unknowns; then `motions` is None."""
         network, contact = bearing.network, bearing.acting
         moves = network.reached(contact)
         contact = contact[moves[network.contact[:, contact]].any(axis=0)]
@@ -99,10 +104,10 @@ class ContactSystem:
     def _over(
         cls, network: Network, contact: np.ndarray, known: np.ndarray, wanted: np.ndarray, number: int | None
     ) -> "ContactSystem":
-        """Rows along the tangents of some contacts over some spins.
+        """Return the system of some contacts of a network over some of its spins, with rows along the tangents.
 
-        contact : numbers (n,) of the contacts. known : (N, C), spins that are imposed. wanted : (N, C) mask of the
-            unknowns. number : `motions`.
+        contact : (n,), numbers of the contacts. known : (N, C), u of the spheres where it is imposed.
+        wanted : (N, C) mask of the unknowns. number : value of the field `motions`.
         """
         spins, sphere = known[network.contact[:, contact]].sum(axis=0), np.nonzero(wanted)[0]
         moved = np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
@@ -123,8 +128,8 @@ class ContactSystem:
         )
 
     def without_motions(self) -> "ContactSystem":
-        """The system in which one spin of each motion that makes no contact slip is held at 0, with the number of such
-        motions."""
+        """Return the system in which one spin of each motion that makes no contact slip is held at 0, with the number
+        of such motions."""
         network, moves = self.network, np.any(self.moved >= 0, axis=1)
         found = network.motions(self.operator, self.sphere, self.numbers, moves)
         wanted = (self.moved >= 0) & ~np.isin(self.moved, found.held)
@@ -132,20 +137,23 @@ class ContactSystem:
         return ContactSystem._over(network, self.numbers, self.known, wanted, number)
 
     def with_motions(self, number: int) -> "ContactSystem":
-        """The same system with a known number of motions that make no contact slip."""
+        """Return the system with `number` as its number of motions that make no contact slip."""
         return self._with(motions=number)
 
     def _with(self, **changes: Any) -> "ContactSystem":
-        """A system with the same rows and unknowns, and other values of some fields; properties that follow from rows
-        alone are kept."""
+        """Return a system with the same rows and unknowns, and other values of some fields. Properties that follow from
+        the rows alone are not computed anew."""
         found = replace(self, **changes)
         vars(found).update({name: of for name, of in vars(self).items() if name in OF_ROWS})
         return found
 
     def signed(self) -> "ContactSystem | None":
-        """The system over signed spins s u, with signs s (N, C), without contacts that feel no unknown; None where
-        components mix or have an odd loop. The difference s_j u_j - s_i u_i of a contact between spheres i and j is s_j
-        (u_i + u_j)."""
+        """Return the system over signed spins s u, in which every slip is a difference of two unknowns; None where
+        components mix or have an odd loop of contacts.
+
+        The signs s, (N, C), differ between spheres i and j in contact, so the difference s_j u_j - s_i u_i is s_j (u_i
+        + u_j): the slip, up to a sign. Contacts that no unknown makes slip are left out.
+        """
         network, needed = self.network, np.flatnonzero((self.moved >= 0).any(axis=0))
         if not network.along_axes(self.numbers):
             return None
@@ -167,47 +175,47 @@ class ContactSystem:
 
     @property
     def network(self) -> Network:
-        """`whole`, for the system of a whole network."""
+        """The network whose contacts these are: the field `whole`, which is never None here."""
         assert self.whole is not None
         return self.whole
 
     @property
     def numbers(self) -> np.ndarray:
-        """`contact` (n,), for the system of a whole network."""
+        """(n,), numbers of the contacts in the network: the field `contact`, which is never None here."""
         assert self.contact is not None
         return self.contact
 
     @cached_property
     def across(self) -> np.ndarray:
-        """Tangents (d, n, C) of the contacts."""
+        """(d, n, C), d tangents of each contact."""
         return np.asarray(self.network.tangents[:, self.contact])
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """(n, C) mask, true for the components of spins that are unknown for some sphere and make a contact slip."""
+        """(n, C) mask, True where a component of the spins makes the contact slip and is unknown for some sphere."""
         return np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
 
     def of_contacts(self, bearing: Bearing, sample: int = 0) -> tuple[np.ndarray, ...]:
-        """Material constants of these contacts in one sample, as the functions of the contact law take them, (n,)
-        each."""
+        """Return the material constants of these contacts in one sample, (n,) each, in the order in which functions of
+        the contact law take them."""
         return tuple(values[sample, self.contact] for values in bearing.material)
 
     def in_units(self, speed: float) -> "ContactSystem":
-        """The system with imposed spins in units of a speed."""
+        """Return the system with imposed spins and slips in units of a speed."""
         return self._with(offset=self.offset / speed, known=self.known / speed)
 
     def with_offset(self, offset: np.ndarray) -> "ContactSystem":
-        """The system with other slips (d, n) from the imposed spins."""
+        """Return the system in which the imposed spins contribute other slips, `offset` (d, n)."""
         return self._with(offset=offset)
 
     def all_spins(self, spins: np.ndarray) -> np.ndarray:
-        """u (N, C) of all spheres from the unknowns (unknowns,)."""
+        """Return u = radius * spin of all spheres, (N, C), from the unknowns `spins` (unknowns,)."""
         own = np.append(spins, 0.0)[self.moved]
         return np.where(self.moved >= 0, own if self.sign is None else self.sign * own, self.known)
 
     def to_all_digits(self, spins: np.ndarray) -> np.ndarray:
-        """Slips (d, n) for these unknowns (unknowns,), with the relative precision of doubles even where terms
-        cancel."""
+        """Return the slips (d, n) for unknowns `spins` (unknowns,), with the relative precision of doubles even where
+        terms cancel."""
         if self.ends is not None:
             return self.differences(spins)
         first, second = self.all_spins(spins)[self.network.contact[:, self.contact]]
@@ -216,8 +224,11 @@ class ContactSystem:
         return np.asarray(reduce(add, parts)[0])
 
     def on_contacts(self, forces: np.ndarray) -> np.ndarray:
-        """Vectors T^T f, (E, C), with T the tangents, of forces f (d, n) in the rows; 0 on contacts that are not in the
-        system."""
+        """Return vectors (E, C) on all contacts of the network that act on u of both their spheres: T^T f with the
+        tangents T. They are 0 on contacts that are not in the system.
+
+        forces : f (d, n), one component for each tangent.
+        """
         network = self.network
         found = np.zeros((network.contacts, network.components))
         if self.sign is None:
@@ -231,7 +242,7 @@ class ContactSystem:
 
     @cached_property
     def operator(self) -> sparse.csr_array:
-        """The matrix K, (d*n, unknowns): the part of the slips that is linear in the unknowns, all first rows, then all
+        """K, (d*n, unknowns), sparse: the part of the slips that is linear in the unknowns, all first rows, then all
         second ones."""
         if self.ends is None:
             return self.slips
@@ -242,12 +253,12 @@ class ContactSystem:
 
     @cached_property
     def transposed(self) -> sparse.csr_array:
-        """The transpose of `operator`, (unknowns, d*n)."""
+        """K^T, (unknowns, d*n), sparse."""
         return self.operator.T.tocsr()
 
     def copies(self, count: int) -> "ContactSystem":
-        """`count` copies of the contacts, each over spins of its own: samples as parts of one system that no contact
-        joins."""
+        """Return a system of `count` copies of the contacts, each over spins of its own: the samples become parts of
+        one system that no contact joins. Needs `ends`."""
         if count == 1:
             return self
         assert self.ends is not None
@@ -259,29 +270,32 @@ class ContactSystem:
         return ContactSystem(self.unknowns * count, offset, felt, ends, place=place)
 
     def change(self, step: np.ndarray) -> np.ndarray:
-        """Change of the slips (d, n) for a change `step` (unknowns,) of the spins; or (d, n, S) for (unknowns, S)."""
+        """Return the change of the slips (d, n) for a change `step` (unknowns,) of the spins: K times the step. Of S
+        samples, (unknowns, S) gives (d, n, S)."""
         return (self.operator @ step).reshape(*self.offset.shape, *step.shape[1:])
 
     def differences(self, spins: np.ndarray) -> np.ndarray:
-        """Slips (d, n) for spins (unknowns,): the differences of spins across contacts."""
+        """Return the slips (d, n) for spins (unknowns,): K times the spins, plus what imposed spins contribute."""
         return self.change(spins) + self.offset
 
     def torques(self, forces: np.ndarray) -> np.ndarray:
-        """Torques (unknowns,) of forces (d, n), or (unknowns, S) of forces (d, n, S): K^T times the forces."""
+        """Return the torques (unknowns,) of forces (d, n) on the contacts: K^T times the forces. Of S samples, (d, n,
+        S) gives (unknowns, S)."""
         return self.transposed @ forces.reshape(-1, *forces.shape[2:])
 
     def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
-        """Vectors (d, n) of one sample, read from values (C, R, E)."""
+        """Return vectors (d, n) of sample number `replica`, read from values (C, R, E) by component, sample and
+        contact."""
         return values[self.slot, replica, self.contact]
 
     def scatter_vectors(self, vectors: np.ndarray, values: np.ndarray, replica: int | slice) -> None:
-        """Write vectors (d, n) of one sample, or (R, d, n) of several, into values (C, R, E): the inverse of
-        :meth:`gather_vectors`."""
+        """Write vectors (d, n) of sample number `replica`, or (R, d, n) of a slice of samples, into values (C, R, E) by
+        component, sample and contact: the inverse of :meth:`gather_vectors`."""
         np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
-        """Number of the pieces that the contacts of the mask `chosen` (n,) make of the unknowns, and the number
-        (unknowns,) of the piece of each unknown."""
+        """Return into how many connected pieces the contacts of the mask `chosen` (n,) join the unknowns, and the
+        number of the piece (unknowns,) of each unknown. Needs `ends`."""
         assert self.ends is not None
         below, above = self.ends[:, :, chosen].reshape(2, -1)
         both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
@@ -290,8 +304,12 @@ class ContactSystem:
         return count, piece
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """All terms of the Laplacian K^T (stiffness) K, each pair of unknowns once, as four arrays: first and second
-        unknown, place in the `stacked` stiffness, factor."""
+        """Return all terms of the matrix K^T S K, with a symmetric stiffness (d, d) of each contact in S, as four
+        arrays of the same length: first and second unknown (each pair once), index in the `stacked` stiffnesses,
+        factor.
+
+        An entry of the matrix is the sum of its terms, factor times stiffness.
+        """
         d, count = self.offset.shape
         found, ends = [], [self._unknowns_of(slip) for slip in range(d)]
         for number, (i, j) in enumerate(combinations_with_replacement(range(d), 2)):
@@ -304,8 +322,8 @@ class ContactSystem:
         return first, second, source, factor
 
     def _unknowns_of(self, slip: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For row `slip` (0 to d - 1) of every contact, a list of pairs of arrays (n,): its first unknown and the
-        factor of that, 0 if it has none; then its second, and so on."""
+        """Return the unknowns in row number `slip` (0 to d - 1) of every contact, as a list of pairs of arrays (n,):
+        first unknown and its factor, 0 if there is none; second unknown and its factor; and so on."""
         if self.ends is None:
             count = self.offset.shape[1]
             return _ends(self.operator[slip * count : (slip + 1) * count])
@@ -317,7 +335,8 @@ class ContactSystem:
 
 
 def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each row of the matrix `slips` (n, unknowns) the list that :meth:`ContactSystem._unknowns_of` describes."""
+    """Return for each row of the matrix `slips` (n, unknowns) its unknowns and factors, in the form of
+    :meth:`ContactSystem._unknowns_of`."""
     counts = np.diff(slips.indptr)
     row, most = np.repeat(np.arange(len(counts)), counts), int(counts.max(initial=1))
     place = np.arange(len(row)) - slips.indptr[row]
@@ -327,35 +346,41 @@ def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def stacked(stiffness: np.ndarray) -> np.ndarray:
-    """Upper triangles of the stiffnesses (d, d, n), as one vector, in the order in which :meth:`ContactSystem.terms`
-    counts them."""
+    """Return the upper triangles of symmetric stiffnesses (d, d, n) as one vector (d (d + 1) / 2 * n,): all entries [0,
+    0], then all [0, 1], ...; or (..., S) of stiffnesses (d, d, n, S)."""
     return np.concatenate([stiffness[i, j] for i in range(len(stiffness)) for j in range(i, len(stiffness))])
 
 
 def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Contacts (n,) that feel any component; the components (d, n) that each feels, first; and a mask (d, n) that is
-    false where fewer than d are felt. felt : (C, E) mask of the components that each contact feels."""
+    """Return which of the E contacts slip, and by which spin components.
+
+    felt : (C, E) mask of the components that make each contact slip.
+    returns : numbers (n,) of the contacts that some component makes slip; these components (d, n) of each, where d is
+        the most that one has; (d, n) mask, False where a contact has fewer than d.
+    """
     contact, most = np.flatnonzero(felt.any(axis=0)), felt.sum(axis=0).max(initial=1)
     slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most]
     return contact, slot, felt[slot, contact]
 
 
 def free_spins(staggered: np.ndarray) -> np.ndarray:
-    """Spins (R, unknowns) of the free spheres, from staggered spins (C, R, *N) of all."""
+    """Return the spins (R, unknowns) of the free spheres of a lattice, from staggered spins (C, R, *N) of all. The
+    component varies fastest. Driven are the first and the last plane along the last axis."""
     return np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(staggered.shape[1], -1)
 
 
 def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndarray) -> None:
-    """Write spins (unknowns,) of one sample, or (R, unknowns) of several, into staggered spins (C, R, *N): the inverse
-    of :func:`free_spins`."""
+    """Write spins (unknowns,) of the free spheres of sample number `replica`, or (R, unknowns) of a slice of samples,
+    into staggered spins (C, R, *N): the inverse of :func:`free_spins`."""
     free = staggered[:, replica, ..., 1:-1]
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 
 
 def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:
-    """The system of all contacts of a lattice that can slip. The number of an unknown is that of its free sphere times
-    the number of components, plus its position in `spin_axes`.
+    """Return the system of all contacts of a lattice that can slip, with slips as differences of staggered spins.
 
+    spin_axes : the C spin components that are unknown. The number of an unknown is that of its free sphere times C,
+        plus the position of its component in `spin_axes`.
     jump : (C, *plane), staggered spin of the top, measured from the bottom; (C,) if it is the same on the whole top.
     """
     sphere, unknowns = number_free(lattice.shape), int(np.prod(lattice.free_shape)) * len(spin_axes)

@@ -1,10 +1,10 @@
-"""Contact systems in which spins that slipless contacts join are tied together, as one unknown.
+"""Contact systems in which the spins across some contacts are tied together, as one unknown.
 
-A slipless contact makes the spin components across it equal. Near the minimum tying them leaves about one unknown in
-six at 32^3, and a contact system without huge stiffnesses: there the last digits can be computed.
+A contact that does not slip makes the spin components across it equal. Near the minimum tying them leaves about one
+unknown in six at 32^3, and a contact system without huge stiffnesses: there the last digits can be computed.
 
 Several samples of one lattice are parts of one system that no contact joins. Letters: n contacts with up to d slip
-components; D dimensions; a Pair is a sum of two doubles.
+components; D dimensions; a Pair is a sum of two doubles (high, low).
 """
 
 from dataclasses import dataclass
@@ -22,30 +22,34 @@ OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = 2_000, 20
 
 @dataclass(frozen=True)
 class Owners:
-    """The sample (0 to samples - 1) to which each spin (unknowns,) and each contact (n,) belongs; both arrays
-    ascend."""
+    """The sample (0 to samples - 1) to which each spin and each contact of a system of several samples belongs.
+
+    samples : number of samples.
+    spins : (unknowns,), sample of each unknown, ascending.
+    contacts : (n,), sample of each contact, ascending.
+    """
 
     samples: int
     spins: np.ndarray
     contacts: np.ndarray
 
     def largest(self, values: np.ndarray) -> np.ndarray:
-        """(samples,), largest number of each sample, from numbers (n,) or vectors (d, n) on contacts that are not
-        negative; 0 for a sample without contacts."""
+        """Return the largest value of each sample, (samples,), from non-negative numbers (n,) or vectors (d, n) on the
+        contacts; 0 for a sample without contacts."""
         return _largest(self.samples, self.contacts, values if values.ndim == 1 else values.max(axis=0))
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
-        """(samples,), largest number of each sample, from values (unknowns,) that are not negative."""
+        """Return the largest value of each sample, (samples,), from non-negative values (unknowns,)."""
         return _largest(self.samples, self.spins, values)
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
-        """(samples,) mask of samples with a contact in the mask `chosen` (n,)."""
+        """Return a mask (samples,) of the samples that have a contact in the mask `chosen` (n,)."""
         return self.largest(chosen) > 0
 
 
 def _largest(samples: int, owner: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(samples,), largest of the values of each owner, 0 if it has none. owner : ascending numbers of samples, one for
-    each value."""
+    """Return the largest of the values of each owner, (samples,), 0 if it has none. owner : ascending number of the
+    sample of each value."""
     begins, found = np.searchsorted(owner, np.arange(samples + 1)), np.zeros(samples)
     some = begins[1:] > begins[:-1]
     if some.any():
@@ -54,27 +58,37 @@ def _largest(samples: int, owner: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 class Contraction:
-    """The contacts that are left when some contacts are tied, over one unknown for each set of tied spins.
+    """The contacts that are left when some contacts are tied, over one unknown for each set of spins that are tied
+    together.
 
     whole : the system before.
     system : contacts that are not tied, over the new unknowns.
-    kept : their numbers in the system before. Contacts that cannot slip, as loops of tied ones make their ends equal,
-        are not kept.
-    owners : the sample of each new unknown and kept contact.
-    contradicts : (samples,) mask, true where tied contacts join driven planes that turn differently.
+    kept : their numbers in the system before, (contacts left,). Contacts that cannot slip, because tied ones make their
+        two ends equal, are left out as well.
+    unknowns : number of sets.
+    number : (unknowns before,), set of each spin, -1 if the set is tied to a driven plane.
+    imposed : (unknowns before,), spin of the driven plane where `number` is -1, else 0.
+    owners : the sample of each new unknown and of each contact left.
+    contradicts : (samples,) mask, True where tied contacts join driven planes that turn differently, which cannot be.
     """
 
     def __init__(self, whole: ContactSystem, order: np.ndarray, tied: np.ndarray, samples: int = 1) -> None:
-        """Tie some contacts. whole : contacts of all samples. order : order of elimination of the unknowns of one
-        sample. tied : (n,) mask."""
+        """Tie some contacts of a system.
+
+        whole : contacts of all samples. tied : (n,) mask of those to tie. samples : number of samples, of equal size.
+        order : order in which the unknowns of one sample are eliminated.
+        """
         self.whole, self._order = whole, order
         self._label(whole, tied, samples)
         self.kept, self.system = self._left(whole, np.flatnonzero(~tied))
         self.owners = Owners(samples, self._owner, self.kept // max(len(tied) // samples, 1))
 
     def _label(self, whole: ContactSystem, tied: np.ndarray, samples: int) -> None:
-        """Number the sets of tied spins: `number` (unknowns before,) is that of the set of each spin, or -1 if the set
-        is tied to a driven plane; `imposed` is then its value."""
+        """Find and number the sets of spins that tied contacts join; sets `unknowns`, `number`, `imposed`,
+        `contradicts` and the sample of each set.
+
+        whole, tied, samples : as in :meth:`__init__`.
+        """
         assert whole.ends is not None
         (below, above), offset = whole.ends[:, :, tied], whole.offset[:, tied]
         # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
@@ -93,8 +107,8 @@ class Contraction:
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
     def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
-        """Numbers of those contacts, among `places`, that can still slip, and the system of these contacts over the
-        sets."""
+        """Return the numbers of those contacts, among `places`, that can still slip, and their system over the sets of
+        spins."""
         assert whole.ends is not None
         ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
         (below, above), imposed = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
@@ -114,13 +128,15 @@ class Contraction:
         return found
 
     def span(self, sample: int) -> slice:
-        """The unknowns of a sample, which follow each other."""
+        """Return the range of the new unknowns that belong to a sample."""
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
     def order(self, sample: int) -> np.ndarray:
-        """Order of elimination of the unknowns of a sample, counted from its first. In small samples a set is
-        eliminated when the last of its spins would be. In large ones the sets, which extend across any plane, are
-        dissected anew by their places."""
+        """Return the order in which the new unknowns of a sample are eliminated, counted from its first.
+
+        In small samples a set is eliminated when the last of its spins would be. In large ones (OWN_ORDER_UNKNOWNS) the
+        sets, which extend across any plane, are dissected anew by their places.
+        """
         own = self.span(sample)
         if self.whole.place is not None and own.stop - own.start >= OWN_ORDER_UNKNOWNS:
             return self._dissected(own, self.whole.place)
@@ -131,16 +147,17 @@ class Contraction:
         return np.argsort(last)
 
     def _dissected(self, own: slice, place: np.ndarray) -> np.ndarray:
-        """The order of the unknowns `own` by nested dissection, with each set at the mean place of its spins. place :
-        (D, unknowns before)."""
+        """Return the order of the new unknowns `own` by nested dissection, with each set at the mean place of its
+        spins. place : (D, unknowns before).
+        """
         free = self.number >= 0
         number = self.number[free]
         centre = np.stack([np.bincount(number, weights=along[free]) for along in place]) / np.bincount(number)
         return order_by_place(self.system, centre, own)
 
     def contracted(self, spins: Pair) -> Pair:
-        """Mean (unknowns,) of the spins (unknowns before,) of each set, to twice the precision: one of the spins, plus
-        the mean difference of the others from it."""
+        """Return the mean of the spins of each set, (unknowns,), to twice the precision: one of the spins, plus the
+        mean difference of the others from it. spins : (unknowns before,), sum of two doubles."""
         free = self.number >= 0
         number, one = self.number[free], np.zeros(self.unknowns)
         one[number] = spins[0][free]
@@ -148,25 +165,28 @@ class Contraction:
         return two_sum(one, more / np.bincount(number, minlength=self.unknowns))
 
     def expanded(self, spins: Pair) -> Pair:
-        """Spins of the whole system from the unknowns: equal within each set, imposed where a set is tied to a
-        plane."""
+        """Return the spins (unknowns before,) of the whole system: equal within each set, imposed where a set is tied
+        to a driven plane. spins : (unknowns,) of the sets, sum of two doubles, as is the result."""
         high, low = (np.append(part, 0.0)[self.number] for part in spins)  # number is -1 where a spin is imposed
         return high + self.imposed, low
 
     def differences(self, spins: Pair) -> np.ndarray:
-        """Slips (d, n) of the contacts that are left, with all digits of the smallest.
+        """Return the slips (d, contacts left), with all digits of the smallest. spins : (unknowns,) of the sets, sum of
+        two doubles.
 
-        They add up to nothing round every loop of contacts, but for the rounding of the small parts. If they were
-        followed on their own they would not, and contacts at rest would seem to slip by what is missing.
+        They are computed from the spins each time, so they add up to 0 round every loop of contacts, but for the
+        rounding of the low parts. Slips that were followed on their own would not, and contacts at rest would seem to
+        slip by what is missing.
         """
         return self.system.differences(spins[0]) + self.system.change(spins[1])
 
 
 def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: slice | None = None) -> np.ndarray:
-    """Order of elimination by nested dissection of all unknowns, or of the range `own`, counted from its first.
-    Unknowns are coupled if a contact joins them, so components that no contact joins are divided separately.
+    """Return the order in which the unknowns of a system are eliminated, by nested dissection of where they are.
 
-    place : (D, unknowns), where they are; that of the system if None.
+    system : the contacts; unknowns that a contact joins are coupled.
+    place : (D, unknowns), where each unknown is; None for the places that the system has.
+    own : range of the unknowns to order, None for all; they are counted from its first.
     """
     own, place = own or slice(0, system.unknowns), system.place if place is None else place
     assert place is not None

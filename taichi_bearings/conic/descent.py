@@ -122,7 +122,8 @@ class Descent:
                     self._leave(path, place, sample)
 
     def _leave(self, path: Path, place: int, sample: Sample) -> None:
-        """Store the point that a sample has reached, unless it is done, and free its place number `place` on the path."""
+        """Store the point that a sample has reached, unless it is done, and free its place on the path, number `place`,
+        for others."""
         if not sample.done:
             sample.iterate = path.iterate(place)
         path.put(place, None)

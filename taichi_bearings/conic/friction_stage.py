@@ -1,9 +1,9 @@
 """Spheres held by springs whose force friction limits: their spins in balance, and the contact forces there.
 
-With inertia this is one implicit step of a dynamics, without it one step of the method of multipliers. Let D Omega be
-the differences of spins across contacts and R the radius. Every contact has the trial force F* = start + resistance * R
-D Omega, limited to |F| <= limit, and beside it a viscous force viscosity * R D Omega, if there is a viscosity. The
-spins then obey
+With inertia this is one implicit step in time of a dynamics, without it one step of the method of multipliers. Either
+is called a stage. Let D Omega be the differences of spins across contacts and R the radius. Every contact has the trial
+force F* = start + resistance * R D Omega, limited to |F| <= limit, and beside it a viscous force viscosity * R D Omega,
+if there is a viscosity. The spins then obey
 
     inertia (Omega - base) + R D^T F(Omega) = 0,
 
@@ -38,8 +38,8 @@ EPS = np.finfo(np.float64).eps
 class StageEnd:
     """Spins and forces at the end of a stage.
 
-    spins : (unknowns,).
-    force, held : (d, n), the whole contact force, and without its viscous part.
+    spins : (unknowns,), 1/time.
+    force, held : (d, n), the whole contact force, and the force without its viscous part.
     slips : (n,) mask of the contacts that slip.
     """
 
@@ -51,12 +51,12 @@ class StageEnd:
 
 @dataclass(frozen=True)
 class Friction:
-    """Contacts of one sample in a stage, arrays (n,).
+    """Laws of the n contacts of one sample in a stage.
 
-    limit : largest force; infinite for linear contacts.
-    resistance : stiffness of the springs, force * time / length.
-    inertia : moment of inertia over the duration of the stage.
-    viscosity : force * time / length, of contacts that have one beside friction; None for none.
+    limit : (n,), largest force of friction; infinite for linear contacts.
+    resistance : (n,), stiffness of the springs, force * time / length.
+    inertia : moment of inertia over the duration of the stage; 0 for none.
+    viscosity : (n,), force * time / length, of contacts that have one beside friction; None for none.
     """
 
     limit: np.ndarray
@@ -66,20 +66,22 @@ class Friction:
 
     @property
     def stiffest(self) -> float:
-        """Largest derivative of a contact force with respect to the slip."""
+        """Largest derivative of a contact force with respect to the slip speed, force * time / length."""
         viscosity = 0.0 if self.viscosity is None else self.viscosity.max(initial=0.0)
         return float(self.resistance.max(initial=0.0) + viscosity)
 
     def limited(self, trial: np.ndarray) -> np.ndarray:
-        """Forces (d, n) that friction allows, from trial forces (d, n)."""
+        """Return the forces (d, n) that friction allows: trial forces (d, n), shortened to the limit where they exceed
+        it."""
         return trial * np.minimum(1.0, self.limit / np.maximum(vector_length(trial), LEAST_FORCE))
 
     def slips(self, trial: np.ndarray) -> np.ndarray:
-        """(n,) mask of contacts whose trial force (d, n) exceeds the limit."""
+        """Return a mask (n,) of contacts whose trial force (d, n) exceeds the limit."""
         return vector_length(trial) > self.limit
 
     def stiffness(self, trial: np.ndarray) -> np.ndarray:
-        """Derivative (d, d, n) of the contact force with respect to the slip, at trial forces (d, n)."""
+        """Return the derivative (d, d, n) of each contact force with respect to the slip speed, at trial
+        forces (d, n)."""
         size = np.maximum(vector_length(trial), LEAST_FORCE)
         slips, along = size > self.limit, trial / size
         across = self.resistance * np.where(slips, self.limit / size, 1.0)
@@ -91,10 +93,10 @@ class Friction:
 class FrictionStage:
     """Solver for stages over one system of contacts.
 
-    system : the contacts.
-    matrix : factorises their Newton matrix.
-    radius : of the spheres.
+    system : the contacts. matrix : factorises their Newton matrix.
+    radius : radius R of the spheres, length.
     spin_scale, force_scale : typical sizes of spins and forces, by which rounding is judged.
+    factorisations : number of factorisations so far.
     """
 
     def __init__(
@@ -105,17 +107,20 @@ class FrictionStage:
         spin_scale: float,
         force_scale: float,
     ) -> None:
-        """Take a system and its Newton matrix; nothing is factorised yet."""
+        """Take a system and its Newton matrix; nothing is factorised yet. The arguments are the attributes of the
+        class."""
         self.system, self.matrix, self.radius = system, matrix, radius
         self.spin_scale, self.force_scale = spin_scale, force_scale
         self.factorisations = 0
         self._factorised: tuple[float, np.ndarray] | None = None  # inertia and stiffness
 
     def solve(self, friction: Friction, base: np.ndarray, start: np.ndarray, guess: np.ndarray) -> StageEnd | None:
-        """Spins and forces at the end of a stage; None if Newton's method gets nowhere.
+        """Return spins and forces at the end of a stage; None if Newton's method gets nowhere.
 
-        friction : the contacts. base : (unknowns,), spins from which inertia acts. start : (d, n), force at no slip.
-            guess : (unknowns,), spins to begin with.
+        friction : laws of the n contacts.
+        base : (unknowns,), spins from which inertia acts.
+        start : (d, n), force of each spring at no slip.
+        guess : (unknowns,), spins to begin with.
         """
         inertia, resistance = friction.inertia, friction.resistance
         spins = guess
@@ -140,25 +145,27 @@ class FrictionStage:
         return None
 
     def _trial(self, start: np.ndarray, resistance: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """Trial forces (d, n) of the springs, unlimited."""
+        """Return the trial forces (d, n) of the springs, before friction limits them: start + resistance * R *
+        differences of the spins."""
         return start + resistance * self.radius * self.system.differences(spins)
 
     def _with_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """The force (d, n) plus the viscous force at these spins."""
+        """Return the force (d, n) plus the viscous force at these spins (unknowns,)."""
         if friction.viscosity is None:
             return force
         return force + friction.viscosity * self.radius * self.system.differences(spins)
 
     def _torque(self, force: np.ndarray, inertia: float, gained: np.ndarray) -> np.ndarray:
-        """Torques (unknowns,) that are to become zero. gained : (unknowns,), spins less base."""
+        """Return what has to become 0, (unknowns,): inertia * gained plus the torques of the forces (d, n). gained :
+        (unknowns,), spins less `base`."""
         return inertia * gained + self.radius * self.system.torques(force)
 
     def _prepare(self, friction: Friction, trial: np.ndarray) -> bool:
-        """Prepare to solve with the derivative of the torques at trial forces (d, n); False if rounding makes it
+        """Prepare to solve with the derivative of the torques at trial forces (d, n); return False if rounding makes it
         singular.
 
-        In short stages inertia dominates, and a few conjugate gradients do. A factorisation is kept as long as nothing
-        changes.
+        In short stages inertia dominates, and a few conjugate gradients do. Else the matrix is factorised, unless
+        nothing has changed since the last time.
         """
         self._inertia, self._stiffness = friction.inertia, np.zeros(0)  # gives the memory of the last one back
         self._stiffness = friction.stiffness(trial)
@@ -180,8 +187,8 @@ class FrictionStage:
         return True
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
-        """Solution (unknowns,) with the matrix that was prepared last; by conjugate gradients to a relative
-        GRADIENT_RESIDUAL."""
+        """Return the solution (unknowns,) for a right-hand side (unknowns,) with the matrix that was prepared last; by
+        conjugate gradients to a relative residual of GRADIENT_RESIDUAL."""
         if not self._by_gradients:
             return self.matrix.solve(right)
         solution, left, enough = np.zeros_like(right), right, GRADIENT_RESIDUAL**2 * float(right @ right)
@@ -205,14 +212,17 @@ class FrictionStage:
         step: np.ndarray,
         first: float,
     ) -> float:
-        """Length in (0, 1] at which the function is nearly flat along the step, or 1 if it still falls there.
+        """Return the length in (0, 1] of a Newton step at which the function of the stage is nearly flat along the
+        step, or 1 if it still falls there.
 
-        trial, change : (d, n), trial forces, and their change by the whole step. first : slope at length 0, below 0.
+        trial, change : (d, n), trial forces, and their change by the whole step.
+        spins, base, step : (unknowns,), spins now, spins from which inertia acts, and the whole step.
+        first : slope along the step at length 0, below 0.
         """
         gained = spins - base
 
         def slope(length: float) -> float:
-            """Derivative of the function along the step, at this length."""
+            """Return the derivative of the function of the stage along the step, at this length."""
             force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
             work = float((force * change / friction.resistance).sum())
             return friction.inertia * float((gained + length * step) @ step) + work
@@ -242,8 +252,11 @@ class FrictionStage:
         force: np.ndarray,
         scale: float,
     ) -> StageEnd:
-        """The end of the stage, with the last torques taken away by linear corrections of the forces: stiff contacts
-        have forces that depend on spins to more digits than doubles have. scale : torque by which the rest is judged.
+        """Return the end of the stage, with the last torques taken away by linear corrections of the forces: stiff
+        contacts have forces that depend on spins to more digits than doubles have.
+
+        base, spins : (unknowns,), spins from which inertia acts, and spins now. trial, force : (d, n), before and after
+            the limit. scale : torque by which the rest is judged.
         """
         for _ in range(REFINEMENTS):
             torque = self._torque(force, friction.inertia, spins - base)

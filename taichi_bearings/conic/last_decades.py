@@ -1,12 +1,15 @@
 """The last decades of the central path, down to where every contact either slips or sticks.
 
-On the central path slip times friction margin, the product, is the same for all contacts. The path itself ends near
+On the central path slip times friction margin, the product, is the same for all contacts. The path in doubles ends near
 products of 1e-14: margins fall below the rounding of forces, and slips below that of spins. Here contacts that slip far
-leave their cones and obey the law of friction exactly, and spins are sums of two doubles. So all digits of the slips
-are known, and slips add up to exactly nothing round every loop of contacts; otherwise contacts at rest would seem to
-slip by what is missing. The product can then be brought down by another ten decades, until either slip or margin of
-every contact falls in proportion to it. Long before, few contacts are in doubt; with those tied that surely stick, a
-step takes a third of the time.
+leave their cones and obey the law of friction exactly ("smooth" contacts), and spins are sums of two doubles. So all
+digits of the slips are known, and slips add up to exactly nothing round every loop of contacts; otherwise contacts at
+rest would seem to slip by what is missing. The product can then be brought down by another ten decades.
+
+A contact is decided when slip or margin falls in proportion to the product. Contacts that slip keep their slip, and
+their margin falls; contacts that stick keep their margin, and their slip falls. The ratio slip / margin therefore
+changes like 1 / product or like the product. In between, at contacts that bear exactly all their friction and do not
+slip ("at their limit"), both fall like the root of the product and the ratio stays.
 """
 
 from dataclasses import replace
@@ -36,15 +39,20 @@ EPS = np.finfo(np.float64).eps
 
 
 class LastDecades:
-    """A point of the path whose spins are sums of two doubles: `point` is an iterate that holds their small parts.
+    """A point of the central path whose spins are sums of two doubles.
 
+    point : the iterate; its field `spins` holds only the low parts of the spins.
+    spins : (unknowns,), the whole spins as (high, low).
     sticking : (n,) mask of contacts that surely stick, once :meth:`decide` has ended.
-    at_limit : (n,) mask of contacts that bear all their friction and yet do not slip, likewise.
+    at_limit : (n,) mask of contacts that bear all their friction and yet do not slip, once :meth:`decide` has ended.
     """
 
     def __init__(self, iterate: Iterate, spins: Pair, difference: np.ndarray, matrix: NewtonMatrix) -> None:
-        """Begin at the point `iterate`, which is not changed, with spins and slips (d, n) that are more precise than
-        its own. matrix : Newton matrix of its system."""
+        """Begin at a point of the path.
+
+        iterate : the point; not changed. matrix : Newton matrix of its system.
+        spins : (unknowns,), sums of two doubles, and difference : (d, n), slips: more precise than those of `iterate`.
+        """
         self._large, self._matrix = spins[0], matrix
         bound = iterate.bound - length(iterate.difference) + length(difference)
         self.point = replace(iterate, spins=spins[1], bound=bound, difference=difference)
@@ -53,14 +61,17 @@ class LastDecades:
 
     @classmethod
     def after(cls, iterate: Iterate, before: Iterate | None, matrix: NewtonMatrix) -> "LastDecades":
-        """Begin at `iterate`, where the central path ends. before : the point one step before, None if unknown."""
+        """Return a path that goes on from `iterate`, where the central path in doubles ends.
+
+        before : the point one step before, None if unknown. matrix : Newton matrix of the system.
+        """
         path = cls(iterate, exactly(iterate.spins), iterate.system.differences(iterate.spins), matrix)
         if before is not None:
             path._ratios, path._product = before.slip_over_margin, before.complementarity
         return path
 
     def over(self, tied: Contraction) -> "LastDecades":
-        """The same point over the contacts and unknowns that are left when some contacts are tied."""
+        """Return this point over the contacts and unknowns that are left when some contacts are tied."""
         spins, point = tied.contracted(self.spins), self.point
         friction, bound, difference, dual = (
             values[..., tied.kept] for values in (point.friction, point.bound, point.difference, point.dual)
@@ -76,14 +87,15 @@ class LastDecades:
         return self._large, self.point.spins
 
     def decide(self, doubtful: int = 0, to_the_end: bool = False) -> np.ndarray | None:
-        """Go on along the path until slips are decided, and return a mask (n,) of the contacts that slip, or come to
-        slip; None if that fails.
+        """Go on along the path until it is decided which contacts slip. Return a mask (n,) of these; None if that
+        fails.
 
-        A contact is decided if slip or margin falls with the product. The path goes on until all but `doubtful`
-        contacts are decided, or double precision ends; with `to_the_end` always until double precision ends. Afterwards
-        `sticking` marks contacts that surely stick. Where the path has ended, `at_limit` marks contacts whose slip and
-        margin both vanish, like the root of the product; they do not slip. The next call goes on from there by at least
-        one step.
+        doubtful : number of contacts that may be left undecided.
+        to_the_end : True to go on until double precision ends, even if all contacts are decided.
+
+        A contact is decided if the ratio slip / margin changes faster than a power DECIDED_EXPONENT of the product.
+        Afterwards `sticking` marks contacts that surely stick; `at_limit`, where the path has come to its end, those
+        that bear all their friction and do not slip. The next call goes on from there by at least one step.
         """
         before, last, stalled, fell = self._ratios, self._product, 0, np.ones(len(self.point.friction), dtype=bool)
         late: tuple[np.ndarray, float] | None = None  # ratios and product at the first point below VANISHING_PRODUCT

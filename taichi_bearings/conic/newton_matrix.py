@@ -1,6 +1,8 @@
-"""The matrix of a Newton step: a Laplacian over the spins, with a stiffness (d, d) at every contact.
+"""The matrix of a Newton step, K^T S K: a Laplacian over the spins, with a stiffness matrix (d, d) of each contact in
+S.
 
-Letters: n contacts with up to d slip components, S samples side by side (conic/__init__.py).
+Letters: n contacts with up to d slip components, S samples side by side; K is the matrix from spins to slips
+(conic/__init__.py).
 """
 
 from collections.abc import Callable, Sequence
@@ -22,13 +24,17 @@ Order = np.ndarray | Callable[[int], np.ndarray]
 
 
 class NewtonMatrix:
-    """Factorised weighted Laplacians of a contact system, in one sample or in several; patterns are analysed once.
+    """Factorised matrices K^T S K of a contact system, in one sample or several. Patterns of entries are analysed once.
 
-    Several samples are either alike, with their numbers side by side, up to LANES of them; or they are parts of the
-    system that no contact joins. The result for one, bit by bit, does not depend on the others.
+    K is the matrix from spins to slips, S holds the stiffnesses of the n contacts. Several samples are one of two
+    things: side by side, with numbers (..., S) and one pattern for all, up to LANES of them; or parts of one system
+    that no contact joins, each with a pattern of its own. The result for a sample, bit by bit, does not depend on the
+    others.
 
     Stiffnesses over twenty decades can leave a pivot that rounding made negative. Then the diagonal is raised by as
-    little as helps, and iterative refinement has to mend the rest.
+    little as helps (DIAGONAL_SHIFTS), and iterative refinement by the caller has to mend the rest.
+
+    memory : work space that another matrix can share.
     """
 
     def __init__(
@@ -41,11 +47,12 @@ class NewtonMatrix:
     ) -> None:
         """Analyse the pattern of a system.
 
-        order : order of elimination of its unknowns; or a function that returns the order for a part by its number,
-            counted from the first unknown of the part.
-        memory : memory of another matrix that is not needed as long as this one.
-        engine : LAUNCH if there are to be several alike samples; if None, the quickest.
-        parts : the unknowns of each sample; None if there is a single one.
+        system : the contacts.
+        order : order in which its unknowns are eliminated; or a function that returns the order for a part by its
+            number, counted from the first unknown of the part.
+        memory : memory of another matrix that is not needed as long as this one is; None for its own.
+        engine : Engine.LAUNCH if there are to be several samples side by side; if None, the quickest.
+        parts : for each sample the range of its unknowns, if samples are parts of the system; None for one pattern.
         """
         self.memory, self._system, self._parts = memory or Memory(), system, parts or [slice(0, system.unknowns)]
         own_memory = self.memory if len(self._parts) == 1 else None
@@ -73,25 +80,28 @@ class NewtonMatrix:
         self._kept = dict[int, ContactRows]()
 
     def compile(self, samples: int = 1) -> None:
-        """Compile the kernels that so many alike samples, and smaller systems, need, before the clock starts."""
+        """Compile the kernels for `samples` samples side by side, and for smaller systems, before the clock starts."""
         _compile(self._choleskys[0].engine, samples)
         _compile(Engine.LAUNCH, 1)
 
     def factorise(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
-        """Factorise all samples, with arguments as of :meth:`factorise_each`. Raises NotPositiveDefinite if one is
-        singular."""
+        """Factorise the matrices of all samples. Raises NotPositiveDefinite if one is singular to working precision.
+
+        stiffness : (d, d, n), or (d, d, n, S) side by side. inertia : stiffness of a spring at every spin: one number,
+            (unknowns,) or (unknowns, S).
+        """
         if not self.factorise_each(stiffness, None, inertia).all():
             raise NotPositiveDefinite
 
     def factorise_each(
         self, stiffness: np.ndarray, wanted: np.ndarray | None = None, inertia: float | np.ndarray = 0.0
     ) -> np.ndarray:
-        """Factorise the Laplacians of symmetric positive stiffnesses. Returns a mask (S,) of the `wanted` samples in
-        which that succeeds, if need be with a raised diagonal.
+        """Factorise the matrices of some samples. Return a mask (S,) of the `wanted` samples in which that succeeds, if
+        need be with a raised diagonal.
 
-        stiffness : (d, d, n), or (d, d, n, S) of alike samples.
+        stiffness : symmetric, positive, (d, d, n), or (d, d, n, S) side by side.
         wanted : (S,) mask, None for all.
-        inertia : stiffness of a spring at every spin, (unknowns,) or (unknowns, S).
+        inertia : stiffness of a spring at every spin: one number, (unknowns,) or (unknowns, S).
         """
         values = _side_by_side(self._map @ stacked(stiffness))
         samples = values.shape[1]
@@ -111,10 +121,11 @@ class NewtonMatrix:
         return regular
 
     def is_regular(self, stiffness: np.ndarray) -> bool:
-        """True where surely every change of the spins meets some force. stiffness : (d, d, n), of size 1 or 0.
+        """Return True if surely every change of the spins makes some contact with stiffness slip.
 
-        The least eigenvalue, by inverse iteration from a random vector, is then far above what rounding makes of 0, and
-        above the largest amount by which a diagonal is raised.
+        stiffness : (d, d, n), of size 1 or 0. The matrix is factorised, and its least eigenvalue found by inverse
+            iteration from a random vector. It has to be above SURELY_REGULAR: far above what rounding makes of 0, and
+            above the largest amount by which a diagonal is raised.
         """
         if not self.factorise_each(stiffness).all():
             return False
@@ -124,8 +135,8 @@ class NewtonMatrix:
         return bool(np.linalg.norm(vector) < 1 / SURELY_REGULAR)  # False for NaN
 
     def solve(self, right: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
-        """Solutions of the factorised systems for right-hand sides (unknowns,) or (unknowns, S); 0 in parts that are
-        not `wanted` (S,)."""
+        """Return the solutions of the factorised systems for right-hand sides (unknowns,) or (unknowns, S); 0 in
+        samples that are parts of the system and not `wanted` (S,)."""
         columns = _side_by_side(right)
         found = np.zeros(columns.shape)
         for number, (part, cholesky) in enumerate(zip(self._parts, self._choleskys, strict=True)):
@@ -134,8 +145,8 @@ class NewtonMatrix:
         return found.reshape(right.shape)
 
     def rows(self, samples: int = 1) -> ContactRows:
-        """Memory for Newton steps of one sample or of LANES samples; its spins hold right-hand sides, then
-        solutions."""
+        """Return memory for Newton steps of one sample or of LANES samples side by side. Its `spins` hold the
+        right-hand sides of :meth:`solve_rows`, then the solutions."""
         if samples not in self._kept:
             cholesky = self._choleskys[0]
             solution, place = cholesky.factor(samples).solution, cholesky.pattern.place
@@ -145,8 +156,12 @@ class NewtonMatrix:
     def factorise_rows(
         self, rows: ContactRows, wanted: np.ndarray, inertia: float = 0.0, viscous: np.ndarray | None = None
     ) -> np.ndarray:
-        """Factorise the Laplacians of the stiffnesses stored in `rows`; returns and takes what :meth:`factorise_each`
-        does. viscous : (entries, S), stiffnesses to add, in the order of :func:`stacked`."""
+        """Factorise the matrices of the stiffnesses stored in `rows`. Return a mask (S,) of the `wanted` (S,) samples
+        in which that succeeds, if need be with a raised diagonal.
+
+        inertia : stiffness of a spring at every spin. viscous : stiffnesses to add, as :func:`stacked` orders them,
+            (entries, S).
+        """
         factor, diagonal = self._choleskys[0].factor(rows.samples), self._choleskys[0].pattern.diagonal
         rows.add_stiffnesses(factor.entries)
         if viscous is not None:
@@ -156,19 +171,20 @@ class NewtonMatrix:
         return _factorise_raising(factor, diagonal, wanted)
 
     def solve_rows(self, rows: ContactRows) -> None:
-        """Replace the right-hand sides in the spins of `rows` by the solutions."""
+        """Solve the factorised systems: replace the right-hand sides in `rows.spins` by the solutions."""
         self._choleskys[0].factor(rows.samples).substitute()
 
     def forget(self) -> None:
-        """Give the memory of a large factor back, until it is factorised anew."""
+        """Give back the memory of large factors until they are factorised anew."""
         for cholesky in self._choleskys:
             cholesky.forget()
 
     def balanced(self, dual: np.ndarray, stiffness: np.ndarray, load: np.ndarray | float = 0.0) -> np.ndarray:
-        """The dual (d, n) after springs of these stiffnesses (d, d, n) have taken its torques away. Raises
-        NotPositiveDefinite if the springs do not hold every spin.
+        """Return forces (d, n) that balance, up to rounding: `dual` plus the forces of springs at the contacts, after
+        their ends have moved until the torques of all forces are `load`.
 
-        load : torques (unknowns,) that are to stay.
+        dual : (d, n). stiffness : (d, d, n) of the springs. load : (unknowns,) torques that are to stay, or 0. Raises
+            NotPositiveDefinite if the springs do not hold every spin.
         """
         self.factorise(stiffness)
         # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by
@@ -179,13 +195,16 @@ class NewtonMatrix:
 
 
 def _side_by_side(values: np.ndarray) -> np.ndarray:
-    """An array (n, S) as it is, or (n,) of one sample as (n, 1)."""
+    """Return an array (n, S) as it is, and an array (n,) of one sample as (n, 1)."""
     return values if values.ndim == 2 else values[:, None]
 
 
 def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Factorise with the diagonal raised by as little as helps. Returns a mask (S,) of the `wanted` (S,) matrices in
-    which that succeeds. diagonal : places of the diagonal among the entries of the factor."""
+    """Factorise with the diagonal raised by as little as helps. Return a mask (S,) of the `wanted` (S,) matrices in
+    which that succeeds.
+
+    factor : holds the entries. diagonal : places of the diagonal among them.
+    """
     regular = factor.factorise()
     if (regular | ~wanted).all():
         return regular & wanted
@@ -202,7 +221,8 @@ def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray)
 
 @lru_cache
 def _compile(engine: Engine, samples: int) -> None:
-    """Compile the kernels for one sample or for several, on a tiny lattice: they are the same for all systems."""
+    """Compile the kernels of an engine for one sample or for several, on a lattice of 2 x 2 x 3: they are the same for
+    all."""
     lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
     system = lattice_system(lattice, spin_axes, np.ones(2))
     matrix = NewtonMatrix(system, dissect(lattice, spin_axes), engine=engine)
@@ -212,5 +232,5 @@ def _compile(engine: Engine, samples: int) -> None:
 
 
 def resisted(stiffness: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Forces (d, n) of contacts with stiffnesses (d, d, n) against a change (d, n) of the slips."""
+    """Return the forces (d, n) of contacts with stiffnesses (d, d, n) against a change (d, n) of their slips."""
     return np.einsum("ijn,jn->in", stiffness, change)

@@ -1,11 +1,11 @@
-"""The minimum when only some contacts slip, in twice the precision.
+"""The minimum when only some contacts slip, in twice the precision of doubles.
 
-Slips reach down to 1e-15 of the jump and below, where spins are rounded. To prove that they are slips, and not
-rounding, the spins have to be known far more precisely. Here the slipless contacts are tied exactly, the spins that are
-left are sums of two doubles (a Pair), and Newton's method, whose matrix may be a rough one, goes on until the torques
-are in balance to some 1e-30 of the friction.
+Slips reach down to 1e-15 of the imposed jump and below, where spins are rounded. To prove that they are slips, and not
+rounding, the spins have to be known far more precisely. Here the contacts that do not slip are tied exactly, the spins
+that are left are sums of two doubles (a Pair), and Newton's method, whose matrix may be a rough one, goes on until the
+torques are in balance to some 1e-30 of the friction.
 
-Letters: n contacts with up to d slip components; one array holds all samples, one after the other.
+Letters: n contacts that are left, with up to d slip components; one array holds all samples, one after the other.
 """
 
 import numpy as np
@@ -43,13 +43,16 @@ def polished(
     top: Pair | None,
     chosen: np.ndarray,
 ) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
-    """Spins of the whole system, slips and duals (d, n) near the given ones, with all torques in balance; and a mask
-    (samples,) of the `chosen` samples in which that succeeds and no slip is lost.
+    """Return spins, slips and forces near the given ones, with all torques in balance to twice the precision.
 
-    tied : slipless contacts, tied.
-    matrix, strengths, spins : Newton matrix, friction and viscosity, and where to begin, of the contracted system.
+    tied : the contacts that slip, over the sets of spins that the other contacts tie together.
+    matrix : Newton matrix of the system `tied.system`.
+    strengths : friction and viscosity (n,) of the contacts left; no viscosity: None.
+    spins : (unknowns left,), where to begin.
     top : for each unknown of a sample the imposed spin of the top above it; None where imposed spins are doubles.
-    chosen : (samples,) mask.
+    chosen : (samples,) mask of the samples to try.
+    returns : spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
+        n); mask (samples,) of the chosen samples in which it succeeds and no slip is lost.
     """
     system = _PreciseSystem(tied, top)
     # the small parts of the given spins may be larger than the rounding of the large ones
@@ -61,8 +64,12 @@ def polished(
 def _balanced(
     system: "_PreciseSystem", matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, np.ndarray]:
-    """Unknowns after Newton's method has reduced the torques as far as it can, and a mask (samples,) of the samples in
-    which it leads to a point without lost slips. going : (samples,) mask of those that are tried."""
+    """Return the unknowns after Newton's method has reduced the torques as far as it can, and a mask (samples,) of the
+    samples in which that leads to a point without slips that are 0.
+
+    system : slips and torques in twice the precision. matrix : Newton matrix. strengths : friction and viscosity (n,).
+    unknown : (unknowns,), where to begin, sum of two doubles. going : (samples,) mask of samples to try.
+    """
     owners, strongest = system.owners, system.owners.largest(strengths[0])
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
     for _ in range(MOST_POLISHING_STEPS):
@@ -89,20 +96,24 @@ def _balanced(
 
 
 class _PreciseSystem:
-    """Slips and torques of a contracted system, in twice the precision.
+    """Slips and torques of a system with tied contacts, in twice the precision.
 
-    imposed : places in (d, n) where imposed spins contribute to the slips, and how much: -1 or 1 times the jump, also
-        where that is no double.
+    contracted : the contacts that are left, over the sets of tied spins. owners : sample of each of them.
+    top : (unknowns before,), imposed spin of the top above each, sum of two doubles; None where imposed spins are
+        doubles.
+    imposed : places in (d, n) where imposed spins contribute to the slips, and how much, as sums of two doubles: -1 or
+        1 times the jump.
     """
 
     def __init__(self, tied: Contraction, top: Pair | None) -> None:
-        """Take what is left of a system, and what is imposed on its top, as of :func:`polished`."""
+        """Take the contacts left in `tied`. top : imposed spin of the top above each unknown of a sample, as in
+        :func:`polished`."""
         self.contracted, self.owners, self._tied = tied.system, tied.owners, tied
         self.top = top and (np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number)))
         self.imposed = self._imposed()
 
     def _imposed(self) -> tuple[tuple[np.ndarray, ...], Pair]:
-        """The value of `imposed`."""
+        """Return the value of `imposed`."""
         offset = self.contracted.offset
         places = np.nonzero(offset)
         if self.top is None:
@@ -113,7 +124,7 @@ class _PreciseSystem:
         return places, (times * self.top[0][spin], times * self.top[1][spin])
 
     def differences(self, unknown: Pair) -> Pair:
-        """Slips (d, n) across each contact, from the unknowns."""
+        """Return the slips (d, n) as sums of two doubles, from the unknowns (unknowns,)."""
         assert self.contracted.ends is not None
         (below, above), (places, more) = self.contracted.ends, self.imposed
         high, low = (np.append(part, 0.0) for part in unknown)
@@ -124,9 +135,10 @@ class _PreciseSystem:
         return found
 
     def torques(self, pulls: Pair) -> np.ndarray:
-        """Sums (unknowns,) of the forces `pulls` (d, n) on the spins, rounded only once they have cancelled.
+        """Return the torques (unknowns,) of forces (d, n), rounded only once they have cancelled.
 
-        The leading bits of all numbers, multiples of one unit, are summed without any rounding, then those that follow.
+        pulls : the forces, sums of two doubles. Their leading bits, multiples of one unit, are summed without any
+            rounding, then the bits that follow, then the rest.
         """
         total, rest = np.zeros(self.contracted.unknowns), pulls[0]
         largest = self.owners.largest(np.abs(rest))
@@ -139,8 +151,8 @@ class _PreciseSystem:
         return total + self.contracted.torques(rest + pulls[1])
 
     def expanded(self, unknown: Pair) -> Pair:
-        """Spins of the whole system: equal within each set of tied spins, and exactly the imposed ones where a set is
-        tied to a plane."""
+        """Return the spins (unknowns,) of the whole system: equal within each set of tied spins, and exactly the
+        imposed ones where a set is tied to a driven plane. unknown : (unknowns left,). Both are sums of two doubles."""
         if self.top is None:
             return self._tied.expanded(unknown)
         times = _multiples(self._tied.imposed, self.top[0])
@@ -149,19 +161,22 @@ class _PreciseSystem:
 
 
 def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
-    """The integers by which the jump is multiplied to give the values; 0 where there is no jump."""
+    """Return the whole numbers by which the jump (an array) has to be multiplied to give the values; 0 where there is
+    no jump."""
     return np.rint(np.divide(values, jump, out=np.zeros_like(values), where=jump != 0))
 
 
 def _forces(strengths: Strengths, difference: Pair) -> Pair:
-    """Forces (d, n) of friction and viscosity for these slips, but for their sign."""
+    """Return the forces (d, n) of friction and viscosity at slips `difference` (d, n), as sums of two doubles, along
+    the slip: the sign with which they act is left out. strengths : friction and viscosity, (n,) each."""
     friction, viscosity = strengths
     held = _along(friction, difference)
     return held if viscosity is None else add(held, scaled(viscosity, difference))
 
 
 def _along(friction: np.ndarray, difference: Pair) -> Pair:
-    """Friction along the slip, (d, n), but for its sign: exact where the slip has one component only."""
+    """Return friction (n,) times the direction of the slip `difference` (d, n), as sums of two doubles: exact where the
+    slip has one component only."""
     found = exactly(friction * np.sign(difference[0]))
     both = np.flatnonzero((difference[0] != 0).all(axis=0))
     if len(difference[0]) == 2:
@@ -175,7 +190,7 @@ def _along(friction: np.ndarray, difference: Pair) -> Pair:
 
 
 def _chosen(mask: np.ndarray, one: Pair, other: Pair) -> Pair:
-    """One pair where the mask is true, and the other elsewhere."""
+    """Return an array of Pairs: `one` where the mask is True, `other` elsewhere."""
     if mask.all():
         return one
     return np.where(mask, one[0], other[0]), np.where(mask, one[1], other[1])

@@ -1,14 +1,17 @@
-"""One implicit Euler step of spheres under rigid friction, damping or both, solved as the minimum that it is.
+"""One implicit Euler step in time of spheres under rigid friction, damping or both, solved as the minimum that it is.
 
-    spins after = argmin Phi(spins) + I / (2 h) |spins - spins before|^2        with the potential Phi of the contacts
+    spins after = argmin Phi(spins) + I / (2 h) |spins - spins before|^2
 
-The contact forces of the minimum are those that act during the step: I (after - before) = h R pull. With friction the
-minimum lies at the end of the central path of the least potential with the inertia of the spins added
-(central_path.py); for damping it is one linear system. Both use one pattern, analysed once for all steps and samples.
+Phi is the potential of the contacts, I the moment of inertia, h the duration of the step. The contact forces of the
+minimum are those that act during the step: I (after - before) = h R pull. With friction the minimum lies at the end of
+the central path of the least potential with the inertia of the spins added (central_path.py); for damping it is one
+linear system. Both use one pattern of the matrix, analysed once for all steps and samples.
 
 A step works with spins above the bottom plane in a given unit, and with forces in units of the sample's mean
 coefficient (times the normal force, or times radius and unit of spin for damping). One number is then left of inertia
-and length of the step, q = I / (h R) in units of force over spin.
+and duration, q = I / (h R) in units of force over spin.
+
+Letters: R samples, C spin components, N spheres, E contacts; n contacts of the system.
 """
 
 from abc import ABC, abstractmethod
@@ -37,12 +40,12 @@ MOST_IDLE_STEPS = 3  # most Newton steps in a row that gain nothing
 
 @dataclass(frozen=True)
 class Step:
-    """The result of one time step of all samples.
+    """The result of one time step of all R samples.
 
-    staggered : (C, R, *N), spins at its end.
+    staggered : (C, R, *N), staggered spins at its end, 1/time.
     force : (C, R, E), contact forces during the step.
     slipping : (R,), number of contacts that slip.
-    creep : largest spin difference across a contact that does not slip.
+    creep : largest difference of spins across a contact that does not slip; 0 but for rounding.
     newton_steps : number of factorisations.
     solved : False if rounding ended the path too early.
     """
@@ -59,8 +62,8 @@ class Unknowns(ABC):
     """The spins of a bearing that contacts can turn, as one vector.
 
     system : the contacts, with imposed spins in the unit of spin.
-    order : order of elimination of the unknowns.
-    rows : how many components the force on a contact has.
+    order : order in which the unknowns are eliminated.
+    rows : number of components of the force on a contact.
     """
 
     system: ContactSystem
@@ -69,18 +72,19 @@ class Unknowns(ABC):
 
     @abstractmethod
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Spins (R, unknowns) out of those that are carried, (C, R, *N)."""
+        """Return the unknowns (R, unknowns) of all samples, from spins (C, R, *N) by component, sample and sphere."""
 
     @abstractmethod
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Put spins (unknowns,) of a sample among those that are carried, (C, R, *N)."""
+        """Write the unknowns `spins` (unknowns,) of sample number `replica` into spins (C, R, *N), in place."""
 
 
 class OfLattice(Unknowns):
     """All free spins of a lattice in some components; all other components are at rest."""
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float) -> None:
-        """Take the spin components `spin_axes`. unit : spin difference that is counted as one."""
+        """Take the spin components `spin_axes` of a scene. unit : difference of spins that is counted as one,
+        1/time."""
         self.system = lattice_system(scene.lattice, spin_axes, scene.top_spin(spin_axes) / unit)
         self.order, self.spin_axes, self.height = (
             dissect(scene.lattice, spin_axes),
@@ -90,12 +94,12 @@ class OfLattice(Unknowns):
         self.rows = len(spin_axes)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Spins (R, unknowns) of the free spheres."""
+        """Return the spins (R, unknowns) of the free spheres."""
         return free_spins(staggered)
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Put spins (unknowns,) of a sample in their places. The mean of each layer about the height stays as it was,
-        since no contact changes it; rounding must not either."""
+        """Write the unknowns `spins` (unknowns,) of sample number `replica` into staggered spins (C, R, *N). The mean
+        of each layer about the height stays as it was, since no contact changes it; rounding must not either."""
         before = staggered[:, replica, ..., 1:-1].copy()
         place_free_spins(staggered, replica, spins)
         if self.height in self.spin_axes:
@@ -109,7 +113,10 @@ class OfNetwork(Unknowns):
     hard to turn. Components that turn no contact are left out."""
 
     def __init__(self, bearing: Bearing, unit: float, inertia: np.ndarray) -> None:
-        """Take a bearing all contacts of which act. unit : of u = R omega. inertia : I / R^2 of each sphere, (N,)."""
+        """Take a bearing, of which all contacts have to be in use. unit : speed that is counted as one, of u = radius *
+        spin.
+        inertia : moment of inertia over radius squared of each sphere, (N,).
+        """
         network, contact = bearing.network, bearing.acting
         each = np.arange(network.spheres * network.components).reshape(network.spheres, -1)
         size = np.asarray(abs(network.operator(contact, each)).sum(axis=0)).reshape(each.shape)
@@ -131,23 +138,27 @@ class OfNetwork(Unknowns):
         self.order, self.rows = order_by_place(self.system), len(offset)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Spins (R, unknowns), multiplied by the roots of the inertia."""
+        """Return the unknowns (R, unknowns): u of each free sphere and component, times the root of its relative
+        inertia."""
         return np.asarray(self.root * np.moveaxis(staggered, 1, 0)[:, self.component, self.sphere])
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Put spins (unknowns,) of a sample in their places, divided by the roots of the inertia."""
+        """Write the unknowns `spins` (unknowns,) of sample number `replica`, divided by the roots of the inertia, into
+        spins (C, R, N)."""
         staggered[self.component, replica, self.sphere] = spins / self.root
 
 
 class ProximalSteps:
-    """Implicit Euler steps of the samples of a scene in its `unknowns`.
+    """Implicit Euler steps of the samples of a scene.
 
-    unit : spin difference that is counted as one. inertia : mean moment of inertia of the spheres, in the form that
-        `unknowns` asks for.
+    scene : the bearing. unknowns : its spins as one vector.
+    unit : difference of spins that is counted as one. inertia : mean moment of inertia of the spheres; over radius
+        squared if the unknowns are :class:`OfNetwork`.
     """
 
     def __init__(self, scene: Bearing, unknowns: Unknowns, unit: float, inertia: float) -> None:
-        """Scale coefficients and inertia of every sample, and analyse the Newton matrix."""
+        """Scale coefficients and inertia of every sample, and analyse the Newton matrix. The arguments are the
+        attributes of the class."""
         self.scene, self.unknowns, self.unit = scene, unknowns, unit
         self._system = unknowns.system
         self._matrix = NewtonMatrix(self._system, unknowns.order)
@@ -165,7 +176,7 @@ class ProximalSteps:
         self._slowness = inertia * unit / (scene.slip_radius * self._force_unit)
 
     def step(self, staggered: np.ndarray, duration: float) -> Step:
-        """The step of length `duration` (time) from the spins (C, R, *N)."""
+        """Return the step of length `duration` (time) that begins at the spins `staggered` (C, R, *N)."""
         scene = self.scene
         after = staggered.copy()
         force = np.zeros((self.unknowns.rows, *scene.coefficient.shape))
@@ -189,10 +200,10 @@ class ProximalSteps:
     def _step_with_friction(
         self, friction: np.ndarray, viscosity: np.ndarray | None, inertia: Inertia
     ) -> tuple[Iterate, int, bool]:
-        """The point at the end of a step with friction, the number of Newton steps taken, and whether it is solved.
-        Newton steps begin with bounds well above the slips and no forces of friction.
+        """Return the point at the end of a step with friction, the number of Newton steps taken, and True if it is
+        solved. Newton steps begin with bounds well above the slips and no forces of friction.
 
-        friction, viscosity : (n,).
+        friction, viscosity : (n,), in the units of the step; no viscosity: None.
         inertia : its origin is the spins before the step.
         """
         spins = inertia.origin
@@ -222,8 +233,8 @@ class ProximalSteps:
 
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:
-    """Excess of the cost over its dual, relative to what is allowed: `sharp` times the work done on inertia, or
-    `closest` times the cost, whichever is larger."""
+    """Return the excess of the cost over its dual (what the forces prove), divided by what is allowed: `sharp` times
+    the work done on inertia, or `closest` times the cost, whichever is larger. Up to 1 a step is solved."""
     assert iterate.inertia is not None
     moved = iterate.spins - iterate.inertia.origin
     return iterate.excess / max(sharp * iterate.inertia.weight * float(moved @ moved), closest * iterate.cost)

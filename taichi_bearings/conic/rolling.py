@@ -1,6 +1,6 @@
 """Spins at which chosen contacts of a packing roll, that is do not slip, as sums of two doubles.
 
-Letters: A contacts of the system, d tangents of a contact (1 for discs, 2 for spheres), u = R omega.
+Letters: A contacts of the system, d tangents of a contact (1 for discs, 2 for spheres), u = radius * spin.
 """
 
 import numpy as np
@@ -19,14 +19,16 @@ NONE_IN_PAIRS = 1e-30  # slip, in units of the fastest imposed surface, that sum
 
 
 def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarray) -> Pair:
-    """Return spins near the given ones at which some contacts roll, or the given ones where none are found.
+    """Return spins (unknowns,) near the given ones at which some contacts roll, or the given ones where none are found.
 
-    spins : (unknowns,), sums of two doubles, as is the result. rolls : (A,), mask of the contacts that have to roll.
+    system, packing : the A contacts, and the spheres whose contacts they are.
+    spins : (unknowns,), u, length/time; sums of two doubles, as is the result.
+    rolls : (A,), mask of the contacts that have to roll.
 
     The slips y of these contacts are computed from the normals and the imposed spins as they are stored. Each
-    correction x of the spins solves K x = -y by least squares, with the operator K from spins to slips. The other
-    contacts enter with a weak weight that only keeps the matrix regular. So slips fall by some orders of magnitude each
-    time, down to the rounding of sums of two doubles.
+    correction x of the spins solves K x = -y by least squares, with the matrix K from spins to slips. The other
+    contacts enter with a weak weight LOOSE that only keeps the matrix regular. So slips fall by some orders of
+    magnitude each time, down to the rounding of sums of two doubles.
     """
     matrix = NewtonMatrix(system, order_by_place(system))
     try:
@@ -49,7 +51,7 @@ def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarr
 def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.ndarray:
     """Return the slips (d, A) of the contacts along their tangents, computed in sums of two doubles.
 
-    spins : (unknowns,), length/time.
+    system, packing : the A contacts, and the spheres whose contacts they are. spins : (unknowns,), u, length/time.
     """
     network = system.network
     first, second = network.contact[:, system.contact]

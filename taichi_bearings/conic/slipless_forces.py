@@ -1,10 +1,14 @@
-"""Can the contacts that are said to be slipless bear what the slipping ones leave to them?
+"""Can the contacts that do not slip bear what the slipping ones leave to them?
 
-Slipping contacts have the friction mu F_n along their slip, and so exert torques. The slipless ones can balance these
-with forces inside their friction discs, unless some motion of the spheres gains more from the torques than friction at
-the slipless contacts takes from it (Farkas' lemma). Near the end of the central path its forces nearly do so. Changing
-each force a little, in proportion to the square of its room, puts them in balance; the room of a contact is mu F_n less
-the size of its force. Where that is not enough, the path is followed on.
+Slipping contacts have all their friction mu F_n along their slip, and so exert torques. The slipless ones can balance
+these with forces inside their friction discs, |force| <= mu F_n, unless some motion of the spheres gains more from the
+torques than friction at the slipless contacts takes from it (Farkas' lemma). Near the end of the central path its
+forces nearly do so. Changing each force a little, in proportion to the square of its room, puts them in balance; the
+room of a contact is mu F_n less the size of its force. Where a force would leave its disc that way, the change goes
+part of the way and is computed anew. If that does not help, no forces are found here, and the caller follows the path
+on.
+
+Letters: n contacts with up to d slip components. "dual" is minus the force.
 """
 
 from collections.abc import Sequence
@@ -40,17 +44,15 @@ def nearly_borne(
     at_limit: np.ndarray,
     heads: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The dual (d, samples * n) with forces of slipless contacts changed such that all torques balance, and a mask
-    (samples,) of the samples in which such forces inside the friction discs are found.
+    """Return forces of the slipless contacts, near the given ones, that balance all torques.
 
-    Each force changes in proportion to the square of its room. Where minima may tie, a change that would take a contact
-    beyond its limit goes part of the way, and on from there with the room that is left.
-
-    system, matrix : of one sample.
+    system, matrix : contacts of one sample, and their Newton matrix, which is factorised anew.
     friction : (samples * n,), one sample after the other, as in the following arrays.
     dual : (d, samples * n), minus the forces; those of slipless contacts nearly balance the others.
-    slipping, at_limit : masks of contacts that slip, and of those that may rest at their limit.
+    slipping, at_limit : (samples * n,) masks of contacts that slip, and that may rest at their limit.
     heads : for each sample a mask (unknowns,) of one spin of each set of tied spins without a driven plane.
+    returns : minus the forces (d, samples * n), all in balance; mask (samples,) of the samples in which forces inside
+        all friction discs are found.
     """
     samples, side = len(heads), _side_by_side(dual, len(heads))
     limit = _side_by_side(np.where(at_limit, friction, np.inf), samples) if at_limit.any() else None
@@ -87,34 +89,45 @@ def nearly_borne(
 
 
 def may_tie(friction: np.ndarray, at_limit: np.ndarray) -> bool:
-    """True where sums of friction forces can be equal by chance, so that there may be several minima: contacts rest at
-    their limit, or most share their friction."""
+    """Return True where there may be several minima, as sums of friction forces can be equal by chance: contacts rest
+    at their limit, or fewer than half of the frictions are different."""
     return bool(at_limit.any()) or len(np.unique(friction)) < len(friction) / 2
 
 
 def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """The array here + share * (there - here), for a share (samples,); `there` to the last bit where the share is 1."""
+    """Return here + share * (there - here) for arrays (..., samples) and a share (samples,) of the way; exactly `there`
+    where the share is 1."""
     return np.where(share == 1, there, here + share * (there - here))
 
 
 def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """The dual (d, n, samples), in which contacts at their limit whose force is nearly along one component have it
-    along that alone: the other one is noise that falls like the root of the margin. limit : (n, samples), infinite for
-    others."""
+    """Return the dual (d, n, samples) without noise at contacts that bear all their friction: if their force is nearly
+    along one component, the other one is set to 0, as it is noise that falls like the root of the margin.
+
+    limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
+    """
     along = np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)
     return np.where(along | ~_at_limit(dual, limit), dual, 0.0)
 
 
 def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """(n, samples) mask of the contacts whose force is at or beyond its limit, up to HELD_AT_LIMIT."""
+    """Return a mask (n, samples) of the contacts whose force is at or beyond its limit, up to a share HELD_AT_LIMIT of
+    it.
+
+    dual : (d, n, samples). limit : (n, samples), infinite for contacts that are not at their limit.
+    """
     return np.sqrt((dual**2).sum(axis=0)) > (1 - HELD_AT_LIMIT) * limit
 
 
 def _balanced(
     system: ContactSystem, matrix: NewtonMatrix, side: np.ndarray, springs: np.ndarray, going: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The dual (d, n, samples) after springs (n, samples) have taken its torques away in the samples that are `going`,
-    and the largest torque (samples,) before."""
+    """Return the dual after springs have taken its torques away, and the largest torque (samples,) before.
+
+    system, matrix : contacts of one sample, and their matrix with the stiffnesses of the springs, factorised.
+    side : minus the forces (d, n, samples). springs : (n, samples), their stiffnesses.
+    going : (samples,) mask of samples to change.
+    """
     torques = system.torques(side)
     nearer = side - springs * system.change(matrix.solve(torques))
     return np.where(going, nearer, side), np.abs(torques).max(axis=0, initial=0.0)
@@ -128,8 +141,11 @@ def _cut_and_balanced(
     limit: np.ndarray,
     going: np.ndarray,
 ) -> np.ndarray:
-    """The dual (d, n, samples) with no force beyond its limit (n, samples): forces are cut to the limit and balanced in
-    turn, as long as that reduces the torques."""
+    """Return the dual (d, n, samples) with no force beyond its limit: forces are cut to their limit and balanced in
+    turn, as long as that reduces the torques. The arguments are those of :func:`_balanced`.
+
+    limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
+    """
     last = np.full(len(going), np.inf)
     for _ in range(MOST_CUTS):
         cut = _cut(side, limit)
@@ -142,8 +158,8 @@ def _cut_and_balanced(
 
 
 def _cut(dual: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
-    """The dual (d, n, samples) with forces at or beyond their limit (n, samples) set to exactly that size; unchanged if
-    `limit` is None, as no contact rests at its limit."""
+    """Return the dual (d, n, samples) with forces at or beyond their limit (n, samples) set to exactly that size.
+    `limit` None means that no contact rests at its limit; then nothing changes."""
     if limit is None:
         return dual
     size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
@@ -151,8 +167,12 @@ def _cut(dual: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
 
 
 def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.ndarray, samples: int) -> np.ndarray:
-    """(samples,), the largest multiple of the way from `here` to `there`, both (d, samples * n), up to which no contact
-    leaves its friction disc. free : (samples * n,) mask of contacts that are not looked at."""
+    """Return the largest multiple (samples,) of the way from `here` to `there` up to which no contact leaves its
+    friction disc.
+
+    friction : (samples * n,). here, there : minus the forces (d, samples * n).
+    free : (samples * n,) mask of contacts that are not looked at. samples : their number.
+    """
     change = there - here
     square, slope, room = inner(change, change), inner(here, change), determinant((friction, here))
     found = room / np.maximum(slope + np.sqrt(np.maximum(slope**2 + square * room, 0.0)), TINY)
@@ -160,8 +180,12 @@ def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.n
 
 
 def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torques: np.ndarray) -> np.ndarray:
-    """(samples,) mask, true where the dual is nearly in balance, and slipless contacts have room for forces that would
-    balance it. torques : (unknowns, samples), those left, also on spins that are held."""
+    """Return a mask (samples,), True where forces that balance surely exist near the given ones: torques are small, and
+    all slipless contacts have room for more force than the sum of all torques.
+
+    friction, slipping : (samples * n,). dual : (d, samples * n), minus the forces. torques : (unknowns, samples), those
+        left, also on spins that were held. The mask `slipping` marks contacts that need no room.
+    """
     left = np.abs(torques).T.copy()
     total, samples = MARGIN_PER_TORQUE * left.sum(axis=1), len(left)
     margin = (friction - length(dual)).reshape(samples, -1)
@@ -170,10 +194,10 @@ def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torque
 
 
 def _side_by_side(values: np.ndarray, samples: int) -> np.ndarray:
-    """Array (..., n, samples), from values (..., samples * n) of samples one after the other."""
+    """Return an array (..., n, samples) from values (..., samples * n) of samples one after the other."""
     return np.ascontiguousarray(np.swapaxes(values.reshape(*values.shape[:-1], samples, -1), -2, -1))
 
 
 def _one_by_one(values: np.ndarray) -> np.ndarray:
-    """Array (..., samples * n), from values (..., n, samples): the inverse of :func:`_side_by_side`."""
+    """Return an array (..., samples * n) from values (..., n, samples): the inverse of :func:`_side_by_side`."""
     return np.swapaxes(values, -2, -1).reshape(*values.shape[:-2], -1)

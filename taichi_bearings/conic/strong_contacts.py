@@ -1,10 +1,11 @@
 """A weaker friction, for very strong contacts, with which the minima are the same.
 
-Where the whole top turns alike, as the whole bottom does, and no force is larger than it has to be, the forces along
-each spin component are a flow from the top to the bottom without circles. On no contact is it larger than the friction
-C of all contacts of a cut. So a contact with more friction than C for each component that it slips with rests at every
-minimum, and it still does with friction 2 C: power, spins and slips of the minima stay the same. The frictions that are
-left span fewer decades, and the rounding of strong contacts no longer hides weak ones.
+Theorem. Let the whole top turn alike, as the whole bottom does. Then, if no force is larger than it has to be, the
+forces along each spin component are a flow from the top to the bottom without circles. On no contact is it larger than
+the friction C of all contacts of a cut, a set of contacts whose removal parts top and bottom. So a contact with more
+friction than C for each component that it slips with rests at every minimum, and it still does with friction 2 C:
+power, spins and slips of the minima stay the same. The frictions that are left span fewer decades, and the rounding of
+strong contacts no longer hides weak ones.
 """
 
 import numpy as np
@@ -17,8 +18,11 @@ SPREAD = 1e3  # ratio of largest and smallest friction up to which nothing is ch
 
 
 def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
-    """Friction (n,), nowhere above the given one, with which a lattice has the same minima. system : the contacts of a
-    lattice. friction : (n,), all positive."""
+    """Return a friction (n,), nowhere above the given one, with which a lattice has the same minima.
+
+    system : the n contacts of a lattice. friction : (n,), all positive. It is returned as it is where it spans few
+        decades (SPREAD), or the top does not turn as one.
+    """
     if friction.max() <= SPREAD * friction.min() or not _is_uniform(system):
         return friction
     assert system.ends is not None
@@ -29,20 +33,23 @@ def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
 
 
 def _is_uniform(system: ContactSystem) -> bool:
-    """True if the imposed spins add the same number to all slips of a component to which they add anything."""
+    """Return True if the imposed spins add the same number to all slips of a component to which they add anything."""
     pairs = np.stack([np.asarray(system.slot, dtype=float), system.offset])[:, system.offset != 0]
     return np.unique(pairs, axis=1).shape[1] == len(np.unique(pairs[0]))
 
 
 def _cut(low: np.ndarray, high: np.ndarray, friction: np.ndarray, bottom: int, top: int) -> float:
-    """Sum of the friction of the links across a cut between the nodes `bottom` and `top`, chosen such that its
-    strongest link is as weak as possible. low, high : (k,), nodes at the ends of the links, numbered up to `top`.
-    friction : (k,)."""
+    """Return the sum of the friction of the links across a cut between the nodes `bottom` and `top`: of a cut whose
+    strongest link is as weak as possible.
+
+    low, high : (k,), nodes at the ends of the links, numbered up to `top`. friction : (k,).
+    """
     levels = np.unique(friction)
     begin, end = 0, len(levels) - 1
 
     def pieces(level: int) -> np.ndarray:
-        """(top + 1,), numbers of the pieces that links stronger than a level join."""
+        """Return the number (top + 1,) of the connected piece of each node, joined by links stronger than number
+        `level` of the sorted frictions."""
         some = friction > levels[level]
         links = (np.ones(some.sum(), dtype=np.int8), (low[some], high[some]))
         graph = sparse.coo_matrix(links, shape=(top + 1, top + 1))

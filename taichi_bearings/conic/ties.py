@@ -1,12 +1,12 @@
-"""Where minima are not unique: the contacts that slip at some of them and rest at others (state TIED). They are found
-here in doubles, without a proof.
+"""Finds where minima are not unique: contacts that slip at some minima and rest at others (state TIED). This is done in
+doubles, without a proof.
 
-All minima share the directions of slip. So they form a polyhedron in the slip speeds: motions of sets of spheres that
-slipless contacts tie together, which turn no slip, and go only so far that no slip is reversed. Equal friction makes
-such motions possible, for example of a set of spheres that two neighbours pull with the same force in opposite
-directions.
+All minima share the directions of slip. So they form a polyhedron in the slip speeds: from one minimum the others are
+reached by motions of sets of spheres that slipless contacts tie together, which change no slip's direction, and go only
+so far that no slip is reversed. Equal friction makes such motions possible, for example of a set of spheres that two
+neighbours pull with the same force in opposite directions.
 
-Letters: n contacts with up to d slip components, k motions y.
+Letters: n contacts with up to d slip components, k independent motions; y (k,) how far each motion goes.
 """
 
 from itertools import combinations
@@ -37,11 +37,12 @@ def tied_contacts(
     slipping: np.ndarray,
     at_limit: np.ndarray,
 ) -> np.ndarray:
-    """(n,) mask of contacts that slip at some minima and rest at others. Only contacts with equal friction can do so.
+    """Return a mask (n,) of contacts that slip at some minima and rest at others. Only contacts with equal friction can
+    do so.
 
-    order : order of elimination of the unknowns of `system`.
-    friction, slipping, at_limit : (n,), friction and contact states at one minimum.
-    difference, dual : (d, n), slips and minus the forces there.
+    system : the contacts. order : order in which its unknowns are eliminated.
+    friction : (n,). difference, dual : (d, n), slips and minus the friction forces at one minimum.
+    slipping, at_limit : (n,) masks of contacts that slip there, and that bear all their friction and yet do not slip.
     """
     ties = np.zeros(len(friction), dtype=bool)
     if len(np.unique(friction)) == len(friction):
@@ -62,8 +63,14 @@ def tied_contacts(
 
 
 def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
-    """Basis (unknowns, k) of the motions of tied sets of spins that turn no slip. difference : (d, n), slips, or
-    directions in which contacts can begin to slip."""
+    """Return a basis (unknowns, k) of the motions of tied sets of spins that change the direction of no slip.
+
+    tied : the contacts that slip or are at their limit, over the sets of spins that the other contacts tie together.
+    difference : (d, contacts), slips, or directions in which contacts can begin to slip.
+
+    A slip with one component has one line to move on. Of one with two components the change across the slip has to be
+    0, one equation each. Blocks of more than MOST_BLOCK_UNKNOWNS unknowns are left out.
+    """
     unknowns, count = tied.unknowns, difference.shape[1]
     conditions = sparse.csr_array((0, unknowns))
     if len(difference) == 2:
@@ -93,8 +100,13 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
 
 
 def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """(n,) mask of the slips that vanish at some points of the polyhedron slips + rates @ y >= 0, and not at others.
-    slips : (n,), 0 or more. rates : (n, k)."""
+    """Return a mask (n,) of the slips that vanish at some points of the polyhedron slips + rates @ y >= 0, and not at
+    others.
+
+    slips : (n,), slip speeds at one minimum, 0 or more. rates : (n, k), their changes by k motions.
+
+    Motions that share no contact are looked at separately.
+    """
     found = np.zeros(len(slips), dtype=bool)
     shared = (rates != 0).astype(float)
     count, label = connected_components(sparse.csr_array(shared.T @ shared), directed=False)
@@ -107,9 +119,15 @@ def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """The mask of :func:`_tied` for one connected part, with slips in units of themselves: `first` (n,) is 1 where a
-    contact slips, else 0. It is read off from all corners of the polyhedron first + rates @ y >= 0. If there are too
-    many, all are taken to be tied, as motions that mix so many contacts occur where friction is the same everywhere."""
+    """Return a mask (n,) of the slips that vanish at some corners of the polyhedron first + rates @ y >= 0, and not at
+    others.
+
+    first : (n,), 1 where a contact slips, else 0: slips in units of themselves. rates : (n, k), their changes by k
+        motions.
+
+    If there are more than MOST_CORNERS candidates for corners, all are taken to be tied: motions that mix so many
+    contacts occur where friction is the same everywhere.
+    """
     motions = rates.shape[1]
     if comb(len(first) + 2 * motions, motions) > MOST_CORNERS:
         return np.ones(len(first), dtype=bool)
@@ -118,8 +136,11 @@ def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Corners (corners, k) of the polyhedron first + rates @ y >= 0, |y| <= LONGEST_MOTION: points where k of these
-    bounds meet and the others hold."""
+    """Return the corners (corners, k) of the polyhedron first + rates @ y >= 0, |y| <= LONGEST_MOTION: the points at
+    which k of these bounds are equalities and the others hold.
+
+    first : (n,), slips. rates : (n, k), their changes by k motions.
+    """
     box, motions = np.eye(rates.shape[1]), rates.shape[1]
     bounds, offsets = np.vstack([rates, box, -box]), np.append(first, np.full(2 * motions, LONGEST_MOTION))
     meeting = np.array(list(combinations(range(len(bounds)), motions)))
