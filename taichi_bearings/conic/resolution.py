@@ -85,7 +85,7 @@ NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
 NEWTON_TRIALS = 2  # runs of Newton's method; before the second, contacts that have come to rest are tied
 # Most that a Newton step may change a slip, as a share of the slip: if the whole step would not reverse the slip, and
 # if it would.
-MOST_SLIP_CHANGE, MOST_CHANGE_IF_REVERSED = 0.5, 0.95
+MOST_CHANGE_ALONG, MOST_CHANGE_IF_REVERSED = 0.5, 0.95
 RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would reverse it
 # Slips above these, over the imposed jump, are surely no rounding: spins known in twice the precision, and in doubles.
 # (10^3 spheres, seed 559, has a slip in between and needs the second look.)
@@ -421,7 +421,7 @@ class _SmoothPower:
             turned = inner(self.difference + change, self.difference) <= 0
             resting = turned & (slip < RESTING_SHARE * first) & going[of_contacts]
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
-            most = np.where(turned, MOST_CHANGE_IF_REVERSED, MOST_SLIP_CHANGE)
+            most = np.where(turned, MOST_CHANGE_IF_REVERSED, MOST_CHANGE_ALONG)
             reach = owners.largest(length(change) / (most * slip))
             along, (high, low) = np.minimum(1.0, 1 / np.maximum(reach, TINY)), self.spins
             self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
