@@ -39,7 +39,7 @@ OF_API = ("Packing", "Result", "Scene", "analyse", "load", "solve", "solve_many"
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used: importing the package takes no time."""
+    """Return a public name, loaded when it is first used: importing the package takes no time."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib
@@ -53,4 +53,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    """Return the public names."""
     return __all__

@@ -48,7 +48,8 @@ def _digest(item: Any, attribute: str | None) -> str:
 
 
 def _parts(group: h5py.Group) -> Iterator[tuple[str, Any, str | None]]:
-    """Yield all data sets in a group, and the attributes of its groups: name, data set or group, attribute or None."""
+    """Yield everything in a group that has a checksum: name, data set or group, and the name of the attribute. The last
+    is None for a data set itself."""
     items: list[tuple[str, Any]] = [("", group)]
     group.visititems(lambda path, item: items.append((path, item)))
     for path, item in items:
@@ -59,16 +60,17 @@ def _parts(group: h5py.Group) -> Iterator[tuple[str, Any, str | None]]:
 
 
 def seal(group: h5py.Group) -> None:
-    """Write the checksums of everything in a file or a group into it."""
+    """Write the checksums of everything in a file or a group into its attribute `sha256`."""
     group.attrs[ATTRIBUTE] = json.dumps({name: _digest(*part) for name, *part in _parts(group)})
 
 
 def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
     """Yield the names of what was changed since it was written, in an open file or a group of it.
 
-    FileError where the table of checksums is unreadable. What is missing altogether is noticed by whoever reads it.
+    path : of the file, for the error. group : the file, or a group of it.
 
-    path : of the file, for the error.
+    Raises FileError where the table of checksums is unreadable. What is missing altogether is noticed by whoever reads
+    it.
     """
     digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
     if not isinstance(digests, dict):

@@ -172,13 +172,15 @@ def __getattr__(attribute: str) -> Any:
 
 @contextlib.contextmanager
 def _lines_found_quickly() -> Iterator[None]:
-    """Replace `inspect.getframeinfo` inside the block by a quick one.
+    """Replace `inspect.getframeinfo` inside the block by a quick function.
 
     The compiler asks `inspect` for the line that defines each kernel, and `inspect` would go through all modules each
     time.
     """
 
     def line_of(frame: Any) -> tuple[None, None, None, list[str]]:
+        """Return a tuple as `inspect.getframeinfo` does, with the source line of the frame alone, which is all that is
+        read."""
         return None, None, None, [linecache.getline(frame.f_code.co_filename, frame.f_lineno)]
 
     before: Any = inspect.getframeinfo
@@ -190,13 +192,13 @@ def _lines_found_quickly() -> Iterator[None]:
 
 
 def _read_functions_once(reader: Any) -> None:
-    """Have Taichi read each function of a kernel once, which halves the time that every process takes to read its
-    kernels.
+    """Have Taichi read each function of a kernel from its file once, which halves the time that every process takes to
+    read its kernels.
 
-    Taichi reads a function from its file wherever a kernel calls it, and notes each time where every expression stands.
-    Here
-    it is read once, or as often as it calls itself, and the notes are kept. Quadrants is left as it is. reader : the
-        module of Taichi that reads kernels.
+    reader : the module of Taichi that reads kernels.
+
+    Taichi reads a function wherever a kernel calls it, and notes each time where every expression stands. Here it is
+    read once, or as often as it calls itself, and the notes are kept. Quadrants is left as it is.
     """
     read, walk, variables = reader._get_tree_and_ctx, reader.transform_tree, reader._get_global_vars
     context, found = reader.ASTTransformerContext, reader.ASTTransformerContext.get_pos_info
@@ -236,7 +238,9 @@ class _Unwrapped:
     """
 
     def __init__(self, width: int) -> None:
+        """Take the width of a line, as a TextWrapper does; it is not used."""
         pass
 
     def wrap(self, text: str) -> list[str]:
+        """Return the text as the only line; no line for an empty text."""
         return [text] if text.strip() else []

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 class Device:
     """One GPU, or what acts as one.
 
-    name : as its driver calls it. has_f64 : it computes in double precision. is_software : it is the CPU in fact.
+    name : as its driver calls it.
+    has_f64 : True if it computes in double precision.
+    is_software : True if it is in fact the CPU.
     """
 
     name: str
@@ -19,7 +21,8 @@ class Device:
 
 
 def find(arch: str) -> list[Device]:
-    """Return the devices that a backend of Taichi could use; none where there is no driver."""
+    """Return the GPUs that a backend of Taichi could use; none where there is no driver. arch : "cuda", "vulkan" or
+    "metal"."""
     try:
         return {"cuda": _cuda, "vulkan": _vulkan, "metal": _metal}[arch]()
     except OSError:  # no such library here

@@ -1,8 +1,9 @@
 """Nested dissection of a graph whose nodes have coordinates: an order in which elimination fills in little.
 
-A region is halved across an axis. The smallest set of nodes that meets every edge between the two halves, a least
-vertex cover of a bipartite graph (König), separates what is left of them and is eliminated last. Of all axes the one
-with the smallest separator is taken. All regions of a level are worked on at once.
+A region is a set of nodes; at first there is one for each connected piece of the graph. It is halved across an axis.
+The smallest set of nodes that meets every edge between the two halves, a least vertex cover of a bipartite graph
+(König), separates what is left of them and is eliminated last. Of all axes the one with the smallest separator is
+taken. All regions of a level are worked on at once. An active node is one that is in no separator yet.
 
 Letters: n nodes, d coordinates.
 """
@@ -37,9 +38,10 @@ _keeping = Lock()
 
 
 def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
-    """Return the parts of a symmetric graph (n, n), children before parents.
+    """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
 
-    place : (d, n) coordinates of the nodes. leaf : a region of no more nodes is not divided.
+    graph : (n, n), symmetric; an entry joins two nodes. place : (d, n) coordinates of the nodes.
+    leaf : a region of no more nodes is not divided.
 
     The same graph at the same places is divided once: methods and proofs of one network, and of samples that share it,
     ask for it again and again.
@@ -97,7 +99,8 @@ def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
 
 
 def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
-    """Divide the graph; see :func:`dissected`."""
+    """Return the parts of a graph, children before parents; the arguments are those of :func:`dissected`. Nothing is
+    kept."""
     count = graph.shape[0]
     second = np.repeat(np.arange(count), np.diff(graph.indptr))
     once = graph.indices > second
@@ -129,10 +132,11 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
 def _best_cut(
     first: np.ndarray, second: np.ndarray, region: np.ndarray, ordered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each region of active nodes the masks (n,) of its upper half and of the separator of its halves.
+    """Return for all regions at once, as masks (n,), the upper half of each region and the nodes that separate its
+    halves.
 
-    first, second : nodes of each edge. region : (n,) region of each node. ordered : active nodes in order along each
-        axis.
+    first, second : (edges,), nodes of each edge. region : (n,) region of each node.
+    ordered : (d, active nodes), the nodes that are in no separator yet, in order along each axis.
     """
     halved = np.stack([_upper_half(along, region) for along in ordered])
     covers = np.stack([_least_cover(*_across(first, second, upper), len(region)) for upper in halved])
@@ -142,9 +146,9 @@ def _best_cut(
 
 
 def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Return the mask (n,) of active nodes beyond the median of their region.
+    """Return the mask (n,) of the nodes beyond the median of their region along an axis.
 
-    ordered : active nodes in their order along an axis. region : (n,) region of each node.
+    ordered : nodes that are in no separator yet, in their order along the axis. region : (n,) region of each node.
     """
     own = region[ordered]
     order = np.argsort(own.astype(np.uint16) if own.max() < 2**16 else own, kind="stable")
@@ -156,7 +160,10 @@ def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
 
 
 def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and the upper node of each edge that joins the two halves of a region."""
+    """Return the lower and the upper node, (k,) each, of the edges that join the two halves of a region.
+
+    first, second : (edges,), nodes of each edge. upper : (n,) mask of the upper halves.
+    """
     at = np.flatnonzero(upper[first] != upper[second])
     first, second = first[at], second[at]
     swapped = upper[first]
@@ -166,8 +173,10 @@ def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[n
 def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
     """Return the mask (count,) of fewest nodes that meet every edge from a node of one side to one of the other.
 
+    low, high : (edges,), nodes of each edge. count : number of all nodes.
+
     It is found as a minimum cut with flow 1 through each node, and is the same whatever the largest flow; SciPy's own
-    matchings can take minutes. low, high : nodes of each edge.
+    matchings can take minutes.
     """
     (lower, begin), (upper, end) = (_numbered(side, count) for side in (low, high))
     below, above = len(lower), len(upper)
@@ -189,18 +198,17 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
 
 
 def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct ones of these nodes, in order, and for each node its number among them. count : of all
-    nodes.
-    """
+    """Return the distinct ones of some nodes, in order, and for each of the nodes its number among them. count : number
+    of all nodes."""
     there = np.zeros(count, dtype=bool)
     there[nodes] = True
     return np.flatnonzero(there), (np.cumsum(there) - 1)[nodes]
 
 
 def _in_postorder(parent: np.ndarray, part: np.ndarray) -> list[Part]:
-    """Return the parts in an order in which few finished ones wait for their parents.
+    """Return the parts with children before parents, in an order in which few finished ones wait for their parents.
 
-    parent : the part above each, or -1. part : part of each node.
+    parent : (parts,), the part above each, or -1. part : (n,), part of each node.
     """
     children: list[list[int]] = [[] for _ in parent]
     for child in np.flatnonzero(parent >= 0):

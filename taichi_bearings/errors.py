@@ -11,6 +11,7 @@ class BearingsError(Exception):
     """
 
     def __str__(self) -> str:
+        """Return the text of the error as one line, escaped and shortened."""
         text = super().__str__()
         if len(text) > MOST_LETTERS:
             text = f"{text[: 2 * MOST_LETTERS // 3]} ... {text[-MOST_LETTERS // 3 :]}"
@@ -37,6 +38,5 @@ class FileError(InputError):
 
 
 class WriteError(FileError):
-    """Raised for a file that cannot be written: no room, no permission, or gone. What was to be written is not to
-    blame.
-    """
+    """Raised for a file that cannot be written: no room, no permission, or gone. The data to be written are not to
+    blame."""

@@ -79,7 +79,7 @@ def _has_whole_heaps(path: Path) -> bool:
 
 
 def file_at(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading, without a lock where the file system has none.
+    """Return an HDF5 file opened for reading, without a lock where the file system has none.
 
     That is safe since this program replaces a file in one move, and never writes into one that others may be reading.
     """
@@ -93,7 +93,7 @@ def file_at(path: Path) -> h5py.File:
 
 
 def reason_against(file: h5py.File, size: int) -> str:
-    """Return in words why an open file must not be read; "" if it can be. size : of the file, bytes."""
+    """Return in words why an open file must not be read; "" if it can be. size : of the file in bytes."""
     try:
         return _strange(file, size)
     except UNREADABLE as error:
@@ -101,9 +101,8 @@ def reason_against(file: h5py.File, size: int) -> str:
 
 
 def _strange(file: h5py.File, size: int) -> str:
-    """Return what in a file of so many bytes leads out of it, is of an unknown kind or claims too much; "" for
-    nothing.
-    """
+    """Return in words what in a file of `size` bytes leads out of it, is of an unknown kind or claims too much; "" for
+    nothing."""
     links: list[tuple[bytes, int]] = []
     file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
     if leads_out := [name.decode() for name, kind in links if kind == h5py.h5l.TYPE_EXTERNAL]:
@@ -126,7 +125,8 @@ def _strange(file: h5py.File, size: int) -> str:
 
 
 def _strange_attribute(name: str, item: h5py.HLObject) -> str:
-    """Return which attribute of a group or data set is neither a number nor a text; "" if all are."""
+    """Return in words which attribute of a group or data set is neither a number nor a text; "" if all are. name : of
+    the item, for the sentence."""
     plain = (*PLAIN, h5py.Reference, h5py.RegionReference)  # as of scales, which are never followed
     for key in list(item.attrs):
         with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
@@ -138,7 +138,8 @@ def _strange_attribute(name: str, item: h5py.HLObject) -> str:
 
 
 def _strange_data(name: str, item: h5py.Dataset) -> str:
-    """Return why a data set is no array of numbers or texts in this file, packed by a known filter; "" if it is one."""
+    """Return in words why a data set is no array of numbers or texts in this file; "" if it is one, plain or packed by
+    a known filter. name : of the data set, for the sentence."""
     if item.is_virtual or item.external:
         return f"{name} in it lies in other files, which are not read"
     settings = item.id.get_create_plist()
@@ -154,7 +155,7 @@ PLAIN: tuple[type, ...] = (bytes, int, float, np.generic, np.ndarray, h5py.Empty
 
 
 def _is_plain(value: object, plain: tuple[type, ...]) -> bool:
-    """Return True for values of these types, texts in UTF-8, and lists of them."""
+    """Return True for values of the types `plain`, texts in UTF-8, and arrays of them."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         return all(_is_plain(item, plain) for item in value.ravel())
     if isinstance(value, str):

@@ -45,7 +45,8 @@ def while_wanted(ended: Callable[[], bool]) -> Iterator[None]:
 
 
 def look_up() -> None:
-    """Raise GivenUp if the work is no longer wanted; called in long loops, where nothing is half done."""
+    """Raise GivenUp if the work is no longer wanted (:func:`while_wanted`). Called in long loops, at places where
+    nothing is half done."""
     ended = _ended.get()
     if ended is not None and ended():
         raise GivenUp
@@ -53,9 +54,8 @@ def look_up() -> None:
 
 @contextmanager
 def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Iterator[None]:
-    """Have this handler hear of Ctrl-C and SIGTERM inside the block; in threads other than the main one nothing
-    changes.
-    """
+    """Have a handler called at Ctrl-C and SIGTERM inside the block; in threads other than the main one nothing
+    changes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -69,7 +69,7 @@ def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -
 
 @contextmanager
 def awaited() -> Iterator[threading.Event]:
-    """Hold Ctrl-C and SIGTERM off inside the block: they only set the event that it gets."""
+    """Hold Ctrl-C and SIGTERM off inside the block: they only set the event that the block gets."""
     heard = threading.Event()
     with leaving.saving(), handled(lambda *_: heard.set()):
         yield heard
@@ -100,9 +100,8 @@ def unheard_by_children() -> Iterator[None]:
 
 
 def is_loading(frame: FrameType | None) -> bool:
-    """Return True while a module is being loaded: compiled modules then swallow an exception, or make another one
-    of it.
-    """
+    """Return True if a module is being loaded in the frame or above it: compiled modules then swallow an exception, or
+    make another one of it."""
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
@@ -113,7 +112,7 @@ def is_loading(frame: FrameType | None) -> bool:
 def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
     """Send Ctrl-C once more in a moment, because what the handler raises would be swallowed now, or was.
 
-    is_wanted : asked at that moment; False if it is too late.
+    is_wanted : called at that moment; it returns False if it is too late.
     """
 
     def ring() -> None:
@@ -135,7 +134,8 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
 
 
 def interrupt(_: int, frame: FrameType | None) -> None:
-    """Handle a signal by ending what is under way, or in a moment if a module is being loaded."""
+    """Handle a signal by raising KeyboardInterrupt, or in a moment if a module is being loaded. frame : what
+    runs now."""
     if is_loading(frame):
         again_soon()
     else:
@@ -164,14 +164,15 @@ def always_heard() -> None:
     unraisable, in_thread = sys.unraisablehook, threading.excepthook
 
     def swallowed(what: Any) -> None:
-        """Handle what a destructor or a callback could not raise."""
+        """Handle what a destructor or a callback could not raise: a Ctrl-C is sent again, other errors are shown as
+        usual unless the process is ending."""
         if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
             again_soon()
         elif not leaving.heard():  # errors of objects that end with the process do not matter
             unraisable(what)
 
     def failed(what: Any) -> None:
-        """Handle what a thread raises."""
+        """Handle what a thread raises: it is shown as usual, unless the process is ending."""
         if not leaving.heard():
             in_thread(what)
 

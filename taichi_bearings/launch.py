@@ -12,7 +12,10 @@ from taichi_bearings.compiler import ti
 
 
 def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
-    """Return a function that calls ``kernel(*arguments)``, quickly; it sees what is in the arrays, of one index, then.
+    """Return a function without arguments that calls ``kernel(*arguments)``, quickly.
+
+    arguments : arrays, of which it sees the numbers that they hold at the call, all with one index in the kernel; and
+        whole numbers.
 
     Taichi inspects all arguments at every start, which takes 0.1 ms, in which a pass over the contacts of a small
     sample could be done. Its findings are kept here, through its inner functions. Where the compiler has others, the

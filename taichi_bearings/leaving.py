@@ -53,7 +53,7 @@ def saying(sentence: str) -> Iterator[None]:
 
 
 def add_temporary(path: Path) -> None:
-    """Have a file or folder removed where the process is ended from outside of what made it."""
+    """Have a file or folder removed if the process is ended before :func:`forget_temporary` is called for it."""
     _temporary.add(os.path.abspath(path))
 
 
@@ -114,7 +114,11 @@ def watch() -> None:
 
 
 def _end_the_deaf(reading: int) -> None:
-    """Wait for a signal, then for the end of the process, and bring that about if it does not come."""
+    """Wait for a stop signal, give the process GRACE seconds to end (anew while something is being saved), then print
+    the last sentence and end it. Runs in a thread of its own.
+
+    reading : pipe from which the numbers of signals can be read as they come.
+    """
     while os.read(reading, 1)[0] not in SIGNALS or _is_own():
         pass
     _heard.set()
@@ -129,9 +133,10 @@ def _end_the_deaf(reading: int) -> None:
 
 
 def end_now(sentence: str = "") -> None:
-    """End an interrupted command at once, without waiting for its threads, if it is watched; else do nothing.
+    """End an interrupted command at once, without waiting for its threads; do nothing in a process that is not watched
+    (:func:`watch`).
 
-    sentence : what is still to be said, on stderr.
+    sentence : what is still to be printed, on stderr.
     """
     if not _watched:
         return

@@ -46,7 +46,7 @@ def free_bytes() -> float:
 
 
 def refuse_beyond(needed: float, what: str) -> None:
-    """Raise MemoryError if so many bytes are not free. what : needs them."""
+    """Raise MemoryError if `needed` bytes are not free. what : what needs them, for the message."""
     free = free_bytes() if needed > LITTLE_BYTES else needed
     if needed > free:
         raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(free, 0) / 1e9:.1f} GB are free")
@@ -67,7 +67,8 @@ def keep_freed() -> None:
 
 
 def refuse_before(needed: float, what: str) -> None:
-    """Raise NotEnoughMemory if so many bytes, an estimate that may be too low, are not free. what : needs them."""
+    """Raise NotEnoughMemory if `needed` bytes, an estimate that may be too low by ESTIMATE_MARGIN, are not free. what :
+    what needs them, for the message."""
     free = free_bytes() if needed > LITTLE_BYTES else np.inf
     if needed * ESTIMATE_MARGIN > free:
         words = f"needs some {needed / 1e9:.1f} GB of memory; {max(free, 0) / 1e9:.1f} GB are free"

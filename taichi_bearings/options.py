@@ -15,20 +15,22 @@ Reader = Callable[[Any], Any]  # turns a given value into the one that is kept, 
 
 
 class Kind:
-    """How a value is read, and which values are allowed.
+    """How the value of an option is read, and which values are allowed.
 
-    read : turns a given value into the one that is kept; ValueError, TypeError, KeyError or OverflowError if it cannot.
+    read : function that turns a given value into the one that is kept; ValueError, TypeError, KeyError or OverflowError
+        if it cannot.
     allowed : words that complete "it must be ...". metavar : what stands for the value in help texts.
+    known : the words that the value is one of, if it is one of some.
     """
 
     known: Collection[str] = ()  # words that it is one of, if it is
 
     def __init__(self, read: Reader, allowed: str, metavar: str) -> None:
-        """read, allowed, metavar : see the class."""
+        """Take the attributes of the class."""
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
     def named(self, name: str, value: object) -> Any:
-        """Return the value as it is kept; InputError names the option, the value and what is allowed."""
+        """Return the value as it is kept; InputError names the option `name`, the value and what is allowed."""
         try:
             return self.read(value)
         except (ValueError, TypeError, KeyError, OverflowError):
@@ -45,7 +47,7 @@ class Kind:
 def numbers(convert: Reader, counts: tuple[int, ...]) -> Reader:
     """Return a function that reads several numbers from a text such as 32,32,32 or 32x32x32, or from a list.
 
-    convert : reads each of them. counts : how many there may be.
+    convert : function that reads each of them. counts : how many there may be.
     """
 
     def read(value: Any) -> tuple[Any, ...]:
@@ -147,9 +149,13 @@ def finite_number(name: str, value: object) -> float:
 
 
 class OneOf(Kind):
-    """The kind of values that are one of some names. table : holds more names, and can grow."""
+    """The kind of values that are one of some names.
+
+    names : the names. table : holds more names as its keys, and can grow.
+    """
 
     def __init__(self, *names: str, table: Mapping[str, object] = MappingProxyType({})) -> None:
+        """Take some names, and a table of further ones."""
         self.names, self.table = names, table
 
     def read(self, value: Any) -> str:
@@ -160,14 +166,17 @@ class OneOf(Kind):
 
     @property
     def known(self) -> tuple[str, ...]:  # type: ignore[override]
+        """All names."""
         return (*self.names, *self.table)
 
     @property
     def allowed(self) -> str:  # type: ignore[override]
+        """Words that complete "it must be ..."."""
         return "one of " + ", ".join(self.known)
 
     @property
     def metavar(self) -> str:  # type: ignore[override]
+        """What stands for the value in help texts: the names."""
         return "|".join(self.known)
 
 
@@ -185,17 +194,17 @@ TRUTH = Kind(_truth, "true or false", "")
 
 @dataclass(frozen=True)
 class Option:
-    """One thing that can be given.
+    """An option that can be given for a run, a method or a law.
 
-    default : None where it is left to whatever uses the option.
+    default : value if it is not given; None where it is left to whatever uses the option.
     kind, help : how it is read, and a sentence on what it means.
     unit : "1" for a pure number.
-    methods, laws : return True for a method, or law, that uses it; None if all do.
+    methods, laws : functions that return True for a method, or law, that uses it; None if all do.
     dimensions : of the lattices that use it.
-    of_solving : it says how a system is solved, not which system.
+    of_solving : True if it says how a system is solved, not which system.
     not_scanned : why a scan cannot vary it, since it changes no result; "" if it can.
-    unset : None stands for the default, wherever a run is described, as if the option were not given.
-    rare : few need it, so `--help` leaves it to `--help-all`.
+    unset : True if None stands for the default, wherever a run is described, as if the option were not given.
+    rare : True if few need it, so that `--help` leaves it to `--help-all`.
     """
 
     default: Any
@@ -211,12 +220,14 @@ class Option:
     rare: bool = False
 
     def read(self, name: str, value: Any) -> Any:
-        """Return the value as it is kept; InputError names the option, the value and what is allowed."""
+        """Return the value of the option `name` as it is kept; InputError names the option, the value and what is
+        allowed."""
         return None if value is None and self.default is None else self.kind.named(name, value)
 
 
 def option(default: Any, kind: Kind, help: str, **facts: Any) -> Any:
-    """Return a field of a dataclass that is an :class:`Option`. facts : its further attributes by name."""
+    """Return a field of a dataclass that is an :class:`Option`. default, kind, help : see there. facts : its further
+    attributes by name."""
     return field(default=default, metadata={"option": Option(default, kind, help, **facts)})
 
 

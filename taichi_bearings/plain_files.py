@@ -89,9 +89,8 @@ def read_whole(path: Path, most: int) -> bytes:
 
 
 def read_lines(path: Path) -> Generator[bytes, None, None]:
-    """Yield the lines of a regular file with their ends; of a line that is too long only its end; nothing without a
-    file.
-    """
+    """Yield the lines of a regular file with their ends. Of a line longer than MOST_LINE only its end is yielded; if
+    there is no file, nothing."""
     try:
         with opened(path) as file:
             while line := file.readline(MOST_LINE):
@@ -145,9 +144,8 @@ def write_all(file: IO[bytes], content: bytes | memoryview) -> None:
 
 
 def let_go(file: IO[bytes]) -> None:
-    """Prepare for renaming or removing a file that we hold open: Windows wants it closed, other systems keep it
-    locked.
-    """
+    """Close a file that is about to be renamed or removed on Windows, which wants that; other systems keep it open and
+    locked."""
     if sys.platform == "win32":
         file.close()
 

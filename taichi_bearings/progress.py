@@ -45,15 +45,18 @@ class TerminalLine:
     """
 
     def __init__(self, line: Callable[[], str]) -> None:
+        """Take the function that returns the text; nothing is shown yet. line : see the class."""
         self.line, self._over = line, threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 
     def __enter__(self) -> Any:
+        """Begin to show the line, in a thread, if anybody sees it."""
         if is_seen():
             self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        """End the line."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -74,7 +77,7 @@ class TerminalLine:
 
 
 def _live(line: Callable[[], str]) -> Any:
-    """Return the line on a terminal, as a context."""
+    """Return a context that shows the line on a terminal. line : returns the text; called at each writing."""
     from rich.console import Console
     from rich.live import Live
     from rich.spinner import Spinner
@@ -84,6 +87,7 @@ def _live(line: Callable[[], str]) -> Any:
     spinner = Spinner("dots")
 
     def whole() -> Table:
+        """Return a turning sign and the text, as one row."""
         row = Table.grid(padding=(0, 1, 0, 0))
         row.add_row(spinner, Text(line(), no_wrap=True, overflow="ellipsis"))
         return row
@@ -99,27 +103,29 @@ class Display:
     """
 
     def __init__(self, since: float | None = None) -> None:
-        """since : when the time begins, by time.perf_counter(); None for now."""
+        """Prepare to listen. since : when the time begins, by time.perf_counter(); None for now."""
         self.stages, self.seconds = list[Stage](), {BETWEEN: 0.0}
         self._since = time.perf_counter() if since is None else since
         self._context = ExitStack()
 
     def __enter__(self) -> "Display":
+        """Show the line, and listen to stages."""
         self._context.enter_context(TerminalLine(self.line))
         self._context.callback(listener.reset, listener.set(self))
         return self
 
     def __exit__(self, *_: object) -> None:
+        """End the line, and listen no more."""
         self._context.close()
 
     def begin(self, new: Stage) -> None:
-        """Hear that a stage begins."""
+        """Note that a stage begins."""
         self.book()
         self.stages.append(new)
         self.seconds.setdefault(new.name, 0.0)
 
     def end(self, old: Stage) -> None:
-        """Hear that a stage ends, and those inside it."""
+        """Note that a stage ends, and those inside it."""
         self.book()
         del self.stages[self.stages.index(old) :]
 
@@ -130,14 +136,13 @@ class Display:
         self._since = now
 
     def hear(self, stage: Stage) -> None:
-        """Hear that a stage reports where it stands."""
+        """Note when a stage reports how far it is."""
         if stage.report is not None:
             stage.done.append((time.perf_counter() - stage.began, share_of(stage.report)[0]))
 
     def line(self) -> str:
-        """Return the stages under way, outermost first, with what is known of each; the innermost one is always
-        timed.
-        """
+        """Return the text of the line: the stages under way, outermost first, with what is known of each. The innermost
+        one always shows a time."""
         now, stages, lines = time.perf_counter(), list(self.stages), list[str]()
         for stage in stages:
             is_innermost = stage is stages[-1]
@@ -178,10 +183,11 @@ def standing(report: Any) -> str:
 
 
 def forecast(stage: Stage) -> tuple[float, str]:
-    """Return the seconds that were left when a stage last reported, and in words what that time leads to.
+    """Return the seconds that were left when a stage last reported, infinite if unknown, and in words what that time
+    leads to.
 
-    The pace is that of the last two thirds of its time; infinite where it is not known. Work without a pace has the
-    time that was expected of it.
+    The pace is that of the last two thirds of the stage's time, as kernels may be compiled in the first third. Work
+    that reports nothing has the time that was expected of it.
     """
     seconds, report = (stage.done[-1][0] if stage.done else 0.0), stage.report
     left = seconds_left([point for point in stage.done if point[0] >= seconds / WINDOW])  # the first part may compile
@@ -193,8 +199,10 @@ def forecast(stage: Stage) -> tuple[float, str]:
 
 
 def share_of(report: Any) -> tuple[float, str]:
-    """Return which share of a solve is done, and in words what ends it; not-a-number where the share says nothing
+    """Return which share of a solve is done, and in words what ends it. The share is not-a-number where it says nothing
     of the time.
+
+    report : a `Step` or a solvers.drive.Report.
     """
     gap = float(np.max(report.gap))
     if isinstance(report, Step):
@@ -210,9 +218,8 @@ def share_of(report: Any) -> tuple[float, str]:
 
 
 def _by_decades(gap: float, aim: float) -> float:
-    """Return the share that is done if the gap falls by equal factors in equal times; not-a-number where that is
-    not known.
-    """
+    """Return the share of a solve that is done if the gap falls by equal factors in equal times, from 1 to `aim`;
+    not-a-number where that is not known."""
     return math.log(gap) / math.log(aim) if 0 < aim < gap < 1 else math.nan
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Asked(Protocol):
-    """What was asked of a solve, as far as its numbers depend on it."""
+    """The settings of a solve that quantities of its answer depend on."""
 
     @property
     def tolerance(self) -> float:
@@ -41,7 +41,7 @@ class Asked(Protocol):
 
 
 class Answer(Protocol):
-    """What the functions of the rows of samples take: a `Result`."""
+    """The part of a `Result` from which the table computes the quantities of its samples."""
 
     @property
     def solution(self) -> Solution:
@@ -49,23 +49,23 @@ class Answer(Protocol):
 
     @property
     def asked(self) -> Asked:
-        """The settings."""
+        """The settings of the solve."""
 
     @property
     def ended(self) -> list[Status]:
-        """How each of the R samples ended."""
+        """How each of the R samples ended, such as certified or interrupted."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A row of the table.
+    """A row of the table of quantities: one number or word of an answer.
 
     name : as in files, summaries, tables and Python.
     unit : "1" for pure numbers.
     text : what the quantity is, in words.
-    of : function that returns the value; for a quantity of samples an array or a list with one value for each sample,
-        or one value for all of them. It returns None where there is no such value, or where an answer does not have it.
-    symbol : LaTeX, for axes of figures.
+    of : function that takes an answer, or a solution or structure, and returns the value; for a quantity of samples an
+        array or a list with one value for each sample, or one value for all of them. None where there is no such value.
+    symbol : LaTeX, for axes of figures; "" for none.
     """
 
     name: str
@@ -78,13 +78,13 @@ class Quantity:
 def _of_lattice(
     of: Callable[[Answer], object], in_lists: Callable[[Answer], object] = lambda _: None
 ) -> Callable[[Answer], object]:
-    """Return a function of an answer that calls `of` for a lattice, and `in_lists`, by default without a value, for a
-    packing."""
+    """Return a function of an answer that calls `of` if the answer is of a lattice, and `in_lists` if it is of a
+    packing; by default a packing has no value."""
     return lambda answer: (in_lists if answer.solution.scene.network.lattice is None else of)(answer)
 
 
 def _in_lists(of: Callable[["Network"], int]) -> Callable[[Answer], object]:
-    """Return a function of an answer that calls `of` with the network of a packing; a lattice has no value."""
+    """Return a function of an answer that calls `of` with the network of a packing; for a lattice it returns None."""
     return _of_lattice(lambda _: None, lambda answer: of(answer.solution.scene.network))
 
 
@@ -96,7 +96,7 @@ def _contacts(solution: Solution) -> int | np.ndarray:
 
 
 def _separation(answer: Answer) -> Separation:
-    """Return how far the slips of slipless contacts are from those of slipping ones."""
+    """Return the largest slip of slipless contacts and the smallest of slipping ones, for each sample of an answer."""
     return separate(answer.solution.scene, answer.solution.slip, answer.solution.state)
 
 
@@ -116,7 +116,8 @@ def _normalised(solution: Solution) -> np.ndarray | None:
 
 
 def _at_end(column: str) -> Callable[[Answer], object]:
-    """Return a function that gives the last value in a column of the history; None where there is no such column."""
+    """Return a function of an answer that returns the last value in a column of the history; None if there is no such
+    column."""
 
     def found(answer: Answer) -> object:
         """Return the last value."""
@@ -127,7 +128,7 @@ def _at_end(column: str) -> Callable[[Answer], object]:
 
 
 def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
-    """Return the rows by name."""
+    """Return the rows of the table in a dict, by name."""
     return {row.name: row for row in rows}
 
 
@@ -426,7 +427,8 @@ class Whole(list[Any]):
 
 
 def numbers_of(answer: Answer) -> Json:
-    """Return all quantities of samples by name: single values, or with several samples lists where they may differ.
+    """Return all quantities of the samples of an answer by name: single values, or with several samples lists where
+    they may differ.
 
     Numbers that are not finite become None, so that JSON can hold them.
     """
@@ -437,7 +439,8 @@ def numbers_of(answer: Answer) -> Json:
 
 
 def _reported(value: object, several: bool) -> Any:
-    """Return a value as Python numbers and texts: of an array or list all entries if `several`, else the first."""
+    """Return a value as Python numbers and texts: of an array or list all entries if there are `several` samples, else
+    the first."""
     if isinstance(value, Whole):
         return list(value)
     if isinstance(value, (np.ndarray, list)):

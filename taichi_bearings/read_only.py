@@ -10,7 +10,7 @@ Value = TypeVar("Value")
 
 
 def read_only(value: Value) -> Value:
-    """Return the same value; its arrays, also those in tuples, lists and mappings, can no longer be written into."""
+    """Make the arrays in a value unwritable, also those in tuples, lists and mappings, and return the value."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     elif isinstance(value, (tuple, list)):
@@ -23,12 +23,12 @@ def read_only(value: Value) -> Value:
 
 
 def cached_read_only(of: Callable[[Any], Value]) -> "cached_property[Value]":
-    """Return a property that is computed once, and whose arrays cannot be written into. of : the method that
-    computes it.
-    """
+    """Return a property that is computed once, and whose arrays cannot be written into. of : the method that computes
+    it."""
 
     @wraps(of)
     def found(owner: object) -> Value:
+        """Compute the value, and make its arrays unwritable."""
         return read_only(of(owner))
 
     return cached_property(found)

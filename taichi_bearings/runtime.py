@@ -27,7 +27,10 @@ MOST_THREADS = 64  # most threads that a kernel shares its work among
 class Runtime:
     """The choice with which the running Taichi runtime was started.
 
-    arch : cpu, cuda, vulkan or metal. precision : f64 or f32. threads : on a CPU.
+    arch : "cpu", "cuda", "vulkan" or "metal".
+    precision : "f64" or "f32".
+    threads : number of threads on a CPU.
+    debug : True if Taichi checks indices.
     """
 
     arch: str
@@ -36,10 +39,12 @@ class Runtime:
     debug: bool = False
 
     def __str__(self) -> str:
+        """Return the choice in words, for messages."""
         return f"{self.arch}, {self.precision}, threads {self.threads}{', debug' if self.debug else ''}"
 
     @property
     def is_gpu(self) -> bool:
+        """True on a GPU."""
         return self.arch != "cpu"
 
 
@@ -59,7 +64,8 @@ HOST = Runtime("cpu", "f64", available_threads())  # of methods that need no Tai
 
 
 def usable(arch: str, precision: str = "f64") -> list[devices.Device]:
-    """Return the GPUs of one make that can compute in this precision; none where Taichi does not support them."""
+    """Return the GPUs of one make (`arch`) that can compute in this precision; none where Taichi does not
+    support them."""
     found = [device for device in devices.find(arch) if device.has_f64 or precision != "f64"]
     if not found:
         return []
@@ -94,6 +100,7 @@ def running_program() -> Any:
 
 @cache
 def _language() -> Any:
+    """Return the module of Taichi that holds its global runtime."""
     from taichi_bearings.compiler import ti
 
     return ti.lang.impl

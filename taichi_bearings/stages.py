@@ -17,13 +17,13 @@ Item = TypeVar("Item")
 
 @dataclass
 class Stage:
-    """Some work under way.
+    """Some work under way, of which progress can be shown.
 
     name : what it is, as in "drawing".
     number, total : which part of how many is under way; 0 where there are none.
-    began : by time.perf_counter().
+    began : when it began, by time.perf_counter().
     done : (seconds since it began, share of the work that was done then) at the start of each part, if that is known.
-    report : what the work says of where it stands, if it does.
+    report : what the work says of where it stands: a `Step` or a solvers.drive.Report; None if it says nothing.
     expected : seconds that it is estimated to take; 0 if unknown.
     """
 
@@ -46,8 +46,9 @@ class Stage:
 class Step:
     """The progress of a descent that ends at a given gap.
 
-    iteration : steps so far. power, gap : reached by them. aim : gap at which it ends; the gap falls by equal factors
-        in equal times.
+    iteration : number of steps so far.
+    power, gap : power, and relative gap to the least one, that they have reached.
+    aim : gap at which the descent ends; the gap falls by equal factors in equal times.
     """
 
     iteration: int
@@ -62,7 +63,8 @@ listener: ContextVar[Any] = ContextVar("listener", default=None)
 
 @contextmanager
 def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
-    """Name the work inside the block. expected : see :class:`Stage`."""
+    """Name the work inside the block, so that its progress can be shown. expected : seconds that it is estimated to
+    take; 0 if unknown."""
     new, who = Stage(name, expected=expected), listener.get()
     if who:
         who.begin(new)
@@ -74,9 +76,10 @@ def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
 
 
 def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None = None) -> Iterator[Item]:
-    """Yield the items one after another; the stage says which of how many is under way.
+    """Yield the items one after another; progress shows which of how many is under way.
 
-    work : returns the work of an item, in any unit, where that is roughly known; `alike` where all take the same.
+    name : of an item, in the singular. work : function that returns the work of an item, in any unit, where that is
+        roughly known; `alike` where all take the same; None where it is unknown.
     """
     shares = [] if work is None else [work(item) for item in items]
     with stage(name) as under_way:

@@ -24,9 +24,13 @@ NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,5})?")
 
 
 class CutOff(FileError):
-    """Raised for a text that ends within a line, or within the stream that it is packed in. line : where it ends."""
+    """Raised for a text that ends within a line, or within the stream that it is packed in.
+
+    line : number of the line where it ends.
+    """
 
     def __init__(self, path: Path, line: int, why: str) -> None:
+        """Make the message. why : where and how the file is cut off."""
         self.line = line
         super().__init__(f"{path} is cut off: {why}")
 
@@ -65,17 +69,22 @@ def read_text_lines(path: Path) -> Generator[bytes, None, None]:
 
 
 class _Unpacker(io.RawIOBase):
-    """The content of a packed file of any number of streams. is_torn : True once it has ended within a stream."""
+    """The unpacked content of a packed file, which may be several streams one after another.
+
+    is_torn : True once the file has ended within a stream.
+    """
 
     def __init__(self, file: IO[bytes], make: Callable[[], Any]) -> None:
+        """Begin with the first stream. file : the packed bytes. make : returns what unpacks one stream."""
         self.file, self.make, self.is_torn = file, make, False
         self.stream, self.packed = make(), b""
 
     def readable(self) -> bool:
+        """Return True: it can be read."""
         return True
 
     def readinto(self, buffer: Any) -> int:
-        """Fill the buffer with unpacked bytes; returns how many, 0 at the end."""
+        """Fill the buffer with unpacked bytes; return how many there are, 0 at the end."""
         while True:
             if self.stream.eof:
                 self.packed = self.stream.unused_data or self.file.read(READ_AT_ONCE)

@@ -53,11 +53,12 @@ Guard = tuple[str, str, str]
 
 
 class Unkept(Exception):
-    """A walk depends on something that cannot be named, so that it is not kept."""
+    """Raised if a walk depends on something that cannot be named, so that it is not kept."""
 
 
 def keep(compiler: Any, folder: Path, writes: bool) -> None:
-    """Have Taichi repeat, from now on, the walks that are kept in a folder. Other versions of Taichi are left alone.
+    """Have Taichi repeat, from now on, the walks that are kept in a folder. A walk is the sequence of calls of the
+    compiler's core by which the source of a kernel becomes intermediate code. Other versions of Taichi are left alone.
 
     compiler : the module of Taichi, or of Quadrants.
     folder : where the files of walks lie.
@@ -70,10 +71,11 @@ def keep(compiler: Any, folder: Path, writes: bool) -> None:
 
 
 class _Kept:
-    """The walks of one process, those it finds in the folder and those it keeps there.
+    """The walks that one process finds in a folder and keeps there. A walk is the sequence of calls of the compiler's
+    core by which the source of a kernel becomes intermediate code.
 
-    core : the compiled part of Taichi. reader : the module of Taichi that defines the class of kernels. folder : where
-    the files of walks lie. writes : whether new walks are kept.
+    core : the compiled part of Taichi. reader : the module of Taichi that defines the class of kernels.
+    folder : where the files of walks lie. writes : True if new walks are kept.
     """
 
     def __init__(self, core: Any, reader: Any, folder: Path, writes: bool) -> None:
@@ -81,10 +83,15 @@ class _Kept:
         self._lock, self._settings = threading.Lock(), dict[int, list[str]]()
 
     def materialize(self) -> Callable[..., None]:
-        """Return the method that takes the place of `Kernel.materialize` of Taichi: it repeats a walk, or makes it."""
+        """Return the method that takes the place of `Kernel.materialize` of Taichi: it repeats a stored walk, or makes
+        the walk."""
 
         def materialized(kernel: Any, key: Any = None, args: Any = None, arg_features: Any = None) -> None:
-            """Make the intermediate code of a kernel for these arguments, unless it was made before."""
+            """Make the intermediate code of a kernel for some arguments, unless it was made before.
+
+            key : under which Taichi finds the compiled kernel again. args : the arguments. arg_features : what the
+                compiler looks at in each of them.
+            """
             kernel.runtime.materialize()
             if key in kernel.compiled_kernels:
                 return
@@ -100,10 +107,13 @@ class _Kept:
         return materialized
 
     def _name(self, kernel: Any, args: Any, features: Any) -> str:
-        """Return the name of the file for the walk of a kernel with these arguments: a digest of all it depends on.
+        """Return the name of the file for the walk of a kernel with these arguments: a digest of all that the walk
+        depends on.
 
-        args : values of the arguments, of which those of templates enter. features : what the compiler looks at in the
-        others. Raises Unkept if something cannot be named.
+        args : values of the arguments, of which those of templates enter.
+        features : what the compiler looks at in the others.
+
+        Raises Unkept if something cannot be named.
         """
         config, slots = kernel.runtime.prog.config(), set(kernel.template_slot_locations)
         if args is None or features is None or config.debug or kernel.autodiff_mode != self.reader.AutodiffMode.NONE:
@@ -117,7 +127,7 @@ class _Kept:
         return f"{hashlib.sha256(repr(inputs).encode()).hexdigest()}.walk"
 
     def _repeated(self, kernel: Any, key: Any, place: Path) -> bool:
-        """Make the intermediate code of a kernel by the walk in a file; return False if no usable walk is there.
+        """Make the intermediate code of a kernel by the walk in a file; return False if there is no usable walk.
 
         key : under which Taichi finds the compiled kernel again. place : path of the file.
         """
@@ -139,7 +149,7 @@ class _Kept:
         return True
 
     def _walked(self, kernel: Any, wishes: tuple[Any, ...], place: Path) -> None:
-        """Have the compiler walk through a kernel, and keep its calls in a file if `writes`.
+        """Have the compiler walk through a kernel's source, and keep its calls in a file if `writes`.
 
         wishes : the arguments of `Kernel.materialize`. place : path of the file.
 
@@ -158,8 +168,8 @@ class _Kept:
 
 @contextlib.contextmanager
 def _recording(core: Any, reader: Any) -> Iterator["_Record"]:
-    """Write down, in the record that is yielded, the calls of the core that are made inside the block, and which
-    functions the compiler reads there.
+    """Write down, in the record that is yielded, the calls of the compiler's core that are made inside the block, and
+    which functions the compiler reads there.
 
     core : the compiled part of Taichi. reader : the module of Taichi that defines the class of kernels.
     """
@@ -192,13 +202,16 @@ def _recording(core: Any, reader: Any) -> Iterator["_Record"]:
 
 
 class _Record:
-    """The calls of the compiler's core during one walk, and how they become a walk that can be stored.
+    """The recorded calls of the compiler's core during one walk through a kernel's source, and how they become a walk
+    that can be stored and repeated without reading the source.
 
     calls : name, arguments, keyword arguments and result of each call, in their order. All objects are held here, so
-    that no two have the same `id`. functions : those whose source the compiler has read.
+        that no two have the same `id`.
+    functions : those whose source the compiler has read.
     """
 
     def __init__(self, core: Any) -> None:
+        """Begin without calls. core : the compiled part of Taichi."""
         self.calls, self.functions = list[tuple[str, tuple[Any, ...], dict[str, Any], Any]](), list[Any]()
         self._core, self._kinds = core, core.DataType
         self._given = {kind: -1 - n for n, kind in enumerate(_given_kinds(core))}
@@ -217,7 +230,8 @@ class _Record:
         return heard
 
     def guards(self) -> list[Guard]:
-        """Return the names that the functions read in their modules, with texts about their values, sorted.
+        """Return the guards of a walk, sorted: names that the functions read in their modules, with texts about their
+        values. A stored walk is used only if all of these are unchanged.
 
         Functions of the compiler itself are left out. Raises Unkept if another one is not of this package's kernels.
         """
@@ -233,7 +247,8 @@ class _Record:
         return sorted(found)
 
     def walk(self) -> Walk:
-        """Return the recorded calls without queries whose results no other call takes.
+        """Return the recorded calls as a walk that can be stored (see `Walk`), without queries whose results no other
+        call takes.
 
         Raises Unkept if an argument cannot be stored.
         """
@@ -253,7 +268,8 @@ class _Record:
         return self._needed()
 
     def _needed(self) -> Walk:
-        """Return the steps that change something, and those whose results these take, directly or through others."""
+        """Return the walk of the steps that change something, and of those whose results these take, directly or
+        through others."""
         steps, needed, kept = self._steps, bytearray(len(self._steps)), list[int]()
         looks = {name: name.rpartition(".")[2].startswith(QUERIES) for name in {step[0] for step in steps}}
         for number in range(len(steps) - 1, -1, -1):
@@ -272,9 +288,10 @@ class _Record:
         return list(names), list(self._constants), calls
 
     def _note(self, name: str, places: list[int], named: tuple[str, ...], result: Any) -> None:
-        """Write down one step, and where its result, or an item of it, is found by later steps.
+        """Write down one step, and where later steps find its result, or an item of that.
 
-        name : of what is called. places : of its arguments. named : the keywords of the last of these.
+        name : of what is called. places : where its arguments are found. named : the keywords of the last of these.
+        result : what the call returned.
         """
         number = len(self._steps)
         self._steps.append((name, places, named))
@@ -310,16 +327,17 @@ class _Record:
         raise Unkept
 
     def _constant(self, described: tuple[Any, ...]) -> int:
-        """Return the negative place of a constant, which gets a new one when it is first seen.
+        """Return the place (a negative number) of a constant of the walk, which gets a new one when it is first seen.
 
-        described : its sort and what `_made` makes it of. Its text is part of the key, so that equal numbers of
-        different types, and the two zeros, are different constants.
+        described : its sort (PLAINLY, KIND or MEMBER) and what `_made` makes it of. Its text is part of the key, so
+            that equal numbers of different types, and the two zeros, are different constants.
         """
         first = -1 - len(self._given)
         return first - self._constants.setdefault((*described, repr(described)), len(self._constants))
 
     def _described(self, kind: Any) -> tuple[Any, ...] | None:
-        """Return sort, name and shape of a type of numbers, or of vectors or matrices of them; None for other types."""
+        """Return how a type of numbers of the core, or of vectors or matrices of them, is stored: KIND, the name of the
+        number type, and the shape; None for other types."""
         name = kind.to_string()
         if hasattr(self._core, f"DataType_{name}"):
             return KIND, name, ()
@@ -329,12 +347,17 @@ class _Record:
 
 
 def _given_kinds(core: Any) -> list[Any]:
-    """Return the types of the objects that every walk begins with, in the order of `_repeat`."""
+    """Return the types of the objects that every walk begins with, in the order in which `_repeat` has them."""
     return [core.DebugInfo, core.CompileConfig, core.Kernel, core.ASTBuilder]
 
 
 def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
-    """Make the calls of a stored walk. kernel : a new, empty kernel of the core. config : the compiler's settings."""
+    """Repeat a stored walk: make its calls of the compiler's core, which fill an empty kernel with its intermediate
+    code.
+
+    core : the compiled part of Taichi. kernel : a new, empty kernel of the core. config : the compiler's settings.
+    walk : what was recorded, as `Walk` describes.
+    """
     names, constants, calls = walk
     values = [core.DebugInfo(), config, kernel, kernel.ast_builder()]
     values += [_made(core, *described[:-1]) for described in constants]
@@ -349,15 +372,15 @@ def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
 
 
 def _listed(*values: Any) -> list[Any]:
-    """Return the values as a list: the step `LIST`."""
+    """Return the values as a list: the step `LIST` of a walk."""
     return list(values)
 
 
 def _made(core: Any, sort: int, value: Any, more: Any = None) -> Any:
-    """Return a constant of a walk.
+    """Return a constant of a walk, from how it is stored.
 
     sort : `PLAINLY`, `KIND` or `MEMBER`.
-    value : itself, the name of a type of numbers, or the name of an enumeration.
+    value : the constant itself, the name of a type of numbers, or the name of an enumeration.
     more : shape of a vector or matrix, empty for a number, or the name of the member.
     """
     if sort == PLAINLY:
@@ -376,7 +399,8 @@ def _is_ours(module: str) -> bool:
 def _named(value: Any, above: tuple[int, ...]) -> Any:
     """Return a value that a kernel depends on as lists of numbers and texts, the same in every process.
 
-    above : `id` of the values around this one; one that holds itself is named "above" there.
+    above : `id` of the values around this one, as a value may hold itself; it is then named "above" there.
+
     Raises Unkept for objects that are not of this package's kernels or of the compiler.
     """
     if type(value) in SIMPLE:
@@ -404,7 +428,8 @@ def _named(value: Any, above: tuple[int, ...]) -> Any:
 
 
 def _feature(value: Any) -> Any:
-    """Return what the compiler looks at in an argument as text, or as lists of texts."""
+    """Return what the compiler looks at in an argument as text, or as lists of texts. value : such a feature, or a
+    tuple of some."""
     return [_feature(item) for item in value] if isinstance(value, tuple) else f"{type(value).__name__} {value}"
 
 
@@ -425,7 +450,8 @@ def _value_at(module: str, name: str) -> str:
 
 @cache
 def _surroundings() -> list[str]:
-    """Return the version of Python, and digests of the source of this file and of this package's kernels."""
+    """Return the version of Python, and digests of the source of this file and of this package's kernels: walks depend
+    on all of these."""
     files = [Path(__file__), *sorted((Path(__file__).parent / "kernels").glob("*.py"))]
     return [sys.version, *(hashlib.sha256(file.read_bytes()).hexdigest() for file in files)]
 

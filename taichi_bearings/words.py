@@ -51,7 +51,8 @@ def meant(word: object, known: Iterable[str]) -> str:
 def html_table(title: str, rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
     """Return a title, such as a `repr`, and a table as HTML for notebooks.
 
-    Without a head, rows are a name and a value, and rows whose value is long are left out.
+    rows : the values of each row. head : titles of the columns. Without a head, rows are a name and a value, and rows
+        whose value is no number, text or tuple are left out.
 
     >>> html_table("<Scene>", [("law", "<b>")])
     '<p>Scene</p><table><tr><th>law</th><td>&lt;b&gt;</td></tr></table>'
@@ -59,6 +60,7 @@ def html_table(title: str, rows: Iterable[Sequence[object]], head: Sequence[str]
     import html  # whose table of entities commands do not need
 
     def cell(value: object, kind: str = "td") -> str:
+        """Return a value as a cell of a table; kind : "th" for a title, "td" for others."""
         text = format(value, ".10g") if isinstance(value, float) else str(value)
         return f"<{kind}>{html.escape(text.replace('_', ' ') if kind == 'th' else text)}</{kind}>"
 
@@ -72,6 +74,7 @@ def html_table(title: str, rows: Iterable[Sequence[object]], head: Sequence[str]
 
 
 def _folded(word: object) -> str:
+    """Return a word in small letters with - for _, for comparison."""
     return str(word).lower().replace("_", "-")
 
 
@@ -87,6 +90,8 @@ def other_contacts(tied: int, undecided: int) -> list[str]:
 def driving_words(values: Mapping[str, Any]) -> str:
     """Return periodic axes and driving of a run as the end of a list, named as its options; "" where none was given.
 
+    values : options of the run by name.
+
     >>> driving_words({"periodic": ["x", "y"], "top": [1.0, 1.0, 0.0, 0.2], "bottom": [0.5], "driven": None})
     ', periodic x,y, top 1,1,0;0.2, bottom 0.5'
     """
@@ -101,7 +106,8 @@ def driving_words(values: Mapping[str, Any]) -> str:
 
 
 def sized(values: Mapping[str, Any]) -> str:
-    """Return the size of what was solved.
+    """Return the size of what was solved, in words. values : options of the run by name, of which shape or spheres are
+    used.
 
     >>> sized({"shape": [10, 10]}), sized({"shape": None, "spheres": 256})
     ('10x10', '256 spheres,')

@@ -57,25 +57,31 @@ def one_block() -> Any:
 
 
 def first_slots(spec: FieldSpec) -> dict[str, int]:
-    """Return the row at which each field begins."""
+    """Return by name the row at which each field begins. spec : names and numbers of components of the fields, in
+    order."""
     counts = [components for _, components in spec]
     return {name: sum(counts[:n]) for n, (name, _) in enumerate(spec)}
 
 
 class Fields:
-    """All fields of a spec on the sites of a `Layout`, or on the spheres and contacts of `Lists`; all 0 at first.
+    """The numbers of all spheres, or spheres and contacts, that kernels work on, in one array on the device; all 0 at
+    first.
 
-    Kernels know the rows of the fields when they are compiled, the length of the rows when they are called: no shape,
-    number of replicas or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
+    A field has a name and C components; each component is a row of numbers. A spec lists names and components. Kernels
+    know the rows of the fields when they are compiled, the length of the rows when they are called: no shape, number of
+    replicas or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
 
     values : what kernels take: all rows one after the other.
     blocks : on a CPU the same memory in blocks of sites, which kernels write as a whole; on a GPU nothing of use.
     tables : the measures of the layout, for kernels.
+    layout, dtype : where numbers lie, and their type.
     """
 
     def __init__(self, layout: "Layout | Lists", spec: Any) -> None:
-        """Allocate the fields. layout : a `Layout` or `Lists`. spec : names and components, as `layout.parts` takes
-        them.
+        """Allocate the fields. layout : a `Layout` of lattices, or `Lists` of spheres and contacts. spec : names and
+        components, as `layout.parts` takes them.
+
+        Raises DeviceError if they are too many to be indexed, or do not fit.
         """
         self.layout: Any = layout  # users of strides ask it for other things than users of lists
         self.dtype, count = number_type(), 0
@@ -99,10 +105,11 @@ class Fields:
 
     @property
     def names(self) -> list[str]:
+        """Names of the fields."""
         return list(self._place)
 
     def _allocate(self, count: int) -> tuple[Any, np.ndarray | None]:
-        """Return an array of zeros that kernels take and, on a CPU, the same array for NumPy, else None."""
+        """Return an array of `count` zeros that kernels take and, on a CPU, the same array for NumPy, else None."""
         if not runtime.current().is_gpu:
             host = aligned_zeros(count, self.layout.block, self.dtype)
             return host, host
@@ -113,7 +120,7 @@ class Fields:
         return values, None
 
     def part(self, number: int) -> "Fields":
-        """Return the fields of one of the copies in `Lists`, in the same memory."""
+        """Return the fields of copy number `number` of a network in `Lists`, in the same memory."""
         found = copy(self)
         found._place = {
             name: (first, components, rows._replace(margin=number * (rows.length // self.layout.copies)))
@@ -122,7 +129,8 @@ class Fields:
         return found
 
     def load(self, name: str, values: np.ndarray) -> None:
-        """Set a field from (C, R, *N), or in lists from (C, 1, N) or (C, 1, E); the margins of its rows stay."""
+        """Set the field `name` from values (C, R, *N), or in lists from (C, 1, N) of spheres or (C, 1, E) of contacts.
+        Numbers in the margins of its rows stay."""
         first, components, rows = self._place[name]
         given = values.reshape(components, int(np.prod(rows.shape)))[:, rows.order]
         if self._host is not None:
@@ -156,9 +164,8 @@ class Fields:
         return self._inside(name).reshape(-1, *self._place[name][2].shape)
 
     def _inside(self, name: str) -> np.ndarray:
-        """Return the numbers of a field (C, n) in the memory of a CPU, without margins, in the order of their
-        places.
-        """
+        """Return the numbers of a field (C, n) in the memory of a CPU, without margins, in the order of their places; a
+        view."""
         assert self._host is not None
         first, components, rows = self._place[name]
         whole = self._host[first : first + components * rows.length].reshape(components, rows.length)
@@ -166,7 +173,7 @@ class Fields:
 
 
 def team_size(layout: "Layout | Lists", components: int) -> int:
-    """Return how many workers pay for kernels that keep `components` numbers a site; 0 on a GPU."""
+    """Return how many threads pay for kernels that keep `components` numbers for each site of a layout; 0 on a GPU."""
     running = runtime.current()
     if running.is_gpu:
         return 0

@@ -39,9 +39,10 @@ class Lists:
 
     @classmethod
     def of(cls, spheres: int, pairs: np.ndarray) -> "Lists":
-        """Order spheres by the method of reverse Cuthill and McKee, and contacts by their first sphere in that order.
+        """Return the lists of a network, ordered so that neighbours stand near each other: spheres by the method of
+        reverse Cuthill and McKee, contacts by their first sphere in that order.
 
-        spheres : their number. pairs : (E, 2) spheres of each contact.
+        spheres : number of spheres. pairs : (E, 2) spheres of each contact.
         """
         ones, block = np.ones(2 * len(pairs), dtype=np.int8), block_size()
         graph = sparse.csr_array((ones, (pairs.T.ravel(), pairs[:, ::-1].T.ravel())), shape=(spheres, spheres))
@@ -60,7 +61,7 @@ class Lists:
         return cls(sphere, contact, (whole[0], whole[1]), *tables, block)
 
     def several(self, copies: int) -> "Lists":
-        """Return the lists of so many samples of this one."""
+        """Return the lists of `copies` samples of this network, one after another."""
         spheres, contacts = self.size
         ends = self.ends.reshape(2, 1, -1) + spheres * np.arange(copies, dtype=np.int32)[:, None]
         incident, each = self.incident[:-1], np.arange(copies)[:, None]
@@ -76,7 +77,7 @@ class Lists:
 
     @property
     def numbers_row(self) -> int:
-        """Length of a row of numbers that each copy has one of, a block apart."""
+        """Length of a row of constants that each copy has one of, a block apart."""
         return self.block * self.copies
 
     @property
@@ -87,8 +88,11 @@ class Lists:
         return np.concatenate([self.size, one, [self.numbers_row], self.ends, self.start, self.incident])
 
     def parts(self, spec: ListSpec) -> list[tuple[FieldSpec, Rows]]:
-        """Return the fields of spheres (C, 1, N), of contacts (C, 1, E), and the constants of kernels that each copy
-        has, (C, 1), with the place of their rows in the first copy."""
+        """Return pairs of fields and the place of their rows in the first copy: the fields of spheres (C, 1, N), those
+        of contacts (C, 1, E), and "numbers", the constants of kernels (C, 1).
+
+        spec : fields of spheres, and fields of contacts: names and numbers of components C.
+        """
         rows = [
             Rows(length, 0, (1, len(order)), order)
             for length, order in zip(self.size, (self.sphere, self.contact), strict=True)

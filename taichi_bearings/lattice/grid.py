@@ -34,9 +34,9 @@ class Lattice:
     """A square lattice ``(nx, ny)`` of discs or a cubic one ``(nx, ny, nz)`` of spheres that touch their neighbours.
 
     shape : number of spheres along each axis, height last.
-    radius : length; half the lattice spacing.
-    periodic : axes that close on themselves: the last sphere along them touches the first. Not the height, and even in
-        length: an odd ring of spheres has no staggered spins.
+    radius : of the spheres, length; half the lattice spacing.
+    periodic : axes, 0 for x and 1 for y, that close on themselves: the last sphere along them touches the first. Not
+        the height, and even in length: an odd ring of spheres cannot turn without slip.
     """
 
     shape: tuple[int, ...]
@@ -44,6 +44,7 @@ class Lattice:
     periodic: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        """Raise InputError if shape, radius and periodic axes make no lattice."""
         if len(self.shape) not in (2, 3):
             raise InputError(f"shape is {shown(list(self.shape))}; it must have two or three numbers")
         if min(self.shape) < 2:
@@ -59,9 +60,10 @@ class Lattice:
 
     @staticmethod
     def of(contacts: Sequence[np.ndarray]) -> "Lattice":
-        """Return the lattice that has these contacts: one array (..., *contacts) an axis.
+        """Return the lattice that has these contacts.
 
-        An axis with as many contacts as spheres is periodic if its length is even.
+        contacts : one array (..., *contacts) for each axis, height last. An axis with as many contacts as spheres is
+            periodic if its length is even.
         """
         *sides, gaps = contacts[-1].shape[-len(contacts) :]
         own = [values.shape[axis - len(contacts)] for axis, values in enumerate(contacts)]
@@ -82,14 +84,17 @@ class Lattice:
 
     @property
     def periodic_names(self) -> tuple[str, ...]:
+        """Names of the periodic axes, such as ("x",)."""
         return tuple(AXIS_NAMES[axis] for axis in self.periodic)
 
     @property
     def dimension(self) -> int:
+        """Number of axes, 2 or 3."""
         return len(self.shape)
 
     @property
     def height_axis(self) -> int:
+        """Number of the axis across which the lattice is driven, the last one."""
         return self.dimension - 1
 
     @property
@@ -99,6 +104,7 @@ class Lattice:
 
     @property
     def sites(self) -> int:
+        """Number of spheres."""
         return math.prod(int(n) for n in self.shape)
 
     @property
@@ -107,7 +113,8 @@ class Lattice:
         return (2,) if self.dimension == 2 else (0, 1, 2)
 
     def contact_shape(self, axis: int) -> tuple[int, ...]:
-        """Return the shape of the contacts along an axis."""
+        """Return the shape of an array of the contacts along an axis: one shorter than the lattice there, unless it is
+        periodic."""
         return tuple(n - (a == axis and a not in self.periodic) for a, n in enumerate(self.shape))
 
     @cached_property
@@ -118,16 +125,18 @@ class Lattice:
 
     @property
     def all_contacts(self) -> int:
-        """E, the number of contacts, those between driven spheres too."""
+        """E, the number of contacts, those between driven spheres included."""
         return int(self.spans[-1].stop)
 
     def by_axis(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return values (..., E) as one array (..., *contacts) an axis; these are views."""
+        """Return values (..., E) on the contacts as a tuple of arrays (..., *contacts), one for each axis; these are
+        views."""
         head = values.shape[:-1]
         return tuple(values[..., span].reshape(*head, *self.contact_shape(a)) for a, span in enumerate(self.spans))
 
     def flat(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """Return one array (..., *contacts) an axis as values (..., E), the inverse of :meth:`by_axis`."""
+        """Return values (..., E) on the contacts, from one array (..., *contacts) for each axis: the inverse of
+        :meth:`by_axis`."""
         head = parts[0].shape[: parts[0].ndim - self.dimension]
         return np.concatenate([part.reshape(*head, -1) for part in parts], axis=-1)
 
@@ -137,10 +146,8 @@ class Lattice:
         return np.repeat(np.arange(self.dimension), [span.stop - span.start for span in self.spans])
 
     def along(self, axis: int) -> tuple[Index, Index]:
-        """Return indices of the lower and of the upper spheres of all contacts along an axis.
-
-        They are for arrays whose last axes are those of the lattice. Neither holds a sphere twice.
-        """
+        """Return the indices of the lower and of the upper spheres of all contacts along an axis, for arrays whose last
+        axes are those of the lattice. Neither holds a sphere twice."""
         if axis in self.periodic:
             low: Any = slice(None)
             high: Any = np.roll(np.arange(self.shape[axis]), -1)
@@ -162,13 +169,15 @@ class Lattice:
         return self.ends[1] // self.shape[-1]
 
     def across(self, component: int) -> "Lattice":
-        """Return one of the planes of spheres across a spin component, which it couples; a square lattice itself."""
+        """Return the lattice of one plane of spheres across the axis `component`: contacts in it couple the spin
+        component along that axis. A square lattice itself."""
         axes = [axis for axis in range(self.dimension) if axis != component]
         closed = tuple(number for number, axis in enumerate(axes) if axis in self.periodic)
         return Lattice(tuple(self.shape[axis] for axis in axes), self.radius, closed)
 
     def tangential_mask(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(C, E) True for the components that make a contact slip: all but the one along it."""
+        """Return (C, E) True for the spin components that make a contact slip: all but the one along it. spin_axes :
+        axes of the C components."""
         return np.array(spin_axes)[:, None] != self.axis
 
     @cached_property
@@ -210,9 +219,8 @@ def axis_numbers(names: Sequence[str]) -> tuple[int, ...]:
 
 
 def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the positions in `spin_axes` of the components that make a contact along `axis` slip: all but the one
-    along it.
-    """
+    """Return the positions in `spin_axes` (axes of spin components) of those that make a contact along `axis` slip: all
+    but the one along it."""
     return tuple(slot for slot, component in enumerate(spin_axes) if component != axis)
 
 
@@ -220,8 +228,10 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
     """Return the friction on the upper sphere of each contact in the laboratory frame, from forces along the spin
     difference.
 
-    force : (C, R, E), f. The friction is -s f x n, with n the direction of the contact and s the sign of its lower
-        sphere: it opposes the slip of paper Eq. 2, s R Delta Omega x n.
+    force : (C, R, E), f, the force of each of R samples and E contacts by spin component. The friction is -s f x n,
+        with n the direction of the contact and s = +1 or -1 the sign of its lower sphere: it opposes the slip of paper
+        Eq. 2, s R Delta Omega x n.
+    lattice : of the contacts. spin_axes : axes of the C spin components.
     returns : (R, E, 3); in 2D (R, E), the component along z x n, which is upwards at contacts along x and to the left
         at contacts along y. The force on the lower sphere is the opposite one.
     """
@@ -234,7 +244,8 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
 
 
 def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, ...]:
-    """Return friction (..., E, 3), in 2D (..., E), as one array an axis: (..., *contacts, 3) or (..., *contacts)."""
+    """Return friction (..., E, 3), in 2D (..., E), as one array for each axis: (..., *contacts, 3) or (...,
+    *contacts)."""
     if lattice.dimension == 2:
         return lattice.by_axis(friction)
     parts = zip(*map(lattice.by_axis, np.moveaxis(friction, -1, 0)), strict=True)
@@ -245,7 +256,8 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
     """Return forces (C, R, E) along the spin difference from friction in the laboratory: inverse of
     `laboratory_forces`.
 
-    friction : (R, E, 3), in 2D (R, E). spin_axes : the components that are wanted.
+    friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact. spin_axes : the C spin components that are
+        wanted.
     """
     if lattice.dimension == 2:
         return -lattice.lower_parity * friction[None]

@@ -4,7 +4,8 @@ Whole arrays are differenced where they lie: `Lattice.along` says where the two 
 an array over the spheres, and a sum over the contacts of a sphere is written to the same places. Graphs and sparse
 matrices are made from the ends of an array of numbers (`number_free`).
 
-Letters: C spin components, R replicas (samples), N the shape of the lattice, E contacts.
+Letters: C spin components, R replicas (samples), N the shape of the lattice, E contacts. Staggered spins have the sign
+of every second sphere changed, so that the slip at a contact is their difference.
 """
 
 import numpy as np
@@ -13,18 +14,20 @@ from taichi_bearings.lattice.grid import Lattice, tangential
 
 
 def difference(field: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
-    """Return the value at the upper sphere less that at the lower one, for each contact of `axis`.
+    """Return the value at the upper sphere less that at the lower one, for each contact along `axis`, shaped (...,
+    *contacts).
 
-    field : its last axes are those of the lattice.
+    field : (..., *N), its last axes are those of the lattice.
     """
     low, high = lattice.along(axis)
     return np.asarray(field[high] - field[low])
 
 
 def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) -> None:
-    """Add forces of the contacts of `axis` to their lower spheres and subtract them from the upper ones.
+    """Add forces of the contacts along `axis` to their lower spheres and subtract them from the upper ones: minus the
+    transpose of :func:`difference`.
 
-    That is minus the transpose of :func:`difference`. total : changed in place. force : shaped as the contacts.
+    total : (*N) or more axes before, changed in place. force : shaped as the contacts along the axis.
     """
     low, high = lattice.along(axis)
     total[low] += force
@@ -32,10 +35,10 @@ def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) 
 
 
 def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the difference of the staggered spins across every contact, without its component along the contact.
+    """Return the difference of the staggered spins across every contact, (C, R, E), without its component along the
+    contact. The radius times its length over C is the slip speed (paper Eq. 2).
 
-    staggered : (C, R, *N), components as named by `spin_axes`.
-    returns : (C, R, E); the radius times its length over C is the slip speed (paper Eq. 2).
+    staggered : (C, R, *N), spins by component, sample and sphere. spin_axes : axes of the C components.
     """
     found = np.zeros((*staggered.shape[: staggered.ndim - lattice.dimension], lattice.all_contacts))
     for axis, across in enumerate(lattice.by_axis(found)):
@@ -48,7 +51,7 @@ def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tupl
 def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Return the sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
 
-    force : (C, R, E), along the spin difference of the contact.
+    force : (C, R, E), forces along the spin difference of the contact. spin_axes : axes of the C spin components.
     """
     total = np.zeros((*force.shape[:-1], *lattice.shape))
     for axis, vectors in enumerate(lattice.by_axis(force)):
@@ -58,7 +61,11 @@ def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> 
 
 
 def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the sum of the coefficients (R, E) of the contacts that act on each spin component, (C, R, *N)."""
+    """Return for each sphere and spin component the sum of the coefficients of the contacts that it makes slip, (C, R,
+    *N).
+
+    coefficient : (R, E), such as the friction of each contact. spin_axes : axes of the C spin components.
+    """
     total = np.zeros((len(spin_axes), len(coefficient), *lattice.shape))
     for axis, values in enumerate(lattice.by_axis(coefficient)):
         for slot in tangential(axis, spin_axes):
@@ -68,7 +75,8 @@ def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...
 
 
 def number_free(shape: tuple[int, ...]) -> np.ndarray:
-    """Return an array of this shape with the number of each free sphere in C order, -1 for driven ones."""
+    """Return an array of this shape with the number of each free sphere in C order, -1 for driven ones: the first and
+    last plane along the last axis."""
     free = (*shape[:-1], shape[-1] - 2)
     number = np.full(shape, -1)
     number[..., 1:-1] = np.arange(np.prod(free)).reshape(free)

@@ -10,8 +10,10 @@ from taichi_bearings.lattice.grid import Lattice
 
 
 def chain_modes(side: int, is_held: bool) -> np.ndarray:
-    """Return orthonormal modes (side, side) in columns: cosines of a chain with free ends, sines of one with held
-    ends.
+    """Return the modes of a chain of `side` nodes joined by equal springs, orthonormal, in the columns of an array
+    (side, side).
+
+    is_held : True if both ends are joined to fixed walls, for sines; else the ends are free, for cosines.
     """
     order = np.arange(side)
     if is_held:
@@ -22,19 +24,24 @@ def chain_modes(side: int, is_held: bool) -> np.ndarray:
 
 
 def chain_eigenvalues(side: int, is_held: bool) -> np.ndarray:
-    """Return the eigenvalues (side,) of the modes of a chain, rising."""
+    """Return the eigenvalues (side,), rising, of the Laplacian of a chain of `side` nodes with springs of stiffness 1.
+
+    is_held : True if both ends are joined to fixed walls; else the ends are free.
+    """
     return 2 - 2 * np.cos(np.pi * (np.arange(1, side + 1) / (side + 1) if is_held else np.arange(side) / side))
 
 
 def ring_eigenvalues(side: int) -> np.ndarray:
-    """Return the eigenvalues (side,) of the waves around a ring, in the order of a discrete Fourier transform."""
+    """Return the eigenvalues (side,) of the Laplacian of a ring of `side` nodes with springs of stiffness 1, in the
+    order of a discrete Fourier transform."""
     return 2 - 2 * np.cos(2 * np.pi * np.arange(side) / side)
 
 
 def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
-    """Return the eigenvalues of the Laplacian of one spin component, in an array with one axis for each of the lattice.
+    """Return the eigenvalues of the Laplacian of one spin component of a lattice, as an array with one axis for each of
+    the lattice; its sides are the numbers of free spheres, but 1 along the component.
 
-    Its sides are the numbers of free spheres, but 1 along the component.
+    component : axis of the spin component. Contacts along it have no spring; the others have stiffness 1.
     """
     free = lattice.free_shape
     total = np.zeros((1,) * len(free))
@@ -47,12 +54,11 @@ def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
 
 
 def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
-    """Return inverse pivots g (side, len(held)) of a chain of springs.
+    """Return inverse pivots g (side, chains), by which chains of springs are solved: the balance of a chain under pulls
+    on its nodes is x_s = y_s + weight g_s x_s+1 with y_s = g_s (pull_s + weight y_s-1).
 
-    With them the balance of a chain is x_s = y_s + weight g_s x_s+1 with y_s = g_s (pull_s + weight y_s-1).
-
-    weight : of the springs along the chain. held : of the spring that holds each of its spheres, one value for each
-        chain.
+    side : number of nodes of a chain. weight : stiffness of the springs along the chain.
+    held : (chains,), stiffness of the spring that holds each node of a chain.
     """
     factors = np.empty((side, len(held)))
     for s in range(side):
@@ -62,10 +68,13 @@ def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
 
 
 def ring_closures(side: int, held: np.ndarray, weight: float) -> np.ndarray:
-    """Return z (side, len(held)): one more spring from end to end of a chain changes its balance y to y - z (z . pull).
+    """Return vectors z (side, chains): one more spring from end to end of a chain, which makes a ring of it, changes
+    its balance y to y - z (z . pull).
 
-    That is Sherman and Morrison's formula with the solution for a pull at both ends, a sum of q^s and q^-s with
-    q + 1/q = 2 + held / weight. weight, held : see :func:`chain_factors`.
+    side, held, weight : number of nodes, and stiffness of the springs, as in :func:`chain_factors`.
+
+    That is Sherman and Morrison's formula with the solution for a pull at both ends, a sum of q^s and q^-s with q + 1/q
+    = 2 + held / weight.
     """
     decay, s = np.exp(-2 * np.arcsinh(np.sqrt(held / weight) / 2)), np.arange(side)[:, None]
     return (decay ** (s + 1) - decay ** (side - s)) / np.sqrt(weight * (1 - decay**2) * (1 - decay ** (2 * side)))

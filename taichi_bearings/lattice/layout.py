@@ -20,10 +20,11 @@ from taichi_bearings.lattice.grid import Lattice
 
 
 class Rows(NamedTuple):
-    """The places of the numbers of an array (C, *shape) in memory: C rows.
+    """The places in memory of the numbers of an array (C, *shape): C rows, one for each component.
 
-    length : from one row to the next.
+    length : numbers from the begin of one row to that of the next.
     margin : numbers before the first one of a row.
+    shape : shape of one component.
     order : for each place in a row, the number of the sphere or contact there; by default they stand in their own
         order.
     """
@@ -36,7 +37,12 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Flat layout of `replicas` lattices of `shape`, closed along `periodic`, walked in blocks of `block` sites."""
+    """Flat layout of several lattices of one shape in memory, one after another.
+
+    replicas : number of lattices (samples). shape : of each, height last.
+    block : sites that a kernel works on together.
+    periodic : axes that close on themselves.
+    """
 
     replicas: int
     shape: tuple[int, ...]
@@ -45,10 +51,12 @@ class Layout:
 
     @cached_property
     def lattice(self) -> Lattice:
+        """One of the lattices."""
         return Lattice(self.shape, periodic=self.periodic)
 
     @property
     def sites(self) -> int:
+        """Number of spheres of all lattices."""
         return self.replicas * int(np.prod(self.shape))
 
     @property
@@ -63,39 +71,38 @@ class Layout:
 
     @property
     def blocks(self) -> int:
+        """Number of blocks that hold all sites."""
         return -(-self.sites // self.block)
 
     @property
     def length(self) -> int:
-        """Number of sites with their margins, and some more.
-
-        Rows of just that length do not compete for the same few places of the processor's cache, 32 blocks of 16
-        numbers apart.
-        """
+        """Number of sites of a row with its margins, and some more: rows of just that length do not compete for the
+        same few places of the processor's cache, 32 blocks of 16 numbers apart."""
         blocks = self.blocks + 2 * (self.margin // self.block)
         return (blocks + (5 - blocks) % 32) * self.block
 
     @cached_property
     def measures(self) -> tuple[int, int, int, int, int, int]:
-        """Integers that kernels need: length of a row, margin, blocks, strides along x and along y (in 2D along the
-        height), and sites of a replica, which are those of a ring along x.
-        """
+        """Integers that kernels need, in this order: length of a row; margin, the sites before the first one; number of
+        blocks that hold all sites; stride to the neighbour along x; stride along y (in 2D along the height); number of
+        sites of a replica, by which neighbours along a periodic x wrap around."""
         stride_x, stride_y = (*self.strides, 1)[:2]
         return self.length, self.margin, self.blocks, stride_x, stride_y, self.sites // self.replicas
 
     def parts(self, spec: object) -> list[tuple[Any, Rows]]:
-        """Return the fields (C, R, *N) with the place of their rows: here all are alike."""
+        """Return pairs of fields and the place of their rows in memory. Here all fields have the shape (C, R, *N), so
+        there is one pair. spec : names and numbers of components C of the fields."""
         return [(spec, Rows(self.length, self.margin, (self.replicas, *self.shape)))]
 
     def at_lower_sphere(self, contacts: np.ndarray) -> np.ndarray:
-        """Return values by contact (R, E) as (D, R, *N): each contact at its lower sphere, 0 where there is none."""
+        """Return values by contact (R, E) as (D, R, *N), D axes: each contact at its lower sphere, 0 where there is
+        none."""
         full = np.zeros((len(self.shape), self.replicas, *self.shape))
         for axis, values in enumerate(self.lattice.by_axis(contacts)):
             self.from_lower_sphere(full[axis], axis)[...] = values
         return full
 
     def from_lower_sphere(self, full: np.ndarray, axis: int) -> np.ndarray:
-        """Return the part (..., R, *contacts) of values (..., R, *N) at lower spheres that belongs to contacts
-        along an axis.
-        """
+        """Return the part (..., R, *contacts) of values (..., R, *N) at lower spheres that belongs to contacts along an
+        axis."""
         return np.asarray(full[(Ellipsis,) + tuple(map(slice, self.lattice.contact_shape(axis)))])

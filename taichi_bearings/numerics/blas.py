@@ -21,7 +21,8 @@ def one_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _controller() -> ThreadpoolController:
-    """Find the loaded libraries, once: it takes milliseconds. NumPy's and SciPy's are both loaded by then."""
+    """Return what sets the threads of the loaded libraries, NumPy's and SciPy's. They are searched once: it takes
+    milliseconds."""
     import scipy.linalg  # noqa: F401
 
     return ThreadpoolController()

@@ -45,14 +45,14 @@ def two_square(a: np.ndarray) -> Pair:
 
 
 def _halves(a: np.ndarray) -> Pair:
-    """Split doubles into two summands of at most 26 bits each (Dekker's split)."""
+    """Split doubles into two summands (head, tail) of at most 26 bits each, exactly (Dekker's split)."""
     head = SPLIT * a
     head -= head - a
     return head, a - head
 
 
 def add(x: Pair, y: Pair) -> Pair:
-    """Return x + y, summing the high and the low parts with what their rounding leaves out."""
+    """Return x + y. High and low parts are summed each, with what their rounding leaves out."""
     high, rest = two_sum(x[0], y[0])
     low, more = two_sum(x[1], y[1])
     high, rest = two_sum(high, rest + low)
@@ -60,43 +60,45 @@ def add(x: Pair, y: Pair) -> Pair:
 
 
 def subtract(x: Pair, y: Pair) -> Pair:
-    """Return x - y."""
+    """Return x - y as a sum of two doubles."""
     return add(x, (-y[0], -y[1]))
 
 
 def multiply(x: Pair, y: Pair) -> Pair:
-    """Return x * y; the product of the low parts is too small to matter."""
+    """Return x * y as a sum of two doubles; the product of the low parts, below 2^-104 of it, is left out."""
     high, rest = two_product(x[0], y[0])
     return two_sum(high, rest + (x[0] * y[1] + x[1] * y[0]))
 
 
 def scaled(factor: np.ndarray, x: Pair) -> Pair:
-    """Return factor * x, where the factor is a double."""
+    """Return factor * x as a sum of two doubles, where the factor is an array of doubles."""
     high, rest = two_product(factor, x[0])
     return two_sum(high, rest + factor * x[1])
 
 
 def square(x: Pair) -> Pair:
-    """Return x * x."""
+    """Return x * x as a sum of two doubles."""
     high, rest = two_square(x[0])
     return two_sum(high, rest + 2 * (x[0] * x[1]))
 
 
 def divide(x: Pair, y: Pair) -> Pair:
-    """Return x / y: the quotient of the high parts, and that of what it leaves of x."""
+    """Return x / y as a sum of two doubles: the quotient of the high parts, and the quotient of what that
+    leaves of x."""
     first = x[0] / y[0]
     left = subtract(x, scaled(first, y))
     return two_sum(first, left[0] / y[0])
 
 
 def square_root(x: Pair) -> Pair:
-    """Return the square root of positive numbers: one Newton step from the root of the high part."""
+    """Return the square root of positive numbers as a sum of two doubles: one Newton step from the root of the high
+    part."""
     first = np.sqrt(x[0])
     left = subtract(x, two_square(first))
     return two_sum(first, left[0] / (2 * first))
 
 
 def exactly(values: np.ndarray) -> Pair:
-    """Return doubles as pairs whose low parts are 0."""
+    """Return doubles as pairs (high, low) whose low parts are 0."""
     values = np.asarray(values, dtype=np.float64)
     return values, np.zeros_like(values)

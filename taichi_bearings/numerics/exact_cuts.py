@@ -25,13 +25,14 @@ from taichi_bearings.numerics.minimum_cut import MinimumCut, edges_of, graph_of_
 
 @dataclass(frozen=True)
 class LightestCuts:
-    """Properties that all cuts share which are as light as the lightest one, or nearly so.
+    """What all cuts of a graph have in common that are as light as the lightest one, or nearly so.
 
-    A cut is between the first and the last node of a graph. "Nearly" means heavier than the lightest cut by no more
-    than a slack, which the caller of `lightest_cuts` sets.
+    A cut parts the nodes into a side with the first node and a side with the last one; its weight is that of the edges
+    between the sides. "Nearly" means heavier than the lightest cut by no more than a slack, which the caller of
+    `lightest_cuts` sets.
 
     near, far : (nodes,) True for nodes that lie on the side of the first, of the last node in each of these cuts.
-    above : (nodes,) True on the far side of that lightest cut whose far side is largest.
+    above : (nodes,) True on the last node's side of that lightest cut whose last side is largest.
     some, every : (edges,) True for edges with capacity that belong to some, to every lightest cut (slack 0).
     """
 
@@ -48,9 +49,12 @@ class LightestCuts:
 
 
 def whole_numbers(values: np.ndarray) -> np.ndarray:
-    """Return Python's whole numbers (n,) in exactly the proportions of the floats (n,), which must be >= 0.
+    """Return Python's whole numbers (n,), dtype object, in exactly the proportions of floats (n,), which must be >= 0.
 
     Their greatest common divisor is divided out.
+
+    >>> whole_numbers(np.array([0.5, 0.75])).tolist()
+    [2, 3]
     """
     part, exponent = np.frexp(values)
     parts, shifts = np.ldexp(part, 53).astype(np.int64).tolist(), exponent - exponent[values > 0].min(initial=2000)
@@ -69,11 +73,11 @@ def _whole(weight: np.ndarray) -> np.ndarray:
 def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: float = 0.0) -> LightestCuts:
     """Find what the lightest cuts between the first and the last node of an undirected graph have in common.
 
-    ends : (2, edges) nodes.
+    ends : (2, edges) nodes that each edge joins.
     weight : (edges,) floats, or whole numbers of Python (dtype object), none negative. They count as exact.
     nodes : number of nodes.
     rounding : relative error of the weights. The slack (see :class:`LightestCuts`) is three times this share of the
-        lightest weight, edges from the first to the last node apart, which are in every cut.
+        lightest weight, without edges from the first to the last node, which are in every cut.
     """
     last, taken = nodes - 1, (weight > 0) & (ends[0] != ends[1])
     always = taken & (np.minimum(*ends) == 0) & (np.maximum(*ends) == last)
@@ -107,8 +111,9 @@ def cuts_between(
 ) -> tuple[LightestCuts, np.ndarray]:
     """Find the lightest cuts of a graph of which the side of most nodes is known already.
 
-    ends : (2, edges) nodes. weight : (edges,) as in :func:`lightest_cuts`; rounding : the same share as there.
-    above : (nodes,) True on the far side of one lightest cut.
+    ends : (2, edges) nodes that each edge joins.
+    weight : (edges,) and rounding : relative error, both as in :func:`lightest_cuts`.
+    above : (nodes,) True on the far side (that of the last node) of one lightest cut.
     between : (nodes,) True for nodes that may lie on the other side in another one. All other nodes of a side are
         merged into one node.
     returns : the cuts of the smaller graph, and the node (nodes,) of it that each node has become.

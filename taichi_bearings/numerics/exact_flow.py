@@ -26,10 +26,10 @@ SHORT = 2**59  # if the totals of capacities are below this, all sums fit into 6
 
 @dataclass
 class _Residual:
-    """Capacity that is left.
+    """Capacity that is left in a graph, with P pairs of joined nodes, after some flow has been taken away.
 
-    there, back : (P,) from the lower to the upper node of each pair, and back.
-    fed, drained : (nodes,) that can still come from the source, and go to the sink, at each node.
+    there, back : (P,) from the lower to the upper node of each pair, and from the upper to the lower one.
+    fed, drained : (nodes,) what can still come from the source, and go to the sink, at each node.
     """
 
     there: np.ndarray
@@ -39,18 +39,22 @@ class _Residual:
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:
+        """The four arrays, in the order of the fields."""
         return self.there, self.back, self.fed, self.drained
 
 
 def exact_flow(
     ends: np.ndarray, capacity: np.ndarray, source: np.ndarray, sink: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a largest flow (E,) from low to high ends, what it takes from the source and what it brings to the sink.
+    """Return a largest flow through a graph from a source to a sink, exactly.
 
-    ends : (2, E) nodes. capacity : (E,) most that an edge carries, either way. source, sink : (nodes,) most that may
-        come from outside, and leave, at each node. All are whole numbers, int64 or of Python (dtype object), none
-        negative.
-    returns : flow (E,), negative from high to low; inflow (nodes,); outflow (nodes,).
+    ends : (2, E) nodes that each of E edges joins, low and high end.
+    capacity : (E,) most that an edge carries, either way.
+    source, sink : (nodes,) most that may come from outside, and leave, at each node.
+    returns : flow (E,) from low to high end, negative the other way; inflow from the source (nodes,); outflow to the
+        sink (nodes,).
+
+    Capacities are whole numbers, int64 or of Python (dtype object), none negative; the flow has the kind that holds it.
     """
     pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
     own, nodes = own.ravel(), len(source)
@@ -71,8 +75,12 @@ def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> None:
-    """Take a largest flow away from what is left, in place. pairs : (2, P) nodes. part : (nodes,) connected part of
-    each.
+    """Take a largest flow away from the capacity that is left, in place.
+
+    left : capacities. pairs : (2, P) nodes of each pair, lower and upper. part : (nodes,) connected part of each node.
+
+    Each round works with the leading bits of all capacities, in a unit of each part; what a round leaves over bounds
+    the next one (see the head of this module).
     """
     count, nodes = int(part.max(initial=-1)) + 1, len(part)
     kind = left.there.dtype
@@ -106,7 +114,7 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
 
 
 def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -> np.ndarray:
-    """Return the sum (count,) of the values of each owner."""
+    """Return the sum (count,) of the values of each owner. values, owner : (n,). kind : type of the sums."""
     found = np.zeros(count, dtype=kind)
     np.add.at(found, owner, values)
     return found
@@ -115,9 +123,11 @@ def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -
 def _flow_of_round(
     pairs: np.ndarray, there: np.ndarray, back: np.ndarray, fed: np.ndarray, drained: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a largest flow of int64 capacities: net flow (P,) from lower to upper node, inflow and outflow (nodes,).
+    """Return a largest flow of short capacities (int64): net flow (P,) from the lower to the upper node of each pair,
+    inflow and outflow (nodes,).
 
-    pairs, there, back, fed, drained : as in :class:`_Residual`. Source and sink become two more nodes, first and last.
+    pairs : (2, P) nodes. there, back, fed, drained : capacities, as in :class:`_Residual`. Source and sink become two
+        more nodes, the first and the last one.
     """
     nodes, begins, ends = len(fed), np.flatnonzero(fed), np.flatnonzero(drained)
     taken, given = np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)
@@ -134,14 +144,13 @@ def _flow_of_round(
 
 
 def _flow_by_edge(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, reversed_: np.ndarray) -> np.ndarray:
-    """Return the flow (E,) of each edge, where edges that join the same two nodes share the flow of that pair.
+    """Return the flow (E,) of each edge, from the flow of each pair of nodes: edges that join the same two nodes share
+    it, each filled before the next one gets anything.
 
     flow : (P,) of the pairs.
     capacity : (E,) of the edges.
     own : (E,) pair of each edge.
     reversed_ : (E,) True for edges that are given from the upper node to the lower one.
-
-    An edge is filled before the next one of its pair gets anything.
     """
     if len(flow) == len(own):
         shared = flow[own]

@@ -10,10 +10,11 @@ Edges = tuple[np.ndarray, np.ndarray, np.ndarray]  # node at either end, weight:
 
 
 def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc_array:
-    """Return the weighted Laplacian over the nodes that are not held at a fixed value, in their order.
+    """Return the weighted Laplacian (free, free) of a graph over the nodes that are not held at a fixed value, in their
+    order.
 
-    edges : groups of edges: the node at either end, and the weight. nodes : number of nodes. held : (nodes,) True where
-        the value is fixed.
+    edges : groups of edges, each as three arrays (E,): the node at either end, and the weight.
+    nodes : number of nodes. held : (nodes,) True where the value is fixed.
     """
     rows, columns, entries = [], [], []
     for low, high, weight in edges:
@@ -27,7 +28,8 @@ def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc
 
 
 def factorised(laplacian: csc_array) -> SuperLU:
-    """Return SuperLU's factorisation, by minimum degree and without pivoting.
+    """Return SuperLU's factorisation of a Laplacian, by minimum degree and without pivoting; its method `solve` solves
+    with it.
 
     Raises RuntimeError if the matrix is singular in float64.
     """

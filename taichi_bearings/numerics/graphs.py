@@ -7,7 +7,8 @@ import numpy as np
 
 
 def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return a label (nodes,) of the connected piece of each node. first, second : the two ends of each edge."""
+    """Return a label (nodes,) of the connected piece of each node. nodes : number of nodes. first, second : (edges,),
+    the two ends of each edge."""
     from scipy import sparse
     from scipy.sparse import csgraph
 
@@ -16,13 +17,14 @@ def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def odd_pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find pieces with loops of odd length, and alternating signs in all others.
+    """Find the connected pieces of a graph with loops of odd length, and alternating signs in all others.
 
-    A piece has an odd loop if its two copies in the double cover of the graph are joined.
-
-    nodes : number of nodes. first, second : the two ends of each edge.
+    nodes : number of nodes. first, second : (edges,), the two ends of each edge.
     returns : (nodes,) True for nodes of pieces with odd loops; (nodes,) signs, +1 or -1, that differ between neighbours
         in pieces without odd loops.
+
+    A piece has an odd loop if its two copies in the double cover are joined: the graph with two copies of each node, in
+    which an edge joins the first copy of either end with the second copy of the other end.
     """
     from scipy import sparse
     from scipy.sparse import csgraph

@@ -35,7 +35,7 @@ FLOW_BITS = 29  # most bits of a flow in SciPy, which has 31: capacity left over
 
 @dataclass(frozen=True)
 class MinimumCut:
-    """Minimum cuts of R lattices of shape N.
+    """Minimum cuts of R lattices of shape N: the lightest sets of contacts whose removal parts bottom and top.
 
     above : (R, *N) True on the top side. The contacts whose ends differ are the cut; where cuts tie it is the lowest.
     between : (R, *N) True for spheres that are not proven to lie on the same side of all cuts as light as this one:
@@ -60,10 +60,10 @@ class MinimumCut:
 
 
 def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCut:
-    """Find a lightest cut between the bottom plane and the top plane of each lattice.
+    """Find a lightest cut between the bottom plane and the top plane of each of R lattices.
 
-    weight : one array (R, *contacts) an axis, none negative, height last. Lattices are 2 or more wide and 3 or more
-        high. Contacts between two spheres of the bottom or of the top take no part.
+    weight : one array (R, *contacts) for each axis, none negative, the height last. Lattices are 2 or more wide and 3
+        or more high. Contacts between two spheres of the bottom or of the top take no part.
     rounding : relative error of each weight. No cut that could be as light within that error is taken to be heavier.
     """
     *sideways, upward = weight
@@ -87,9 +87,11 @@ def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> Minimu
 
 
 def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCut:
-    """Find the same cuts as :func:`minimum_cut`, the next weight apart, by a largest flow whatever the lattice.
+    """Find the same cuts as :func:`minimum_cut` by a largest flow, whatever the lattice; `next_weight` is NaN.
 
-    For planar grids this is slower, but it shares no code with the shortest paths. weight, rounding : as there.
+    weight : one array (R, *contacts) for each axis. rounding : relative error of each weight.
+
+    For planar grids this is slower than shortest paths, but shares no code with them.
     """
     cuts = [cut_lattice(tuple(values[replica] for values in weight), rounding) for replica in range(len(weight[-1]))]
     above, between, bound = (np.stack([getattr(cut, name) for cut in cuts]) for name in ("above", "between", "weight"))
@@ -98,12 +100,12 @@ def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCu
 
 
 def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
-    """Return sides (R, *N) and weight (R,) of the lightest cut other than `cut` that leaves either side in one piece.
+    """Return the lightest cut other than `cut` that leaves either side in one piece: sides (R, *N) and weight (R,).
+
+    weight : one array (R, *contacts) for each axis, as :func:`minimum_cut` was given. cut : its answer.
 
     Such a cut cannot hold all contacts of another one. So the lightest other one is the lightest of those that spare
     some contact of `cut`. That takes a flow for each contact of the cut, so this is for small lattices.
-
-    weight, cut : what :func:`minimum_cut` was given, and its answer.
     """
     sides, lattice = np.empty_like(cut.above), Lattice.of(weight)
     for replica in range(len(sides)):
@@ -119,18 +121,19 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
 
 
 def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return the weight (R,) of the contacts between the two sides. above : (R, *N) True on one of them."""
+    """Return the weight (R,) of the contacts between the two sides. above : (R, *N) True on one of them. weight : one
+    array (R, *contacts) for each axis."""
     replicas, lattice = range(len(above)), Lattice.of(weight)
     parts = ([values[r][_parted(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight))
     return np.sum(list(parts), axis=0)
 
 
 def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cut stacks of planar grids that no contact joins to each other.
+    """Find minimum cuts of R stacks of planar grids that no contact joins to each other, w columns and h rows each.
 
-    sideways, upward : weights (R, planes, w - 1, h) and (R, planes, w, h - 1).
-    returns : `above` and `between` (R, planes, w, h), proven weight and weight of the next cut (R,): see
-        :class:`MinimumCut`.
+    sideways, upward : weights (R, planes, w - 1, h) along rows and (R, planes, w, h - 1) between rows.
+    returns : sides `above` and undecided spheres `between` (R, planes, w, h); proven weight and weight of the next cut
+        (R,): see :class:`MinimumCut`.
     """
     replicas, planes, columns, gaps = upward.shape
     sideways, upward = (np.ascontiguousarray(values).reshape(-1, *values.shape[2:]) for values in (sideways, upward))
@@ -156,10 +159,11 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
 
 @dataclass(frozen=True)
 class GraphCut:
-    """A minimum cut of one graph, or of one lattice.
+    """A minimum cut of one graph, or of one lattice, between its first and its last node, or bottom and top.
 
-    above, between : for each node, or sphere, as in :class:`MinimumCut`. flow : (edges,) a largest flow in units of
-        weight.
+    above : for each node, or sphere, True on the last node's, or the top's, side.
+    between : the same shape, True where the side is not the same in all cuts as light as this one.
+    flow : (edges,) a largest flow, in whole units of weight.
     unit : weight of one unit. units : capacity of the cut in whole units, which is the size of the flow.
     """
 
@@ -176,7 +180,11 @@ class GraphCut:
 
 
 def cut_lattice(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> GraphCut:
-    """Find a minimum cut of one lattice. weight : one array of contacts an axis. rounding : see :func:`minimum_cut`."""
+    """Find a minimum cut of one lattice between its bottom and its top plane.
+
+    weight : one array of contacts for each axis, the height last. rounding : relative error of each weight: no cut that
+        could be as light within that error is taken to be heavier.
+    """
     node, ends = graph_of_lattice(Lattice.of(weight))
     lightest = weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
     above = np.zeros(node.max() + 1, dtype=bool)
@@ -190,7 +198,8 @@ def graph_cut(
 ) -> GraphCut:
     """Find a lightest cut between the first and the last node of an undirected graph.
 
-    ends : (2, edges) nodes. edges : (edges,) weights. above : (nodes,) True on the far side of a cut that is known.
+    ends : (2, edges) nodes that each edge joins. edges : (edges,) weights.
+    above : (nodes,) True on the far side (that of the last node) of a cut that is known.
     rounding : relative error of each weight. slack : absolute error of the sum of all weights beyond that.
     """
     cut, light = above[ends[0]] != above[ends[1]], False
@@ -219,13 +228,15 @@ def graph_cut(
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
-    """Return an array of the shape of the contacts along an axis, True where their ends lie on different sides."""
+    """Return an array of the shape of the contacts along an axis, True where their ends lie on different sides. above :
+    (*N) True on one side, for each sphere."""
     low, high = lattice.along(axis)
     return np.asarray(above[low] != above[high])
 
 
 def graph_of_lattice(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
-    """Return the graph of a lattice in which bottom and top plane are one node each.
+    """Return the graph of a lattice in which the bottom plane is one node, the first, and the top plane another, the
+    last.
 
     returns : node of each sphere, of the shape of the lattice; both nodes (2, edges) of each contact, in the order of
         :func:`edges_of`.
@@ -239,7 +250,7 @@ def graph_of_lattice(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
 
 
 def number_bodies(driven: np.ndarray) -> np.ndarray:
-    """Return the node of each sphere in a graph in which every driven body is one node.
+    """Return the node of each sphere, of the shape of `driven`, in a graph in which every driven body is one node.
 
     Node 0 is the first body, then come the free spheres in C order, then the other bodies.
 
@@ -263,7 +274,8 @@ def edges_of(values: tuple[np.ndarray, ...]) -> np.ndarray:
 
 
 def within_reach(ends: np.ndarray, left_over: np.ndarray, start: int, least: int = 0) -> np.ndarray:
-    """Return (nodes,) True for nodes that `start` reaches along edges with more than `least` capacity left over.
+    """Return a mask (nodes,), True for nodes that can be reached from the node `start` along edges with more than
+    `least` capacity left over.
 
     ends : (2, edges) nodes. left_over : (2, edges) capacity from the first end to the second, and back.
     """
@@ -272,7 +284,8 @@ def within_reach(ends: np.ndarray, left_over: np.ndarray, start: int, least: int
 
 
 def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Return (nodes,) True for nodes that some of the `starts` reach along arcs from `row` to `column`."""
+    """Return a mask (nodes,), True for nodes that can be reached from some of the nodes `starts` along arcs from `row`
+    to `column`, each (arcs,)."""
     rows, columns = np.concatenate([row, np.full(len(starts), nodes)]), np.concatenate([column, starts])
     graph = csr_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(nodes + 1, nodes + 1))
     found = np.zeros(nodes + 1, dtype=bool)
@@ -289,8 +302,8 @@ def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nda
         two edges may join the same two nodes.
     at_most : a number below 2^62 that no flow exceeds.
 
-    OR-tools does it where it is installed, by push and relabel, else SciPy. The flow is not unique; the set of nodes
-    that the first node still reaches is (Ford and Fulkerson).
+    OR-tools does it where it is installed, by push and relabel, else SciPy. There can be several largest flows; the set
+    of nodes that the first node still reaches is the same for all of them (Ford and Fulkerson).
     """
     try:
         from ortools.graph.python.max_flow import SimpleMaxFlow
@@ -309,7 +322,7 @@ def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nda
 
 
 def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
-    """Return a largest flow as :func:`largest_flow` does, by Dinic's method of SciPy.
+    """Return a largest flow (edges,) by Dinic's method of SciPy, for the arguments of :func:`largest_flow`.
 
     SciPy's flows have 32 bits, so the leading bits go first. The capacity that is left then carries no more than the
     cut found, which fits into fewer bits, and so on: three or four rounds (capacity scaling; Gabow, J. Comput. System
@@ -338,11 +351,11 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
 
 
 def _shared_out(ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: np.ndarray, at_most: int) -> np.ndarray:
-    """Return a largest flow (edges,) by SciPy where several edges join the same two nodes.
+    """Return a largest flow (edges,) by SciPy where several edges join the same two nodes: the flow of each pair of
+    nodes is found first; then each edge of the pair takes what it can.
 
-    The flow of each pair of nodes is found first; then each edge of the pair takes what it can.
-
-    ends, capacity, at_most : as in :func:`largest_flow`. pairs : (2, P) nodes. own : (edges,) the pair of each edge.
+    ends, capacity, at_most : as in :func:`largest_flow`. pairs : (2, P) the different pairs of nodes. own : (edges,)
+        the pair of each edge.
     """
     total = np.zeros(pairs.shape[1], dtype=np.int64)
     np.add.at(total, own, capacity)

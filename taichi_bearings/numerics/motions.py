@@ -28,10 +28,13 @@ MOST_UNKNOWNS = 150_000  # with more unknowns elimination takes more than minute
 
 @dataclass(frozen=True)
 class _Front:
-    """The result of eliminating one front: x[kept] = -solve(top^T, below^T x[free and border]).
+    """The result of eliminating one front, a set of unknowns x that is eliminated together with what it is coupled to:
+    it gives x[kept] = -solve(top^T, below^T x[free and border]).
 
-    kept, free : numbers of the front's own unknowns with and without a pivot. border : later unknowns that it is
-        coupled to. top : Cholesky factor (kept, kept) of the pivots.
+    kept, free : numbers of the front's own unknowns with and without a pivot.
+    border : numbers of the later unknowns that it is coupled to.
+    top : Cholesky factor (kept, kept) of the pivots.
+    below : (free + border, kept), the rows of the factor below it.
     """
 
     kept: np.ndarray
@@ -43,13 +46,14 @@ class _Front:
 
 @dataclass(frozen=True)
 class Motions:
-    """Slipless motions of the spheres of a network.
+    """Slipless motions of the spheres of a network: changes of the spins at which no contact slips.
 
     held : numbers of the unknowns that, held at 0, leave no slipless motion; as many as there are motions.
     decided : True where the slips of every motion are clearly rounding or clearly not.
     largest_slip : largest slip of a motion over its largest spin.
     smallest_kept : smallest pivot that was eliminated.
     fronts, unknowns : the elimination, and the number of unknowns; `basis` needs both.
+    whole : False where some motions that elimination found do slip, and were left out.
     """
 
     held: np.ndarray
@@ -67,10 +71,12 @@ class Motions:
 
     @property
     def number(self) -> int:
+        """Number of independent slipless motions."""
         return len(self.held)
 
     def basis(self, shares: np.ndarray | None = None) -> np.ndarray:
-        """Return the motions (unknowns, number): each is 1 at one of the unknowns held, and 0 at the others held.
+        """Return the slipless motions (unknowns, number): each is 1 at one of the unknowns held, and 0 at the others
+        held.
 
         shares : (number, k); with it, the k sums of motions with these coefficients are returned instead, (unknowns,
             k).
@@ -90,11 +96,12 @@ Parts = list[tuple[np.ndarray, list[int]]]
 
 
 def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) -> Motions:
-    """Find the kernel of the matrix that gives slips from spins.
+    """Find the kernel of the matrix that gives slips from spins: the motions at which no contact slips.
 
-    slips : (rows, unknowns) that matrix. sphere : (unknowns,) sphere that each unknown belongs to. parts : order of
-        elimination of the spheres. Of two spheres in contact, the part of one is an ancestor of the other's, or the
-        same.
+    slips : (rows, unknowns) that matrix.
+    sphere : (unknowns,) sphere that each unknown belongs to.
+    parts : order of elimination of the spheres, children first: the spheres of each part, and the numbers of the parts
+        below it. Of two spheres in contact, the part of one is above that of the other, or the same.
     """
     if not slips.shape[1]:
         return Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), 0)
@@ -116,8 +123,11 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) 
 
 
 def _without_slipping_motions(motions: Motions, slips: sparse.csr_array) -> Motions:
-    """Return the motions without those that slip more than rounding makes them: pivots are squares and hide slips of
-    1e-8.
+    """Return the motions without those that slip more than rounding makes them: pivots are squares, so elimination does
+    not see slips of 1e-8.
+
+    slips : (rows, unknowns), the matrix from spins to slips. Random sums of all motions are looked at first; only if
+        one of them slips are the motions looked at one by one.
     """
     if not motions.number:
         return motions
@@ -134,13 +144,19 @@ def _without_slipping_motions(motions: Motions, slips: sparse.csr_array) -> Moti
 
 
 def _relative_slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarray) -> np.ndarray:
-    """Return the largest slip over the largest spin (k,) of k sums of motions. shares : (motions, k) coefficients."""
+    """Return the largest slip over the largest spin (k,) of each of k sums of motions.
+
+    slips : (rows, unknowns), the matrix from spins to slips. shares : (motions, k), coefficients of the sums.
+    """
     spins = motions.basis(shares)
     return np.asarray(np.abs(slips @ spins).max(axis=0, initial=0.0) / np.abs(spins).max(axis=0))
 
 
 def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
-    """Return the numbers of the unknowns of each part. sphere : (unknowns,) sphere of each."""
+    """Return the numbers of the unknowns of each part of an elimination order. sphere : (unknowns,) sphere of each
+    unknown.
+    parts : spheres of each part, and the parts below it.
+    """
     order, own = np.concatenate([spheres for spheres, _ in parts]), [len(spheres) for spheres, _ in parts]
     place, part = np.empty(len(order), dtype=np.int64), np.repeat(np.arange(len(own)), own)
     place[order] = np.arange(len(order))
@@ -151,10 +167,11 @@ def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
 def _eliminated(
     matrix: sparse.csr_array, position: np.ndarray, own: np.ndarray, updates: list[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[_Front, np.ndarray]:
-    """Eliminate the unknowns `own` of one front.
+    """Eliminate the unknowns `own` of one front, by pivoted Cholesky factorisation.
 
-    matrix : K^T K. position : (unknowns,) place of each in the order. updates : border and added matrix of each child.
-    returns : the front, and what its elimination adds to the matrix of its border.
+    matrix : K^T K, where K gives slips from spins. position : (unknowns,) place of each in the order of elimination.
+    updates : for each front below this one its border, and the matrix (border, border) that it adds there.
+    returns : the front, and the matrix that its elimination adds to that of its border (the Schur complement).
     """
     # border: later unknowns that own ones, or those of the children, are coupled to
     begin, end = matrix.indptr[own], matrix.indptr[own + 1]

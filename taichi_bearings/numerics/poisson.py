@@ -9,12 +9,15 @@ from taichi_bearings.lattice.laplacian import eigenvalues
 
 
 def solve_poisson(source: np.ndarray, lattice: Lattice, component: int) -> np.ndarray:
-    """Return u (R, *free) with -Laplace u = source for one spin component, by diagonalisation in Fourier modes.
+    """Return the spins u (R, *free) at which equal springs balance given torques: -Laplace u = source, for one spin
+    component.
 
-    Chains take cosine transforms, and sine transforms between the driven planes; periodic axes take Fourier transforms.
-    The mean of a layer that nothing couples to the driven planes becomes 0.
+    source : (R, *free) torques in R samples on the free spheres of the lattice, in units of the springs' stiffness.
+    lattice : its bottom and top plane are held at 0. component : axis of the spin component; contacts along it have no
+        spring.
 
-    source : (R, *free) R samples on the free spheres of the lattice. component : axis of the spin component.
+    The Laplacian is diagonal in waves: cosine transforms along open axes, Fourier transforms along periodic ones, sine
+    transforms along the height. If nothing couples a layer to the driven planes, its mean becomes 0.
     """
     with warnings.catch_warnings():  # SciPy adds filters of its own
         from scipy import fft  # a tenth of a second that a planar cut does not need

@@ -14,13 +14,12 @@ from taichi_bearings.numerics.planar import MinimumCuts
 
 
 def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
-    """Yield the cuts of least weight between the bottom row and the top row of each grid.
+    """Yield the cuts of least weight between the bottom row and the top row of each grid, one grid at a time.
 
-    They come in the form of :func:`taichi_bearings.numerics.planar.minimum_cuts`, one grid at a time. `next_weight` is
-    not known (NaN) where cuts do not tie.
-
-    sideways : weights (B, w, h), those of the contacts of the last column with the first at the end. upward : weights
-        (B, w, h - 1).
+    sideways : weights (B, w, h) of contacts along the rows of B grids of w columns and h rows; the last column's are
+        those with the first column. upward : weights (B, w, h - 1) of contacts between rows.
+    yields : the number of the grid as a slice, and its cut in the form of
+        :func:`taichi_bearings.numerics.planar.minimum_cuts`. `next_weight` is not known (NaN) where cuts do not tie.
 
     A flow of rounded weights puts most spheres on one side of all lightest cuts. What lies between is cut again,
     exactly.

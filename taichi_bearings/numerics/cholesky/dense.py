@@ -46,16 +46,17 @@ DOUBLE_BYTES = 8  # bytes
 
 @cache
 def _count(number: int) -> Any:
-    """Return a whole number as Fortran wants it: by reference."""
+    """Return a whole number as Fortran wants it: a reference of ctypes to it."""
     return ctypes.byref(ctypes.c_int(number))
 
 
 @dataclass(frozen=True)
 class Task:
-    """A piece of work on a front.
+    """A piece of work on a front, that a thread can do.
 
-    urgency, position : tasks are begun in order of urgency, then position, smallest first. Panels of several fronts so
-        alternate and wait for each other least; tasks that nothing waits for fill the end.
+    urgency, position : tasks are begun in order of urgency, then position, smallest first. Urgency 0: panels; 1: sheets
+        of large fronts; 2: whole small fronts. Panels of several fronts so alternate and wait for each other least;
+        tasks that nothing waits for fill the end.
     work : does the task; returns False if a pivot is not positive.
     """
 
@@ -69,14 +70,18 @@ Call = tuple[int | None, Callable[..., None], tuple[Any, ...]]
 
 
 class DenseFront:
-    """Elimination of one front: factorises its own columns, and subtracts their product from the update of its border.
+    """Elimination of one front, a dense symmetric matrix whose own unknowns come first and then the unknowns of its
+    border: factorises the own columns, and subtracts their product from the update, the block of the border.
 
-    Own columns are worked on in panels: each subtracts the product of the panels before it, and is then divided by its
-    diagonal block. So several threads can share a front, and no call lasts long.
+    Own columns are worked on in panels of some columns: each subtracts the product of the panels before it, and is then
+    divided by its diagonal block. The update is worked on in sheets of some columns. So several threads can share a
+    front, and no call lasts long.
+
+    cost : operations of the elimination.
     """
 
     def __init__(self, own: int, border: int, height: int, pitch: int, columns: int, update: int) -> None:
-        """Prepare the calls.
+        """Prepare the calls of LAPACK and BLAS; nothing is computed yet.
 
         own, border : numbers of own unknowns, and of unknowns of the border.
         height, pitch : distance from one own column, and from one column of the update, to the next, in doubles.
@@ -96,28 +101,32 @@ class DenseFront:
         self._done = [Event() for _ in self._panels] if self.cost > tuning.SHARED_FRONT_OPERATIONS else []
 
     def tasks(self) -> list[Task]:
-        """Return the tasks that eliminate the front. Threads may share those of all fronts that are ready, if begun in
-        order.
-        """
+        """Return the tasks that eliminate the front: a single one for a small front, else one for each panel of own
+        columns and for each sheet of the update. Threads may share the tasks of several fronts, if they are begun in
+        their order."""
         if not self._done:
             return [Task(2, -self.cost, lambda: all(map(self._work, self._panels + self._sheets)))]
         tasks = [Task(0, n, partial(self._work, calls, n)) for n, calls in enumerate(self._panels)]
         return tasks + [Task(1, -self.cost, partial(self._work, calls)) for calls in self._sheets]
 
     def get_ready(self) -> None:
-        """Forget the last elimination; to be called before the tasks are begun."""
+        """Forget the last elimination. To be called before the tasks are begun."""
         self._stopped = False
         for done in self._done:
             done.clear()
 
     def stop(self) -> None:
-        """Let no thread wait for panels that will never be done."""
+        """Let no thread wait for panels that will never be done, because the elimination is given up."""
         self._stopped = True
         for done in self._done:
             done.set()
 
     def _work(self, calls: list[Call], panel: int | None = None) -> bool:
-        """Make these calls, which complete a panel if one is given; False if a pivot is not positive."""
+        """Make some calls; return False if a pivot is not positive.
+
+        calls : each with the panel that it has to wait for. panel : number of the panel that is complete after the
+            calls, None for none.
+        """
         for before, routine, arguments in calls:
             if self._done and before is not None:
                 self._done[before].wait()
@@ -134,13 +143,12 @@ class DenseFront:
 
 
 def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fault: ctypes.c_int) -> list[Call]:
-    """Return the calls that factorise the panel of own columns from `first` on.
-
-    They subtract products with the panels before it, factorise its diagonal block, and divide what is below by that.
+    """Return the calls that factorise a panel: some own columns of a front, from `first` on. They subtract products
+    with the panels before it, factorise its diagonal block, and divide what is below by that.
 
     own, rows : number of own columns, and of rows from the diagonal of this panel down.
     height : doubles from one column to the next.
-    columns : address of the first diagonal entry.
+    columns : address of the first diagonal entry of all own columns.
     fault : set by LAPACK where a pivot is not positive.
     """
     width = min(tuning.PANEL_COLUMNS, own - first)
@@ -159,7 +167,8 @@ def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fau
 
 
 def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target: int) -> list[Call]:
-    """Return the calls that subtract the product of the own columns from one sheet of the update.
+    """Return the calls that subtract the product of the own columns of a front from one sheet: some columns of its
+    update.
 
     own, rows : number of own columns, and of rows of the sheet.
     height, pitch : doubles from one own column, and from one column of the sheet, to the next.

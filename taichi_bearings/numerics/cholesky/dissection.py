@@ -16,10 +16,14 @@ Region = dict[int, Box]  # spin component -> box of spheres
 
 
 def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNOWNS) -> np.ndarray:
-    """Order of elimination (unknowns,) for the free spheres of a lattice: regions before what separates them.
+    """Return an order of elimination (unknowns,) for the spins of the free spheres of a lattice, which makes few new
+    entries.
 
-    Unknown number = free sphere * components + position in `spin_axes`. leaf : regions of at most so many unknowns are
-    not divided.
+    lattice : of spheres. spin_axes : axes of the spin components that are unknown. The number of an unknown is that of
+        its free sphere times the number of components, plus the position of its component in `spin_axes`.
+    leaf : regions of at most so many unknowns are not divided.
+
+    Regions come before the plane of unknowns that separates them.
     """
     shape = lattice.free_shape
     sphere = np.arange(int(np.prod(shape))).reshape(shape)
@@ -43,7 +47,8 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
         return known[alike] + sphere[corner] * len(spin_axes)
 
     def divided(region: Region) -> np.ndarray:
-        """Return the order of elimination of a region: one side, the other side, then the separator."""
+        """Return the order of elimination of a region: one side, the other side, then the unknowns that
+        separate them."""
         division = divide(region, len(shape)) if _size(region) > leaf else None
         if division is None:
             return numbers(region)
@@ -60,10 +65,12 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
 
 
 def divide(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:
-    """Divide a region by the middle plane with the smallest separator; None if no plane divides it.
+    """Divide a region of a lattice by the middle plane of spheres whose unknowns are fewest; None if no plane divides
+    it.
 
-    dimension : of the lattice.
-    returns : the region below the plane, the separator, the region above.
+    region : for each spin component a box of spheres. dimension : of the lattice.
+    returns : the region below the plane, the separator (the plane without the component along its normal), the region
+        above.
     """
     best: tuple[Region, Region, Region] | None = None
     least = None
@@ -84,7 +91,7 @@ def divide(region: Region, dimension: int) -> tuple[Region, Region, Region] | No
 
 
 def _cut(box: Box, axis: int, first: int, last: int) -> Box:
-    """Return the part of a box with first <= coordinate < last along an axis."""
+    """Return the part of a box of spheres with first <= coordinate < last along an axis."""
     low, high = list(box[0]), list(box[1])
     low[axis], high[axis] = max(low[axis], first), min(high[axis], last)
     return tuple(low), tuple(high)
@@ -101,10 +108,10 @@ def _box_size(box: Box) -> int:
 
 
 def _size(region: Region) -> int:
-    """Return the number of unknowns in a region."""
+    """Return the number of unknowns in a region: for each of its spin components the spheres of a box."""
     return sum(_box_size(box) for box in region.values())
 
 
 def _without_empty(region: Region) -> Region:
-    """Return a region without the components whose boxes are empty."""
+    """Return a region without the spin components whose boxes are empty."""
     return {component: box for component, box in region.items() if _box_size(box)}

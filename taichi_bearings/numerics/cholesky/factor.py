@@ -32,7 +32,7 @@ class NotPositiveDefinite(ArithmeticError):
 
 
 class Engine(Enum):
-    """How a matrix is factorised.
+    """How a matrix is factorised. A front is a dense block of a sparse matrix (fronts.py).
 
     BLOCK : as one dense block.
     LAUNCH : front by front in a single kernel launch, several matrices at once if need be.
@@ -64,6 +64,7 @@ class Memory:
     """
 
     def __init__(self) -> None:
+        """Begin with no memory."""
         self._numbers, self.changes = np.zeros(0), 0
 
     def free(self) -> None:
@@ -71,9 +72,9 @@ class Memory:
         self._numbers, self.changes = np.zeros(0), self.changes + 1
 
     def take(self, size: int, what: str) -> np.ndarray:
-        """Return an array of `size` doubles or more with arbitrary content. what : named in the error.
+        """Return an array of `size` doubles or more with arbitrary content; whoever had it before has lost it.
 
-        Raises MemoryError if the machine has too little memory.
+        what : what needs the memory, named in the error. Raises MemoryError if the machine has too little.
         """
         self.changes += 1
         if len(self._numbers) < size:
@@ -84,10 +85,12 @@ class Memory:
 
 
 class Cholesky:
-    """Cholesky factorisation of one symmetric positive definite matrix, or of up to LANES of one pattern.
+    """Cholesky factorisation of one symmetric positive definite matrix, or of up to LANES of one pattern of entries.
 
     The result for a matrix, bit by bit, depends neither on the other matrices nor on the number of threads. Values are
     given for the stored entries of the pattern; `pattern.entry` says which entry couples two unknowns.
+
+    pattern : the stored entries and the order of elimination. engine : how matrices are factorised.
     """
 
     pattern: SparsePattern | BlockPattern
@@ -102,10 +105,10 @@ class Cholesky:
     ) -> None:
         """Choose the engine and analyse the pattern.
 
-        unknowns : number of them.
-        order : returns the order of elimination (unknowns,); called if the engine needs one.
-        couplings : first and second unknown of each coupled pair.
-        memory : memory to share with other factorisations.
+        unknowns : number of unknowns.
+        order : function that returns the order of elimination (unknowns,); called if the engine needs one.
+        couplings : first and second unknown of each coupled pair, two arrays (pairs,).
+        memory : memory to share with other factorisations, None for its own.
         engine : LAUNCH for several matrices; if None the quickest one for a single matrix.
         """
         self.engine, self._memory = engine or Engine.quickest(unknowns), memory or Memory()
@@ -140,28 +143,29 @@ class Cholesky:
         return factor.solution[:, :samples].take(self.pattern.place, axis=0)
 
     def forget(self) -> None:
-        """Give the memory of a large factor back."""
+        """Give the memory of a large factor back; it has to be factorised anew before it solves."""
         if self.pattern.factor_entries > tuning.LARGE_FACTOR_NUMBERS:
             for factor in self._factors.values():
                 factor.forget()
 
 
 class Factor:
-    """Numbers of the factors of one matrix or of LANES matrices.
+    """Numbers of the factors of one matrix or of LANES matrices; samples is their number.
 
     entries : (entries or more, samples) values of the matrices at the stored entries of the pattern.
-    solution : (unknowns or more, samples) right-hand sides, and then solutions, in the pattern's order.
+    solution : (unknowns or more, samples) right-hand sides, and then solutions, in the pattern's order of elimination.
     """
 
     entries: np.ndarray
     solution: np.ndarray
 
     def factorise(self) -> np.ndarray:
-        """Factorise; returns (samples,) True for matrices that are positive definite to working precision."""
+        """Factorise the matrices whose values are in `entries`; return a mask (samples,), True for matrices that are
+        positive definite to working precision."""
         raise NotImplementedError
 
     def substitute(self) -> None:
-        """Solve the factorised systems in place."""
+        """Solve the factorised systems: replace the right-hand sides in `solution` by the solutions."""
         raise NotImplementedError
 
     def forget(self) -> None:
@@ -174,10 +178,12 @@ class DenseFactor(Factor):
     """
 
     def __init__(self, pattern: BlockPattern) -> None:
+        """Reserve memory for one matrix of a dense pattern."""
         self.entries, self.solution = np.zeros((max(1, pattern.entries), 1)), np.zeros((max(1, pattern.size), 1))
         self._size, self._factor = pattern.size, np.zeros((0, 0))
 
     def factorise(self) -> np.ndarray:
+        """Factorise the matrix by LAPACK; return a mask (1,), True if it is positive definite."""
         look_up()
         if not self._size:
             return np.ones(1, dtype=bool)
@@ -186,6 +192,7 @@ class DenseFactor(Factor):
         return np.array([fault == 0])
 
     def substitute(self) -> None:
+        """Replace the right-hand side in `solution` by the solution."""
         if self._size:
             self.solution[:, 0] = dpotrs(self._factor, self.solution[:, 0], lower=True)[0]
 
@@ -194,10 +201,12 @@ class SciPyFactor(Factor):
     """Factors of one matrix after the other by SuperLU, which needs no kernel."""
 
     def __init__(self, pattern: SparsePattern, lanes: int) -> None:
+        """Reserve memory for `lanes` matrices of one pattern."""
         self.entries, self.solution = np.zeros((pattern.entries, lanes)), np.zeros((pattern.size, lanes))
         self._pattern, self._factors = pattern, list[SuperLU | None]()
 
     def factorise(self) -> np.ndarray:
+        """Factorise each matrix; return a mask (lanes,), True for those that are positive definite."""
         pattern, self._factors = self._pattern, []
         for values in self.entries.T:
             look_up()
@@ -212,6 +221,8 @@ class SciPyFactor(Factor):
         return np.array([factor is not None for factor in self._factors])
 
     def substitute(self) -> None:
+        """Replace the right-hand sides in `solution` by the solutions; those of matrices that were not
+        factorised stay."""
         for sample, factor in enumerate(self._factors):
             if factor is not None:
                 self.solution[:, sample] = factor.solve(self.solution[:, sample])
@@ -221,7 +232,8 @@ class LaunchedFactor(Factor):
     """Factor that a single kernel launch makes, front by front; another launch solves with it."""
 
     def __init__(self, pattern: Pattern, lanes: int) -> None:
-        """lanes : number of matrices, 1 or LANES."""
+        """Reserve memory and prepare the launches. pattern : fronts and order of elimination. lanes : number of
+        matrices, 1 or LANES."""
         layout, samples = Layout(pattern, LANES // lanes), "" if lanes == 1 else f" in {lanes} samples"
         refuse_beyond(8 * lanes * layout.size, f"the factorisation of {pattern.size:,} unknowns{samples}")
         self.entries, self._numbers, vector = (
@@ -241,11 +253,13 @@ class LaunchedFactor(Factor):
             self._substitute = prepared(substitution.substitute_alone, tables, numbers, vector)
 
     def factorise(self) -> np.ndarray:
+        """Factorise the matrices in one launch; return a mask (lanes,), True for those that are positive definite."""
         look_up()
         self._eliminate()
         return np.isfinite(self._numbers[self._pivots]).all(axis=0)
 
     def substitute(self) -> None:
+        """Replace the right-hand sides in `solution` by the solutions."""
         look_up()
         self._substitute()
 
@@ -254,7 +268,10 @@ class CalledFactor(Factor):
     """Factor whose fronts a kernel assembles and LAPACK and BLAS eliminate; threads share that, and substitution."""
 
     def __init__(self, pattern: Pattern, memory: Memory) -> None:
-        """memory : that this factor shares with others."""
+        """Decide where all numbers lie; their memory is taken at the first factorisation.
+
+        pattern : fronts and order of elimination. memory : memory that this factor shares with others.
+        """
         self._layout, self._memory, self._size = Layout(pattern, apart=True), memory, pattern.size
         self.entries, self._vector = np.zeros((pattern.entries, 1)), np.zeros((self._layout.vector, 1))
         self.solution = self._vector[: pattern.size]
@@ -262,6 +279,8 @@ class CalledFactor(Factor):
         self._seen = -1  # `changes` of the memory when this factor took it
 
     def factorise(self) -> np.ndarray:
+        """Assemble and eliminate all fronts, batch by batch; return a mask (1,), True if the matrix is positive
+        definite."""
         self._take_memory()
         for work in self._work:
             look_up()
@@ -294,10 +313,13 @@ class CalledFactor(Factor):
         ]
 
     def forget(self) -> None:
+        """Give the memory back to the system."""
         self._numbers, self._work, self._halves = np.zeros(0), [], []
         self._memory.free()
 
     def substitute(self) -> None:
+        """Replace the right-hand side in `solution` by the solution. The matrix must have been factorised since the
+        memory was last taken by another factor."""
         assert self._seen == self._memory.changes
         look_up()
         for start in self._halves:
@@ -311,10 +333,17 @@ def _vectors(count: int, lanes: int) -> np.ndarray:
 
 
 class _BatchWork:
-    """The fronts of a batch and the tasks that eliminate them."""
+    """A batch of fronts that are worked on at once, and the tasks that eliminate them.
+
+    assemble : fills the fronts from the entries of the matrix and the updates of the fronts below.
+    """
 
     def __init__(self, batch: Batch, fronts: list[DenseFront], arrays: tuple[np.ndarray, ...]) -> None:
-        """batch : fronts that are worked on at once. arrays : tables, entries and numbers of the kernels."""
+        """Prepare assembly and tasks.
+
+        batch : which fronts, and their work items. fronts : their eliminations. arrays : tables, entries and numbers,
+            as kernels take them.
+        """
         alone = batch.numbers < tuning.SHARED_ASSEMBLY_NUMBERS
         kernel = elimination.assemble_serially if alone else elimination.assemble
         self.assemble = prepared(kernel, *arrays, *batch.items)
@@ -344,7 +373,8 @@ class _BatchWork:
 
 
 def _do_tasks(tasks: Iterable[Callable[[], bool]]) -> bool:
-    """Do the tasks that are left; False if any of them failed."""
+    """Do the tasks that are left in a shared iterator; return False if any of them failed, as a pivot was not
+    positive."""
     succeeded = True
     for task in tasks:
         look_up()
@@ -354,4 +384,5 @@ def _do_tasks(tasks: Iterable[Callable[[], bool]]) -> bool:
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
+    """Return the threads that share the tasks, made once for the process."""
     return ThreadPoolExecutor(runtime.available_threads(), thread_name_prefix="cholesky")

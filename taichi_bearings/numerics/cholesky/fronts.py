@@ -38,8 +38,9 @@ class SparsePattern:
 
     @classmethod
     def of(cls, order: np.ndarray, first: np.ndarray, second: np.ndarray) -> "SparsePattern":
-        """Return the pattern of the matrix that couples the unknowns `first` and `second` pairwise. order : of
-        elimination.
+        """Return the pattern of the matrix that couples unknowns in pairs.
+
+        order : (unknowns,), order of elimination. first, second : (pairs,), the two unknowns of each coupled pair.
         """
         place = _inverse(order)
         lower = sparse.triu(coupled(place, first, second)).tocsr().sorted_indices().tocoo()
@@ -47,6 +48,7 @@ class SparsePattern:
 
     @property
     def size(self) -> int:
+        """Number of unknowns."""
         return len(self.order)
 
     @property
@@ -61,11 +63,12 @@ class SparsePattern:
 
     @cached_property
     def diagonal(self) -> np.ndarray:
-        """(size,) numbers of those stored entries that are on the diagonal."""
+        """(size,) numbers of those stored entries that are on the diagonal, in the order of elimination."""
         return np.flatnonzero(self.row == self.column)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the numbers of the stored entries that couple the unknowns `first` and `second`."""
+        """Return the numbers (pairs,) of the stored entries that couple the unknowns `first` and `second`, (pairs,)
+        each."""
         a, b = self.place[first], self.place[second]
         wanted = np.minimum(a, b) * np.int64(self.size) + np.maximum(a, b)
         return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
@@ -75,7 +78,11 @@ class SparsePattern:
 class Pattern(SparsePattern):
     """Everything about a factorisation by fronts that does not depend on the values of the entries.
 
-    first, own : (fronts,) own unknowns of a front are at the places first ... first + own - 1; fronts are in postorder.
+    A front is a set of unknowns that are eliminated together, its own ones, with its border: the later unknowns that
+    they or fronts below are coupled to. A place is the position of an unknown in the order of elimination.
+
+    first, own : (fronts,) own unknowns of a front are at the places first ... first + own - 1; children come before
+        parents.
     parent : (fronts,) the front above, or -1.
     depth : (fronts,) number of fronts above; 0 at a root.
     border : borders of all fronts one after the other, as sorted places.
@@ -96,6 +103,7 @@ class Pattern(SparsePattern):
 
     @property
     def factor_entries(self) -> int:
+        """Number of entries of the factor."""
         return int((self.own * (self.own + self.width)).sum())
 
     @property
@@ -105,9 +113,9 @@ class Pattern(SparsePattern):
         return float((own**3 / 3 + own**2 * width + own * width**2).sum())
 
     def within(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
-        """Return the local row of each unknown within its front: own rows first, then the border.
+        """Return the local row (n,) of each of n unknowns within its front: own rows first, then the border.
 
-        front : number of the front. unknown : place of the unknown.
+        front : (n,) number of the front. unknown : (n,) place of the unknown in the order of elimination.
         """
         number = np.repeat(np.arange(len(self.own)), self.width) * np.int64(self.size) + self.border
         behind = np.searchsorted(number, front * np.int64(self.size) + unknown) - self.share[front]
@@ -117,28 +125,38 @@ class Pattern(SparsePattern):
 
 @dataclass(frozen=True)
 class BlockPattern:
-    """Pattern of a dense matrix: all entries are stored, unknowns in their own order; the lower triangle is used."""
+    """Pattern of a dense matrix of `size` unknowns: all entries are stored, and unknowns are eliminated in their own
+    order. The lower triangle is used.
+
+    place : place of each unknown in the order of elimination, which is its number. factor_entries : as many as
+        `entries`.
+    """
 
     size: int
 
     @property
     def order(self) -> np.ndarray:
+        """(size,) unknowns in the order of their elimination: as they come, since one dense block needs no
+        other order."""
         return np.arange(self.size)
 
     place = order
 
     @property
     def entries(self) -> int:
+        """Number of the stored entries."""
         return self.size**2
 
     factor_entries = entries
 
     @property
     def diagonal(self) -> np.ndarray:
+        """(size,) numbers of those stored entries that are on the diagonal."""
         return np.arange(self.size) * (self.size + 1)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the numbers of the stored entries that couple the unknowns `first` and `second`."""
+        """Return the numbers (pairs,) of the stored entries that couple the unknowns `first` and `second`, (pairs,)
+        each."""
         return np.minimum(first, second) * self.size + np.maximum(first, second)
 
 
@@ -157,8 +175,10 @@ class Parts:
 
 
 def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
-    """Return the parts of the elimination tree of a symmetric pattern that is given in its order of elimination.
+    """Return the parts of the elimination tree of a symmetric pattern: unknowns whose columns of the factor have about
+    the same rows, so that they are eliminated together as one dense block.
 
+    pattern : (unknowns, unknowns), in the order of elimination.
     price : what a part costs beside its arithmetic, by which small parts are joined.
     """
     runtime.current()  # starts it
@@ -182,12 +202,13 @@ def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
 
 
 def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Price) -> Pattern:
-    """Return the symbolic factorisation of the symmetric matrix that couples the unknowns `first` and `second`
-    pairwise.
+    """Return the symbolic factorisation of the symmetric matrix that couples unknowns in pairs: its fronts and their
+    borders.
 
     order : (unknowns,) order in which they are to be eliminated; independent branches of the tree may change places in
         it.
-    price : see :func:`supernodes`.
+    first, second : (pairs,), the two unknowns of each coupled pair.
+    price : what a front costs beside its arithmetic, by which small ones are joined.
     """
     pattern = coupled(_inverse(order), first, second)
     parts = supernodes(pattern, price)
@@ -214,9 +235,10 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
 
 
 def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_matrix:
-    """Return the pattern of coupled places as a symmetric matrix with a full diagonal.
+    """Return the pattern of coupled unknowns as a symmetric matrix (unknowns, unknowns) with a full diagonal, in the
+    order of places.
 
-    place : (unknowns,) place of each unknown. first, second : pairs of coupled unknowns.
+    place : (unknowns,) place of each unknown. first, second : (pairs,), the two unknowns of each coupled pair.
     """
     diagonal = np.arange(len(place))
     a, b = place[first], place[second]

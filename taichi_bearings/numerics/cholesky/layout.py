@@ -24,7 +24,7 @@ class Batch:
 
     fronts : their numbers.
     numbers : how many doubles they have.
-    items : begin and end among the work items that assemble them; an item is some columns of one front.
+    items : begin and end among all work items of those that assemble them; an item is some columns of one front.
     """
 
     fronts: np.ndarray
@@ -33,7 +33,8 @@ class Batch:
 
 
 class Layout:
-    """The places of all numbers among the `size` doubles of a factorisation.
+    """The places of all numbers among the `size` doubles of a factorisation. A front has columns of its own unknowns
+    and, after their elimination, an update of its border, the later unknowns.
 
     columns : (fronts,) where the own columns of a front begin; they are (height, own) in Fortran order.
     update : (fronts,) where the update of its border begins. It is stored in panels of SHEET_COLUMNS columns from the
@@ -47,7 +48,9 @@ class Layout:
     """
 
     def __init__(self, pattern: Pattern, unit: int = 1, apart: bool = False) -> None:
-        """pattern : symbolic factorisation.
+        """Place all numbers, and make the tables.
+
+        pattern : symbolic factorisation.
         unit : rows that make a SIMD vector; columns begin at multiples of it.
         apart : True if threads share the work; else fronts are worked on one by one.
         """
@@ -95,10 +98,10 @@ class Layout:
         self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
 
     def _work(self, batches: list[np.ndarray], updates: np.ndarray) -> tuple[np.ndarray, list[Batch]]:
-        """Return the items of work that assemble the fronts, and the batches that they belong to.
+        """Split the assembly of the fronts into items of at least ASSEMBLY_NUMBERS numbers, which threads share.
 
-        batches : fronts of each. updates : (fronts,) doubles of each update.
-        returns : items (n, 3), a front, its first column and its last one; batches.
+        batches : for each batch the numbers of its fronts. updates : (fronts,) doubles of the update of each front.
+        returns : items (n, 3), a front, its first column and the end of its columns; the batches with their items.
         """
         columns = self.own + self.border
         least = np.maximum(1, tuning.ASSEMBLY_NUMBERS // np.maximum(columns, 1))  # columns of an item
@@ -120,14 +123,18 @@ def whole(count: np.ndarray, unit: int) -> np.ndarray:
 
 
 def update_size(border: Integers, height: Integers) -> Integers:
-    """Return the doubles of an update stored in panels. border : its columns. height : rows of its first panel."""
+    """Return how many doubles an update takes that is stored in panels from the diagonal down. border : number of its
+    columns.
+    height : rows of its first panel.
+    """
     width = tuning.SHEET_COLUMNS
     before = border // width * width
     return before * height - before * (before - width) // 2 + (border - before) * (height - before)
 
 
 def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return (fronts,) the sum of the values of each front and of all fronts below it. parent : (fronts,)."""
+    """Return (fronts,) the sum of the values of each front and of all fronts below it. parent : (fronts,) front above
+    each, or -1. values : (fronts,)."""
     total = values.tolist()
     for n, above in enumerate(parent.tolist()):
         if above >= 0:
@@ -136,9 +143,11 @@ def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
-    """Return the fronts that are worked on at once, children first.
+    """Return the fronts that are worked on at once, as arrays of their numbers, children first.
 
-    size : (fronts,) doubles of each update. most : most doubles in all updates of a grove.
+    pattern : the fronts. size : (fronts,) doubles of the update of each front.
+    most : largest number of doubles in all updates of a subtree that is worked on depth by depth; above such subtrees
+        fronts are worked on one by one.
     """
     small, grove = (_sums_of_branches(pattern.parent, size) <= most).tolist(), list(range(len(size)))
     for n, above in reversed(list(enumerate(pattern.parent.tolist()))):
@@ -152,8 +161,10 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
 
 def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> tuple[np.ndarray, int]:
     """Return where each update lies until its parent has taken it, (fronts,), and the most doubles in use at a time.
+    Memory is taken at the first free stretch that is long enough.
 
-    Memory is taken at the first place that fits. parent, size : (fronts,).
+    parent : (fronts,) front above each, or -1. size : (fronts,) doubles of each update. batches : fronts worked on at
+        once.
     """
     places, free, peak = np.empty(len(size), dtype=np.int64), [(0, ENDLESS)], 0  # starts and lengths, never touching
     batch, waiting = np.empty(len(size), dtype=np.int64), [list[tuple[int, int]]() for _ in batches]
@@ -178,10 +189,11 @@ def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> 
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:
-    """Return branches of the tree that can be solved at once: (n, 2) first front and end of each; children first.
+    """Return branches of the tree that can be solved at once, stage by stage, children first: arrays (n, 2) of the
+    first front and the end of each branch.
 
-    entries : (fronts,) doubles of the own columns of each. Small branches go whole, in the first stage; the fronts
-        above follow depth by depth.
+    pattern : the fronts. entries : (fronts,) doubles of the own columns of each. Small branches go whole, in the first
+        stage; the fronts above follow depth by depth.
     """
     small = _sums_of_branches(pattern.parent, entries) <= tuning.BRANCH_SHARE * entries.sum()
     roots = np.flatnonzero(small & ~((pattern.parent >= 0) & small[pattern.parent]))

@@ -15,11 +15,12 @@ Tree = tuple[float, float, tuple[float, ...]]
 
 @lru_cache(maxsize=64)
 def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
-    """Return the number of doubles in a factorisation of the free spins: its columns, and its updates at their most.
-
-    The prediction is good to some 15 percent, for periodic lattices to a factor of 1.6.
+    """Predict the number of doubles in a factorisation of the free spins of a lattice: its columns, and its updates
+    (what fronts leave for later ones) at their most.
 
     lattice : whose spheres rotate. spin_axes : axes of the spin components that are unknown.
+
+    The prediction is good to some 15 percent, for periodic lattices to a factor of 1.6.
     """
     shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
@@ -36,7 +37,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return float(total)
 
     def tree(region: Region) -> Tree:
-        """Return the sizes of a region; regions of one shape and border share them."""
+        """Return the sizes of a region's factor and updates (see `Tree`); regions of one shape and border
+        share them."""
         corner = np.min([low for low, _ in region.values()], axis=0)
         moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
         border = neighbours(region)
@@ -46,7 +48,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return the sizes of a region from those of its two halves and their separator."""
+        """Return the sizes of a region (see `Tree`) from those of its two halves and their separator. border : number
+        of unknowns that touch the region."""
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:

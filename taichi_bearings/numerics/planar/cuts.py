@@ -31,8 +31,10 @@ class MinimumCuts:
 
     above : (B, w, h) True on the top side of a cut that no other is lighter than. The contacts whose ends differ are
         the cut, those without weight apart.
-    sideways_flow, upward_flow : shaped as the weights, positive towards the higher index; balanced but in the end rows.
-    sideways_tied, upward_tied : True for contacts with weight that are in some but not in all minimum cuts.
+    sideways_flow, upward_flow : (B, w - 1, h) and (B, w, h - 1), flow across each contact along rows and between rows,
+        positive towards the higher index; balanced but in the end rows.
+    sideways_tied, upward_tied : of the same shapes, True for contacts with weight that are in some but not in all
+        minimum cuts.
     weight : (B,) size of the flow, less than a unit a contact below the weight of the cut; 0 where contacts with weight
         do not join bottom and top.
     next_weight : (B,) weight of the lightest other cut that leaves either side in one piece, as good as `weight`. It
@@ -73,7 +75,8 @@ def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[sli
 
 
 def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
-    """Return the cuts of all these grids. inner, upward : weights (B, w - 1, h - 2) and (B, w, h - 1)."""
+    """Return the minimum cuts of B grids of w columns and h rows. inner : (B, w - 1, h - 2) weights along rows, without
+    those of the end rows. upward : (B, w, h - 1) weights between rows."""
     unit, path = _fine_paths(inner, upward)
     batch, columns, gaps = upward.shape
     sideways_flow, sideways_tied = (np.zeros((batch, columns - 1, gaps + 1), dtype) for dtype in (float, bool))
@@ -105,15 +108,16 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
 
 
 def _any(values: np.ndarray) -> np.ndarray:
-    """Return (B,) True for the grids in which some of the values are true."""
+    """Return (B,) True for the grids in which some of the values (B, ., .) are true."""
     return np.asarray(values.any(axis=(1, 2)))
 
 
 def _fine_paths(inner: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, ShortestPaths]:
     """Return units of weight (B,), and shortest paths by weights rounded down to whole units.
 
-    The unit is so fine that a path is 2^50 to 2^52 units long; paths have length 0 where the least weight is 0. inner,
-    upward : weights.
+    inner, upward : weights (B, w - 1, h - 2) along rows, without the end rows, and (B, w, h - 1) between rows.
+
+    The unit is so fine that a path is 2^50 to 2^52 units long; paths have length 0 where the least weight is 0.
     """
     at_most = upward.sum(axis=1).min(axis=1)  # the weight of a straight cut
     lightest = np.minimum(*(np.min(of, axis=(1, 2), where=of > 0, initial=np.inf) for of in (inner, upward)))

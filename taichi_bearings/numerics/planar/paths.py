@@ -13,14 +13,16 @@ from scipy.sparse.csgraph import dijkstra
 
 @dataclass(frozen=True)
 class ShortestPaths:
-    """Shortest paths of B dual graphs from the left outside to the right one.
+    """Shortest paths of B dual graphs of planar grids with w columns and h rows. The faces of a grid are the nodes of
+    its dual graph; a path leads from the outside on the left to that on the right, and crosses a contact in each step.
 
     length, next_length : (B,) length of the path, and of the shortest other path.
     contacts : (B,) number of contacts that the path crosses.
     from_left : (B, w + 1, h - 1) distance of each face from the left outside, the outsides being the end columns. It is
         inf on the right outside, whose distance is `length`.
     from_right : (B, w + 1, h - 1) distance of each face from the right outside, likewise.
-    inner, upward : masks of the contacts that the path crosses, (B, w - 1, h - 2) and (B, w, h - 1).
+    inner, upward : masks of the contacts that the path crosses: along rows, without the end rows, (B, w - 1, h - 2);
+        between rows, (B, w, h - 1).
     """
 
     length: np.ndarray
@@ -32,19 +34,22 @@ class ShortestPaths:
     upward: np.ndarray
 
     def pick(self, which: np.ndarray) -> "ShortestPaths":
-        """Return the paths of some of the grids. which : their numbers."""
+        """Return the paths of some of the grids. which : the numbers of these grids."""
         return ShortestPaths(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
 def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
-    """Return the shortest paths from the left to the right outside, distances from both, and the shortest other path.
+    """Return the shortest paths across B planar grids from the left to the right outside, distances from both, and the
+    shortest other path.
 
-    inner, upward : lengths (B, w - 1, h - 2) and (B, w, h - 1), whole numbers. Dijkstra's method finds the distances.
+    inner : lengths (B, w - 1, h - 2) of contacts along rows, without the end rows, whole numbers.
+    upward : lengths (B, w, h - 1) of contacts between rows, whole numbers.
 
-    The other path leaves the first one at some node and joins it again later on. Let the block of a node be the last
-    node of the path on the way to it in the tree of shortest paths. Then the shortest other path uses one contact that
-    is off the path and leads from u to v of a later block, and its length is (left to u) + weight + (v to right), least
-    over all those contacts (Malik, Mittal and Gupta, Oper. Res. Lett. 8, 1989).
+    Dijkstra's method finds the distances. The other path leaves the first one at some node and joins it again later on.
+    Let the block of a node be the last node of the path on the way to it in the tree of shortest paths. Then the
+    shortest other path uses one contact that is off the path and leads from u to v of a later block, and its length is
+    (left to u) + weight + (v to right), least over all those contacts (Malik, Mittal and Gupta, Oper. Res. Lett. 8,
+    1989).
     """
     batch, columns, gaps = upward.shape
     shape = (batch, columns - 1, gaps)
@@ -100,7 +105,11 @@ def through(
 
 
 def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
-    """Return the graph of all faces, column by column, then the left and the right outside, which edges only leave."""
+    """Return the graph of all faces of B grids, column by column, then the left and the right outside, which edges only
+    leave: a sparse matrix of lengths (faces + 2, faces + 2).
+
+    inner, upward : lengths of the contacts, (B, w - 1, h - 2) and (B, w, h - 1).
+    """
     batch, columns, gaps = upward.shape
     shape = (batch, columns - 1, gaps)
     faces = batch * (columns - 1) * gaps
@@ -174,7 +183,7 @@ def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 def grids(values: np.ndarray) -> np.ndarray:
-    """Return numbers (B,), one a grid, as (B, 1, 1), to be combined with arrays of contacts."""
+    """Return numbers (B,), one for each grid, as (B, 1, 1), to be combined with arrays of contacts."""
     return values[:, None, None]
 
 

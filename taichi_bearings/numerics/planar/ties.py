@@ -56,13 +56,13 @@ def equal_paths(
 def _steps_in_doubt(
     inner: np.ndarray, upward: np.ndarray, unit: np.ndarray, path: ShortestPaths
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Return the steps on walks that are longer than the path by less than a unit a contact: only those can be as
-    light.
+    """Return the steps on walks from left to right outside that are longer than the path by less than a unit a contact:
+    only those can be as light. A step crosses one contact in one direction.
 
-    A step crosses one contact in one direction. Each outside is one face: the first one of the first, or last, column.
-
+    inner, upward : weights (B, w - 1, h - 2) and (B, w, h - 1) of the contacts of B grids. unit : (B,) unit to which
+        they were rounded down for `path`, the shortest paths.
     returns : contact (steps,); faces (2, steps), the one that is left and the one that is entered; weight (steps,); and
-        the numbers of the steps of each grid.
+        for each grid the numbers of its steps. Each outside is one face: the first one of the first, or last, column.
     """
     units = np.floor(inner / grids(unit)), np.floor(upward / grids(unit))
     face = np.arange(path.from_left.size).reshape(path.from_left.shape)
@@ -86,7 +86,7 @@ def _steps_in_doubt(
 def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list[int]]:
     """Return the numbers of the steps of a lightest path, and of steps that are in some but not in all lightest paths.
 
-    left, right : faces where paths begin and end.
+    steps : (face left, face entered, weight) of each. left, right : faces where paths begin and end.
     """
     from_left, before = _distances(steps, left)
     from_right, _ = _distances([(head, tail, weight) for tail, head, weight in steps], right)
