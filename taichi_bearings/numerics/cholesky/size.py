@@ -15,12 +15,10 @@ Tree = tuple[float, float, tuple[float, ...]]
 
 @lru_cache(maxsize=64)
 def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
-    """Predict the number of doubles in a factorisation of the free spins of a lattice: its columns, and its updates
-    (what fronts leave for later ones) at their most.
+    """Predict the number of doubles in a factorisation of the free spins of a lattice, to some 15 percent (periodic
+    lattices: a factor of 1.6): its columns, and its updates (what fronts leave for later ones) at their most.
 
     lattice : whose spheres rotate. spin_axes : axes of the spin components that are unknown.
-
-    The prediction is good to some 15 percent, for periodic lattices to a factor of 1.6.
     """
     shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
@@ -48,8 +46,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return the sizes of a region (see `Tree`) from those of its two halves and their separator. border : number
-        of unknowns that touch the region."""
+        """Return the sizes of a region (see `Tree`) from those of its halves. border : number of unknowns that touch
+        it."""
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:
