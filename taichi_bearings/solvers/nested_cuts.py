@@ -200,9 +200,10 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
 def _nested(cover: _Cover) -> np.ndarray:
     """Return the level of each node at a minimum, (nodes,): the number of its value among the sorted driven values.
 
-    Without twins this is the minimum with the lowest levels. A node with a twin has its lowest level if that is above
-    `cover.rest`. Otherwise, if the highest level of its twin is, it has the opposite of that, so that the two copies
-    have opposite values.
+    In parts with odd loops each spin has two nodes, twins, of opposite values. Without twins this is the minimum with
+    the lowest levels. A node with a twin has its lowest level if that is above `cover.rest`, where values become
+    positive. Otherwise, if the highest level of its twin is, it has the opposite of that, so that the two copies have
+    opposite values.
     """
     twin, rounds = cover.mirror >= 0, list[_Round]()
     lowest = _levels(cover, np.zeros_like(twin), rounds)
@@ -221,10 +222,11 @@ _Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]  # what _h
 def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndarray:
     """Return the level of each node, (nodes,), by bisection; one maximum flow halves the ranges of all nodes at once.
 
-    The level is the number of the node's value among the sorted driven values. The range of a node with a twin begins
-    at `cover.rest`. Where several cuts are lightest, the one with the smallest side of high levels is taken.
+    The level is the number of the node's value among the sorted driven values. Where several cuts are lightest, the one
+    with the smallest side of high levels is taken. The range of a node with a twin (the other copy of its spin, with
+    the opposite value) begins at `cover.rest`, the highest level whose value is not positive.
 
-    largest : (free,), mask of nodes for which it is the one with the largest such side.
+    largest : (free,), mask of nodes for which it is the cut with the largest side of high levels.
     rounds : the bisections of an earlier search, whose flows are used again as long as the ranges are the same; it is
         replaced by those of this search.
     """
