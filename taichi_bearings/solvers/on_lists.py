@@ -203,10 +203,11 @@ class OnLists(Contacts):
         return decay, network.largest_eigenvalue(np.ones(network.contacts), each)
 
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> Unknowns:
-        """Return all unknowns u of the packing, as an implicit step solves for them.
+        """Return the unknowns of an implicit step: u = radius * spin of the free spheres, where it makes some contact
+        slip.
 
         spin_axes : not used, as all components of a packing move.
-        unit : unit of the unknowns in the solve, length/time.
+        unit : unit of u in the solve, length/time.
         inertia : (N spheres,), as from `inertias`, mass.
         """
         return OfNetwork(self.scene, unit, np.asarray(inertia))
