@@ -45,15 +45,16 @@ HOW_TO_INSTALL = "not installed; pip install taichi-bearings[peers]"
 
 @dataclass(frozen=True)
 class ConicProgramme:
-    """The least power of a scene as a conic programme: matrices as in the module docstring.
+    """The least power of a scene as a conic programme: minimise x.P.x / 2 + q.x subject to A x + s = b, where s is
+    0 in the first rows, then not negative, then in second-order cones of three rows each.
 
     scene, system : the sample, and its contacts and unknown spins.
     slips : index of each row's slip among the d A slips of the system (A contacts that can slip, d components):
         contacts with one component, then the first component of contacts with two, then the second.
-    quadratic, linear : P and q of the objective x.P.x / 2 + q.x.
-    matrix, offset : A and b of the constraints; the rows of A are first the equalities, then the inequalities, then
-        three for each cone.
-    equalities, inequalities, cones : their numbers.
+    quadratic, linear : P and q.
+    matrix, offset : A and b.
+    equalities, inequalities, cones : numbers of rows in which s is 0, of rows in which it is not negative, and of
+        cones.
     """
 
     scene: Scene
@@ -205,14 +206,20 @@ class Peer:
         return Answer(float(power), float(bound), took, iterations, status, done)
 
     def run(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int) -> Raw:
-        """Return what the solver returns at a tolerance, not judged: see `Raw`. seconds : time limit. threads : 0 for
-        all.
+        """Return what the solver returns at a tolerance, without recomputing power and bound: unknowns x,
+        multipliers z, iterations, status, and whether the tolerance was reached.
+
+        seconds : time limit. threads : number of threads, 0 for all.
         """
         return _RUNS[self.name](programme, self.linear_solver, tolerance, seconds, threads)
 
 
 def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
-    """Return what Clarabel returns: see `Raw`. Arguments are those of :meth:`Peer.run`."""
+    """Return what Clarabel returns: unknowns x, multipliers z, iterations, status, and whether the tolerance was
+    reached.
+
+    linear_solver : name of its linear solver. seconds : time limit. threads : number of threads, 0 for all.
+    """
     import clarabel
 
     settings = clarabel.DefaultSettings()
@@ -233,7 +240,11 @@ def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, s
 
 
 def _scs(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
-    """Return what SCS returns: see `Raw`. Arguments are those of :meth:`Peer.run`."""
+    """Return what SCS returns: unknowns x, multipliers z, iterations, status, and whether the tolerance was
+    reached.
+
+    linear_solver : name of its linear solver. seconds : time limit. threads : not used; SCS cannot be told.
+    """
     import scs
 
     described = {"A": programme.matrix, "b": programme.offset, "c": programme.linear}

@@ -140,9 +140,10 @@ def visible(scene: Scene, ended: Solution) -> np.ndarray:
 
 
 def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
-    """Return the table of exact minima with two more columns, which compare them with where gradient descents ended.
+    """Return the table of exact minima with two more columns, which compare them with where gradient descents
+    ended.
 
-    exact : as :func:`cuts_of` returns it.
+    exact : table with the `power` of each minimum, energy/time.
     cut : the minimum cuts.
     ended : the solution at the end of the descents.
 
@@ -209,7 +210,9 @@ def least_rise(scene: Scene, spin: np.ndarray) -> float:
 def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     """Return the samples whose descent does not end at the minimum cut, with columns on the second lightest cut.
 
-    exact, cut, ended : see :func:`beside_descent`.
+    exact : table of the minima, with the column `differs`: True if the descent ends elsewhere.
+    cut : the minimum cuts.
+    ended : the solution at the end of the descents.
 
     Columns: `within`, True if all contacts that slip visibly belong to one of the two lightest cuts; `at_second`, True
     if some contact slips visibly that belongs to the second alone; `same`, True if flows find a second cut of the same

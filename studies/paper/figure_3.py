@@ -51,8 +51,10 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def planes(folder: Path, effort: Effort) -> Found:
-    """Find for Fig. 4 the lattice planes that are drawn, and which contacts of the path lie in them; return the figure
-    and values for the claims. Arguments are those of :func:`study`.
+    """Find for Fig. 4 the lattice planes that are drawn, and which contacts of the path lie in them; return the
+    figure and values for the claims.
+
+    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
     """
     table, shown = minima(folder, effort)
     path = shown.network.shortest_path

@@ -54,11 +54,11 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(table: Table) -> dict[str, Any]:
-    """Return the values that the figure and the claims use, by name. table : as :func:`study` makes it, a row for each
-    sample.
+    """Return the values that the figure and the claims use, by name. table : a row for each sample.
 
-    `bulk`: samples of the paper's size and larger; `spanning`: those of them that span; `large`: samples of LARGE
-    spheres a side and more; `viewed`: names of the numbers that are compared between thresholds.
+    `bulk`: samples of the paper's size and larger; `spanning`: those of them whose slipless contacts join bottom and
+    top; `large`: samples of LARGE spheres a side and more; `viewed`: names of the numbers that are compared between
+    thresholds.
     """
     bulk = table[table.side >= BULK]
     return {

@@ -246,7 +246,9 @@ def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str,
 
 
 def _tally(figure: dict[str, Any]) -> str:
-    """Return in words how many claims of a figure have which verdict. figure : as :func:`_computed` returns it."""
+    """Return in words how many claims of a figure have which verdict. figure : the figure as plain data, with its
+    `claims`.
+    """
     found = Counter(claim["verdict"] for claim in figure["claims"])
     return ", ".join(f"{number} {verdict}" for verdict, number in found.items()) or "nothing to judge"
 

@@ -137,7 +137,8 @@ def _ending(
     """Return the fields of an :class:`Ending` in a form that JSON can store; arrays are packed into texts.
 
     slips : function that returns the mask (n,) of contacts that slip, from their powers (n,) and states (n,).
-    slip_error : see :class:`Ending`.
+    slip_error : proven bound on the relative difference of any slip from that of the minimum, None where it is not
+        known.
     """
     scene = of_lattice(solution.scene)
     free = ~scene.lattice.between_driven

@@ -37,10 +37,10 @@ def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
 
 
 def crossings(sideways: np.ndarray, upward: np.ndarray, column: int) -> np.ndarray:
-    """Return (B, h - 1) the least weight of a path from the outside on the left to that on the right, across each of
-    the upward contacts in one column.
+    """Return (B, h - 1) the least weight of a path from the outside on the left to that on the right, across each
+    of the upward contacts in one column, for B grids of w columns and h rows of discs.
 
-    sideways, upward : see :func:`from_left`.
+    sideways, upward : weights of the contacts, (B, w - 1, h) and (B, w, h - 1), none negative.
     column : index of the column, neither the first nor the last.
     """
     left = from_left(sideways, upward)[:, column]

@@ -104,21 +104,24 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[str, Any]:
-    """Return the values that figure and claims use, by name. Those with one number a sample are arrays by side of the
-    cube.
+    """Return the values that figure and claims use, by name. Those with one number a sample are arrays by side of
+    the cube.
 
     points : (n, 2) side and seed of the samples.
-    power : (n, directions) least power, energy/time.
-    torque : (n, directions, 3) torque (T_x, T_y, T_c) at the minimum.
+    power : (n, directions) least power P, energy/time, if the top is driven in one of DIRECTIONS: (a_x, a_y, c), its
+        spins about x and about y and the rate at which its spin changes with the place.
+    torque : (n, directions, 3) torque (T_x, T_y, T_c) on the top at the minimum: its components for a_x, a_y and c.
 
     * `above`: largest relative excess of torque . direction over the least power in that direction, of any torque and
       direction (0 if all torques are inside);
     * `apart`: largest relative difference of P and torque . direction, in the torque's own direction;
     * `crossed`: share of the yield torque about y that is left while the top rotates about x; mean with x and y
       exchanged;
-    * `square`: P(1, 1) over P(1, 0) + P(0, 1); `circle`: the same power over the root of the sum of their squares;
+    * `square`: P(1, 1) over P(1, 0) + P(0, 1), for spins about x and y; `circle`: the same power over the root of the
+      sum of their squares;
     * `steps`: change of T_x if a little rotation about x is added to c, over P(c);
-    * `per_area`: P over F_n R L^2 |(a, c)|; `body`: means of P and of torques, over F_n R L^2;
+    * `per_area`: P over F_n R L^2 times the length of the direction, for side L; `body`: means of P and of torques,
+      over F_n R L^2;
     * `fading`, `squaring`: how 1 - crossed and 1 - square change with the side, fitted by A L^(2 value);
     * `square_limit`, `limits_of`: limits of `square` and of `per_area` for infinite size.
     """

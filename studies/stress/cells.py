@@ -94,9 +94,10 @@ class Judge:
     truths: dict[Any, Truth] = field(default_factory=dict)
 
     def row(self, cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the row of the report on a cell.
+        """Return the row of the report on a cell: a method on a sample with one extreme value.
 
-        record : of the cell, as :func:`solve_cells` returns it.
+        record : what the worker has returned: the `answer` of the solve, its `refusal` in words, or its `crash` in
+            words.
 
         `outcome` is one of OUTCOMES; `reason` says why a cell is wrong, refused or a crash; `error` is the relative
         error of the power; `states_wrong` counts slipless contacts that are said to slip and the other way round,
@@ -153,10 +154,11 @@ def _error(truth: Truth, objective: float | None) -> float | None:
 def _fault(truth: Truth, answer: Mapping[str, Any], row: dict[str, Any]) -> str:
     """Return what is wrong with an answer that does not say so itself, in words; "" if nothing is.
 
-    answer : see :func:`_solve`.
+    truth : bounds of the least objective.
+    answer : what the solve claims: objective and lower bound, energy/time, gap, status, and whether states are proven.
     row : row of the report with `status`, `error` and `states_wrong`.
 
-    An answer is at fault if a bound is above the least value, its objective is below it, states that are said to be
+    An answer is at fault if its bound is above the least value, its objective is below it, states that are said to be
     proven are not true, or it claims to have reached the minimum and its error is too large.
     """
     slack, value, bound, error = Decimal(1 + ROUNDING), answer["objective"], answer["lower_bound"], row["error"]

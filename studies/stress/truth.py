@@ -265,11 +265,12 @@ def _nothing(scene: Scene) -> Truth:
 
 
 def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
-    """Return the state of each contact, an array for each axis; empty for a law without friction. barrier : at which
-    the path has ended.
+    """Return the state of each contact, an array for each axis; empty for a law without friction.
+
+    sample : with the spins at the end of the central path. barrier : weight of the barrier there, energy/time.
 
     A contact slips if its slip is clearly above 0 and its friction is at the limit; it is slipless if its slip is 0 and
-    its friction is clearly below.
+    its friction is clearly below. Any other is UNCLEAR.
     """
     if not scene.law.holds:
         return ()

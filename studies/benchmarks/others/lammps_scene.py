@@ -23,7 +23,13 @@ OVERLAP = 1e-4
 
 
 def main(request: dict[str, Any]) -> None:
-    """Run the scene in LAMMPS, and print the answer as JSON. request : see the module docstring."""
+    """Run the scene in LAMMPS, and print the answer as JSON: seconds of processor time for the timed steps, and
+    the number of contacts.
+
+    request : `shape`, numbers of spheres along three axes; `steps` to time and `warm_up` steps before; `style`, "hooke"
+        or "granular"; `stiffness`, `damping` and `friction` of contacts; `normal_force`; `time_step`; `spin`, a file
+        with initial spins (*N, 3); and optionally `final`, a file for those at the end.
+    """
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log"
         code = lammps(cmdargs=["-log", str(log), "-screen", "none"])
@@ -53,8 +59,11 @@ def sites(code: Any) -> np.ndarray:
 
 
 def build(code: Any, request: dict[str, Any]) -> None:
-    """Make lattice, contacts and the integration of the spins in LAMMPS. code : the LAMMPS instance. request : see the
-    module docstring.
+    """Make lattice, contacts and the integration of the spins in LAMMPS.
+
+    code : the LAMMPS instance.
+    request : `shape`, numbers of spheres along three axes; `style`, "hooke" or "granular"; `stiffness`, `damping` and
+        `friction` of contacts; `normal_force`; `time_step`.
     """
     x, y, z = (n - 0.5 for n in request["shape"])
     normal = request["normal_force"] / OVERLAP

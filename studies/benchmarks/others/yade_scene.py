@@ -34,7 +34,13 @@ ANY, DRIVEN = 1, 2  # groups; driven spheres do not touch one another
 
 
 def main(request: dict[str, Any]) -> None:
-    """Run the scene in YADE, and print the answer as JSON. request : see lammps_scene.py."""
+    """Run the scene in YADE, and print the answer as JSON: seconds of processor time for the timed steps, and the
+    number of contacts.
+
+    request : `shape`, numbers of spheres along three axes; `steps` to time and `warm_up` steps before; `stiffness`,
+        `damping` and `friction` of contacts; `normal_force`; `time_step`; `spin`, a file with initial spins (*N, 3);
+        and optionally `final`, a file for those at the end.
+    """
     shape, spin = request["shape"], np.load(request["spin"])
     material = O.materials.append(
         ViscElMat(
