@@ -110,7 +110,9 @@ def apart(run: Run, other: Run) -> float:
 def course_of(run: Run, seeds: Sequence[int], minima: Table) -> Table:
     """Return the power of one relaxation against time, a table with a row for each sample and time.
 
-    seeds, minima : of at least the samples of the run, of which they are the first.
+    run : relaxation of the first R of some samples.
+    seeds : seed of each of these samples.
+    minima : table of their minima, with the column `power`.
 
     Columns: `time`, `power`, and the power over its initial value and over the least power.
     """

@@ -76,7 +76,7 @@ class Case:
 
     @property
     def in_plain_units(self) -> Scene:
-        """The scene whose exact minimum, times `unit`, is that of this one."""
+        """The scene before its units were changed: its exact power, times `unit`, is that of this case."""
         return self.scaled or self.scene
 
 
@@ -406,11 +406,12 @@ AXES = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One thing that is tried: a value of an axis on a row. The worker processes of scans can solve it.
+    """One thing that is tried: one extreme value of a parameter, for one method, law, dimension, device and
+    precision. The worker processes of scans can solve it.
 
-    axis : name of the axis.
+    axis : name of the parameter, a key of AXES.
     value : one of its values.
-    row : the row.
+    row : method, law, dimension, device and precision.
     seed : seed of the sample.
     quick : True if the sample is a small one.
     most_seconds : time limit of the solve.
