@@ -1,6 +1,7 @@
 """Finds how much memory is free, so that what cannot fit is refused before it begins, and not killed by the system."""
 
 import ctypes
+import gc
 import math
 import os
 import sys
@@ -18,6 +19,9 @@ LITTLE_BYTES = 1e8  # if less is needed the free memory is not looked at
 # back at once; M_TRIM_THRESHOLD, free memory at the end of the heap from which that is given back; M_TOP_PAD, by how
 # much the heap grows at a time
 MALLOC_OPTIONS = {-3: 2**25, -1: 2**29, -2: 2**26}
+# new objects after which Python looks for cycles among the youngest ones; how many of these searches go before one
+# among older ones, and of those before one among all
+COLLECTED_AFTER = 20_000, 20, 100
 ESTIMATE_MARGIN = 1.15  # factor by which estimates of the memory of large solves may be too low
 
 
@@ -50,6 +54,15 @@ def refuse_beyond(needed: float, what: str) -> None:
     free = free_bytes() if needed > LITTLE_BYTES else needed
     if needed > free:
         raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(free, 0) / 1e9:.1f} GB are free")
+
+
+def collect_cycles_seldom() -> None:
+    """Have Python look for unreachable cycles of objects after 20 000 new ones, not after its usual 700.
+
+    A program that loads its modules makes many objects and no such cycles; looking through them again and again takes
+    a tenth of the start.
+    """
+    gc.set_threshold(*COLLECTED_AFTER)
 
 
 def keep_freed() -> None:

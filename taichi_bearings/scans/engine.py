@@ -29,7 +29,7 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.interrupts import unheard_by_children
-from taichi_bearings.memory import keep_freed
+from taichi_bearings.memory import collect_cycles_seldom, keep_freed
 from taichi_bearings.plain_files import Json
 
 Unit = tuple[Any, ...]
@@ -271,7 +271,9 @@ class _Solver:
             if self.engine in _closed:
                 raise EOFError
             self._pipe, theirs = context.Pipe()
-            process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
+            process = context.Process(
+                target=serve, args=(theirs, pickle.dumps(self.work)), daemon=True, name="bearings-worker"
+            )
             process.start()
             theirs.close()
             self.process = process
@@ -318,17 +320,19 @@ def _main_left_out() -> Iterator[None]:
         os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
-def serve(pipe: Connection, work: Work) -> None:
+def serve(pipe: Connection, pickled_work: bytes) -> None:
     """Solve units as they come through a pipe: the main loop of a worker process.
 
-    pipe : connection to the parent process. work : function that solves a unit. The loop ends when the pipe or the
-        parent ends, or after IDLE_SECONDS without work. After an exception the process hands over what it has and ends,
-        as its state may be damaged. A trusted one keeps the kernels
-        it has compiled for later processes, if there is a parent that waits for that.
+    pipe : connection to the parent process. pickled_work : function that solves a unit, pickled; to load it loads most
+        of the program. The loop ends when the pipe or the parent ends, or after IDLE_SECONDS without work. After an
+        exception the process hands over what it has and ends, as its state may be damaged. Else it keeps the kernels it
+        has compiled for later processes, if there is a parent that waits for that.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where nothing keeps Ctrl-C from us: it is for the parent
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    collect_cycles_seldom()
     keep_freed()
+    work: Work = pickle.loads(pickled_work)
     with contextlib.suppress(OSError):  # if memory runs out, let it be a worker that goes, not the scan
         Path("/proc/self/oom_score_adj").write_text("500")
     healthy, parent = True, multiprocessing.parent_process()
