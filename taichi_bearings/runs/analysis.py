@@ -77,6 +77,13 @@ class Analysis:
     ------
     InputError
         For a threshold or a sample that cannot be, or an answer that is not finite.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> found = tb.analyse(tb.solve(tb.Scene.random((4, 5), seed=3), threads=1))
+    >>> found.spans, found.domains, round(found.power_over_cut, 9)
+    (False, 2, 1.0)
     """
 
     def __init__(self, result: Result, threshold: float | None = None, sample: int = 0) -> None:
@@ -155,6 +162,14 @@ class Analysis:
         ------
         InputError
             For another kind.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> found = tb.analyse(tb.solve(tb.Scene.random((4, 5), seed=3), threads=1))
+        >>> found.figures
+        ['domains', 'network']
+        >>> figure = found.plot("domains")
         """
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import FIGURES

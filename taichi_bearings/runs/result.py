@@ -328,6 +328,13 @@ class Result:
         ------
         InputError
             For a figure or a sample that there is not, or where there is nothing to show.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> best = tb.solve(tb.Scene.random((4, 5), seed=3), threads=1)
+        >>> len(best.plot("spins").axes)
+        2
         """
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import draw_figure  # and with it matplotlib, which nothing else needs
@@ -353,6 +360,15 @@ class Result:
         ------
         FileError
             If something stands there, or if it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import taichi_bearings as tb
+        >>> best = tb.solve(tb.Scene.random((4, 5), seed=3), threads=1)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tb.load(best.save(folder + "/mine")).power == best.power
+        True
         """
         if not force and os.path.lexists(path):
             raise FileError(f"{path} already exists; save into another directory, or with force=True")

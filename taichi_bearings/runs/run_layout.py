@@ -73,7 +73,9 @@ def _rows(solution: Solution) -> Iterator[Row]:
         yield row.name, found, row.unit, row.text
 
     def of_each(column: np.ndarray, replica_axis: int) -> np.ndarray:
-        """Return a column with a leading axis of replicas. replica_axis : its axis of replicas, if it has any."""
+        """Return a column with a leading axis of samples. replica_axis : number of its axis of samples; a column
+        without one is repeated.
+        """
         return np.moveaxis(column, replica_axis, 0) if column.ndim > 1 else np.tile(column, (replicas, 1))
 
     for key, column in solution.history.items():

@@ -243,19 +243,19 @@ class Bearing(ABC):
         return self.driving.laboratory(staggered, rest, spin_axes)
 
     def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spin (the form in which solvers compute)s (C, samples R, spheres *N) measured from 0
-        instead of from the spins of the bottom plane.
+        """Return carried spins (C, samples R, spheres *N) measured from 0 instead of from the spins of the bottom
+        plane.
 
-        Solvers measure the spins of lattices from those of the bottom; kinetic energies need them from 0. spin_axes :
-        numbers of the C components.
+        Carried spins are the form in which solvers compute. On lattices they are measured from the bottom; kinetic
+        energies need them from 0. spin_axes : numbers of the C components.
         """
         return self.driving.absolute(staggered, spin_axes)
 
     def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Give driven spheres their imposed values in an array of carried spin (the form in which solvers compute)s (C,
-        samples R, spheres *N), in place; return the same array.
+        """Give driven spheres their imposed values in an array of spins, in place; return the same array.
 
-        spin_axes : numbers of the C components.
+        staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute. spin_axes :
+            numbers of their C components.
         """
         return self.driving.impose(staggered, spin_axes)
 
@@ -269,10 +269,12 @@ class Bearing(ABC):
         return np.zeros((2, len(spin_axes))) if found is None else found
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spin (the form in which solvers compute)s (C, samples R, spheres *N) clipped to the bounds
-        of :meth:`box`, or as they are where no bounds are known.
+        """Return spins clipped to the bounds of :meth:`box`, or as they are where no bounds are known.
 
-        Clipping never raises the power (equations.md, 4). spin_axes : numbers of the C components.
+        staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute. spin_axes :
+            numbers of their C components.
+
+        Clipping never raises the power (equations.md, 4).
         """
         box = self.driving.box(spin_axes)
         if box is None:
@@ -281,11 +283,13 @@ class Bearing(ABC):
         return np.clip(staggered, low, high)
 
     def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the spin differences (d, samples R, contacts E) across all contacts at carried spin (the form in which
-        solvers compute)s (components C, R, spheres *N); d is the number of slip components.
-
-        The slip speed of a contact is `slip_radius` times the length of its difference. spin_axes : numbers of the C
+        """Return the spin differences (d, samples R, contacts E) across all contacts; d is the number of slip
         components.
+
+        The slip speed of a contact is `slip_radius` times the length of its difference.
+
+        staggered : carried spins (components C, R, spheres *N), the form in which solvers compute. spin_axes : numbers
+            of their C components.
         """
         return self.network.differences(staggered, spin_axes)
 

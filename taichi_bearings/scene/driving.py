@@ -89,7 +89,7 @@ class Driving:
 
     @property
     def slip_radius(self) -> float:
-        """Factor that turns a difference of carried spins (the form in which solvers compute) into a slip: 1, or on
+        """Factor that turns a difference of carried spins, the form in which solvers compute, into a slip: 1, or on
         lattices the radius.
         """
         return 1.0
@@ -114,8 +114,8 @@ class Driving:
         return [(..., self.network.is_driven)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
-        """Return the imposed carried spins (the form in which solvers compute) in twice the precision: a list with one
-        pair for each index in `places`.
+        """Return the imposed spins in the form in which solvers compute, in twice the precision: a list with one pair
+        for each index in `places`.
 
         Each pair has the doubles, (C, n) for n driven spheres or (C, *plane) on lattices, and what their rounding
         leaves out. spin_axes : numbers of the C components.
@@ -132,8 +132,9 @@ class Driving:
         return None
 
     def unsolved_component(self, component: int) -> np.ndarray:
-        """Return carried spin (the form in which solvers compute)s (spheres *N) for a component that is not solved for:
-        0 here. component : its number.
+        """Return spins (spheres *N) for a component that is not solved for, in the form in which solvers compute: 0
+        here.
+        component : its number.
         """
         return np.zeros(self.shape)
 
@@ -190,7 +191,7 @@ class Driving:
         return float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray | None:
-        """Return bounds (2, C), lower and upper: some minimum has all carried spins (the form in which solvers compute)
+        """Return bounds (2, C), lower and upper: some minimum has all spins, in the form in which solvers compute,
         between them; None where none are known.
 
         Here none are known, since normals may be oblique. spin_axes : numbers of the C components.
@@ -205,10 +206,10 @@ class Driving:
         return np.zeros(len(present), dtype=bool)
 
     def impose(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Give driven spheres their imposed values in an array of carried spin (the form in which solvers compute)s (C,
-        samples R, spheres *N), in place; return the same array.
+        """Give driven spheres their imposed values in an array of spins, in place; return the same array.
 
-        spin_axes : numbers of the C components.
+        carried : spins (C, samples R, spheres *N) in the form in which solvers compute. spin_axes : numbers of their C
+        components.
         """
         for place, (high, _) in zip(self.places, self.imposed(spin_axes), strict=True):
             carried[place] = high[:, None]
@@ -263,8 +264,8 @@ class Driving:
         return self.with_exact_imposed(spin, rounding)
 
     def of_equal_viscosity(self) -> np.ndarray:
-        """Return the carried spins (the form in which solvers compute; components C, 1, spheres *N) of least power if
-        all contacts in `contact` had the same viscosity.
+        """Return the spins (components C, 1, spheres *N) of least power if all contacts in `contact` had the same
+        viscosity, in the form in which solvers compute.
 
         They solve a linear least-squares problem by conjugate gradients: the factors of its matrix would take much
         memory, and none runs on a GPU.
@@ -291,8 +292,9 @@ class Driving:
         return spin, rounding
 
     def absolute(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spin (the form in which solvers compute)s (C, samples R, spheres *N) plus their offset x0,
-        as kinetic energies need them.
+        """Return carried spins (C, samples R, spheres *N), the form in which solvers compute, plus their offset x0, as
+        kinetic energies need them.
+
         spin_axes : numbers of the C components.
         """
         origin = self.origin(spin_axes)
@@ -302,7 +304,7 @@ class Driving:
         """Return laboratory spins, (spheres *N) of discs or (*N, 3) of spheres, 1/time, and an array of what their
         rounding leaves out.
 
-        Driven spheres have their imposed spins; free ones have the carried spin (the form in which solvers compute) 0.
+        Driven spheres have their imposed spins; those of free ones have no meaning.
         """
         at_rest = np.zeros((len(self.every), 1, *self.shape))
         spin, rest = self.laboratory(self.impose(at_rest, self.every), None, self.every)
@@ -428,16 +430,16 @@ class Planes(Driving):
         return self.bottom_state(spin_axes)
 
     def unsolved_component(self, component: int) -> np.ndarray:
-        """Return carried spin (the form in which solvers compute)s (spheres *N) for a component that is not solved for:
-        they rise linearly with the height from the bottom, 0, to the top.
+        """Return spins (spheres *N) for a component that is not solved for, in the form in which solvers compute: they
+        rise linearly with the height from the bottom, 0, to the top.
 
         No contact slips by them in a component that `minimum_spin_axes` leaves out. component : its number.
         """
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
 
     def of_equal_viscosity(self) -> np.ndarray:
-        """Return carried spins (the form in which solvers compute; components C, 1, spheres *N) that rise linearly with
-        the height: the minimum of a viscous law without disorder.
+        """Return spins (components C, 1, spheres *N) that rise linearly with the height, in the form in which solvers
+        compute: the minimum of a viscous law without disorder.
         """
         height = np.linspace(0.0, 1.0, self.lattice.shape[-1])
         return self.imposed_on_top(self.every)[0][:, None, ..., None] * height
@@ -503,7 +505,7 @@ class Planes(Driving):
         return self.fastest
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return bounds (2, C), lower and upper: some minimum has all carried spins (the form in which solvers compute)
+        """Return bounds (2, C), lower and upper: some minimum has all spins, in the form in which solvers compute,
         between them (equations.md, 4).
 
         They are the smallest and largest of 0, the value of the bottom, and the values of the top. spin_axes : numbers
@@ -558,8 +560,9 @@ class Planes(Driving):
         return self._of_layers(self.difference, self.lattice.all_spin_axes, self.lattice.shape[:-1])
 
     def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the carried spins (the form in which solvers compute) of the top plane, (C, nx, ny), in 2D (C, nx),
+        """Return the imposed spins of the top plane in the form in which solvers compute, (C, nx, ny), in 2D (C, nx),
         1/time, in twice the precision.
+
         spin_axes : numbers of the C components.
         """
         slots = [self.lattice.all_spin_axes.index(k) for k in spin_axes]
@@ -567,8 +570,10 @@ class Planes(Driving):
         return high[slots], low[slots]
 
     def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the carried spins (the form in which solvers compute) of the top plane divided by `unit`, (C, nx, ny),
-        in 2D (C, nx), in twice the precision. spin_axes : numbers of the C components.
+        """Return the imposed spins of the top plane divided by `unit`, (C, nx, ny), in 2D (C, nx), in twice the
+        precision.
+
+        They are in the form in which solvers compute. spin_axes : numbers of the C components.
         """
         if self.in_units is not None:
             return self._of_layers(self.in_units, spin_axes, self.lattice.shape[:-1])

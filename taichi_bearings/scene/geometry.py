@@ -195,7 +195,7 @@ class _Contacts:
             yield inside[first], second
 
     def _first(self) -> int:
-        """Return the number of the first contact that is not direct."""
+        """Return the number of the first contact whose normal is not along the line of its centres."""
         return int(np.argmin(self.is_direct))
 
     def _pair(self, e: int) -> str:

@@ -342,6 +342,16 @@ class Packing(Bearing):
             all walls along x and y are body 0, and body 1 are the spheres within r diameters of the vertical axis
             through the middle (of discs, of the middle); and other fields of this class.
 
+        Returns
+        -------
+        Packing
+            The spheres in the order of their cells, with random coefficients.
+
+        Raises
+        ------
+        InputError
+            For arguments that make no packing: one sentence that names the value.
+
         Examples
         --------
         >>> import taichi_bearings as tb
@@ -381,6 +391,16 @@ class Packing(Bearing):
         **others
             As of :meth:`lattice`, without `driven`; `radius` is that of the small spheres.
 
+        Returns
+        -------
+        Packing
+            The spheres in the order in which they were put, with random coefficients.
+
+        Raises
+        ------
+        InputError
+            For arguments that make no packing: one sentence that names the value.
+
         Examples
         --------
         >>> import taichi_bearings as tb
@@ -414,6 +434,16 @@ class Packing(Bearing):
             `spin_top` and `spin_bottom`: surface speeds here, length/time, 1 and 0, with the sign of the sublattice;
             and other fields of this class.
 
+        Returns
+        -------
+        Packing
+            The discs, large ones first, with random coefficients.
+
+        Raises
+        ------
+        InputError
+            For arguments that make no packing: one sentence that names the value.
+
         Examples
         --------
         >>> import taichi_bearings as tb
@@ -443,6 +473,11 @@ class Packing(Bearing):
         **others
             Fields of :class:`taichi_bearings.scene.readers.lammps.Asked`, such as `step` and `driven_types`, and fields
             of this class that dumps do not hold.
+
+        Returns
+        -------
+        Packing
+            The atoms in the order of their ids.
 
         Raises
         ------
@@ -510,6 +545,11 @@ class Packing(Bearing):
             Without `spin`: `spin_bottom` and `spin_top` (0 and 1, 1/time) and, of spheres, `direction` ((1, 1, 0)).
             Also other fields of this class.
 
+        Returns
+        -------
+        Packing
+            The spheres in the order given, with the contacts that were found.
+
         Raises
         ------
         InputError
@@ -542,6 +582,11 @@ class Packing(Bearing):
         **others
             Fields that the file does not hold, such as `law`, `seed`, or one `radius` for all; with a table also the
             arguments of :meth:`from_centers`.
+
+        Returns
+        -------
+        Packing
+            The packing, with random coefficients where the file has none.
 
         Raises
         ------
@@ -576,10 +621,24 @@ class Packing(Bearing):
         path, contacts : str or Path
             As of :meth:`load`.
 
+        Returns
+        -------
+        dict
+            Arrays by name: center, contact, driven, spin and others.
+
         Raises
         ------
         FileError
             For what cannot be read.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import taichi_bearings as tb
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = tb.Packing.lattice("square", (3, 4)).save(folder + "/mine.npz")
+        ...     sorted(tb.Packing.read(path))
+        ['center', 'contact', 'driven', 'friction', 'normal', 'normal_force', 'radius', 'spin']
         """
         path = Path(path)
         if is_table(path):
@@ -609,10 +668,23 @@ class Packing(Bearing):
         path : str or Path
             Of a file that does not exist, with the ending .npz, .h5 or .hdf5.
 
+        Returns
+        -------
+        Path
+            The path of the file.
+
         Raises
         ------
         WriteError
             If the file exists, or cannot be written, or has another ending.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import taichi_bearings as tb
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tb.Packing.lattice("square", (3, 4)).save(folder + "/mine.npz").name
+        'mine.npz'
         """
         path = Path(path)
         with writing(path):

@@ -107,16 +107,10 @@ class Scene(Bearing):
 
     @classmethod
     def random(
-        cls,
-        shape: Sequence[int],
-        seed: int = 0,
-        distribution: str | Draw = "uniform:0.1,1.0",
-        law: str | Law = COULOMB,
-        spin_top: float = 1.0,
-        spin_bottom: float = 0.0,
-        direction: tuple[float, float, float] = (1.0, 1.0, 0.0),
-        **others: Any,
-    ) -> "Scene":
+        cls, shape: Sequence[int], seed: int = 0, distribution: str | Draw = "uniform:0.1,1.0",
+        law: str | Law = COULOMB, spin_top: float = 1.0, spin_bottom: float = 0.0,
+        direction: tuple[float, float, float] = (1.0, 1.0, 0.0), **others: Any,
+    ) -> "Scene":  # fmt: skip
         """Return a scene whose coefficients are drawn from its seed: the same on any machine.
 
         Parameters
@@ -133,6 +127,11 @@ class Scene(Bearing):
         **others
             `replicas`, the number of samples; `viscosity`, the distribution of viscosities; and, as of :class:`Scene`,
             `normal_force`, `radius`, `periodic`, `top` and `bottom`.
+
+        Returns
+        -------
+        Scene
+            The scene, with all samples.
 
         Raises
         ------

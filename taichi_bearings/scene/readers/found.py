@@ -36,8 +36,8 @@ class Sides:
     def spins(self, driven: np.ndarray, dimension: int) -> np.ndarray:
         """Return the imposed spins, (spheres N, 3) of spheres or (N,) of discs, 1/time.
 
-        driven : (N,) number of the body of each sphere, -1 for free ones. dimension : D. Raises InputError for a body
-        that is neither bottom nor top.
+        driven : (N,) number of the body of each sphere, -1 for free ones. dimension : 2 or 3. Raises InputError for a
+            body that is neither bottom nor top.
         """
         if (beyond := driven >= SIDES).any():
             own = int(np.argmax(beyond))
