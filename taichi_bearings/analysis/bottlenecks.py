@@ -195,6 +195,7 @@ def _between(
         number of links of the network. starts, targets : numbers of the spheres of the one and of the other body. pairs
         : number of connected pairs of these.
     """
+    # all sources are searched, or a random sample of as many as EXACT_WORK allows
     sites = len(passed)
     is_target = np.zeros(sites, dtype=bool)
     is_target[targets] = True
@@ -202,6 +203,7 @@ def _between(
     number, drawn = max(2, EXACT_WORK // work), starts
     if number < len(starts):
         drawn = np.sort(np.random.default_rng(0).choice(starts, number, replace=False))
+    # a batch of sources at a time: levels of the searches, then loads summed over links and spheres
     link, sphere, distance = np.zeros(edges), np.zeros(sites), 0.0
     at_once = max(1, BATCH_WORK // max(work, sites))
     for begin in each(range(0, len(drawn), at_once), "counting shortest paths", alike):
@@ -246,9 +248,11 @@ def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
     link.
     """
     sites, free = len(network.body), network.free.ravel()
+    # connected pieces of the free spheres alone
     inner = free[network.ends].all(axis=0)
     ones = np.ones(int(inner.sum()), dtype=np.int8)
     label = connected_components(csr_array((ones, tuple(network.ends[:, inner])), shape=(sites, sites)), False)[1]
+    # links from driven spheres into these pieces, in both directions
     found: dict[int, set[int]] = {}
     for here, there in (network.ends, network.ends[::-1]):
         leaves = ~free[here]
@@ -321,6 +325,7 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
         tail = np.repeat(np.arange(len(degree)), degree)
         slot = np.arange(len(tail)) + np.repeat(neighbours.first[level.sphere] - (np.cumsum(degree) - degree), degree)
         found = (level.search * sites)[tail] + neighbours.sphere[slot]
+        # only links to spheres that this search has not found before lead on
         new = place[found] < 0
         tail, slot, found = tail[new], slot[new], found[new]
         number = np.arange(len(found), dtype=np.int32)

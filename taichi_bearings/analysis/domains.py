@@ -91,6 +91,7 @@ class RigidDomains:
         jump : (C, spheres), spin of the top, as `spins`; None where driven bodies are not in bearing states.
         shape : of arrays over the spheres. bodies : names of the driven bodies.
         """
+        # sizes and mean spins of the domains; a domain locked to the top has the spin of the top
         domain = refined(labels)
         spheres, first = np.bincount(domain), np.unique(domain, return_index=True)[1]
         mean = np.stack([np.bincount(domain, values) / spheres for values in spins])
@@ -187,6 +188,7 @@ def domains_of_packing(
         np.where(np.abs(signed_speeds - high) <= near, apart, signed_speeds),
     )
     labels = np.stack([_alike(piece, (signed_speeds if states is None else values)[:, k], near) for k in axes])
+    # a domain is locked to the bodies of the driven spheres in it, one bit for each body
     held = np.flatnonzero(~whole.free)
     bodies, body = np.unique(whole.body[held], return_inverse=True)
     tied = np.zeros((len(axes), len(signed_speeds)), dtype=np.int64)
@@ -232,11 +234,13 @@ def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tup
         a driven plane, so that each layer across the component's axis counts as having a bottom and a top body of its
         own.
     """
+    # contacts along the axis of the component do not slip by it and join nothing
     chosen = network.axis != component
     if not uneven:
         pieces = network.pieces(chosen)
         own, bottom, top = pieces[network.body], pieces[0], pieces[-1]
         return own, Lock.BOTTOM * (own == bottom) + Lock.TOP * (own == top)
+    # two nodes for each layer across the axis stand for its bottom and its top spheres
     lattice = network.lattice
     layer = np.indices(lattice.shape)[component]
     body = np.arange(lattice.sites).reshape(lattice.shape)
@@ -246,5 +250,6 @@ def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tup
     graph = csr_array((np.ones(ends.shape[1], dtype=np.int8), (ends[0], ends[1])), shape=(bodies, bodies))
     pieces = connected_components(graph, directed=False)[1]
     own, bottom, top = (pieces[of].ravel() for of in (body, planes, planes + 1))
+    # all spheres locked to the bottom are one domain, and all locked to the top another
     label = np.unique(np.where(own == bottom, 0, np.where(own == top, 1, own + 2)), return_inverse=True)[1]
     return label, Lock.BOTTOM * (own == bottom) + Lock.TOP * (own == top)

@@ -196,11 +196,13 @@ class SliplessNetwork:
         """
         if not self.spans or len(self.driven_nodes) > MOST_BODIES:
             return np.empty(0, dtype=int)
+        # with more than two bodies, the two that are nearest to each other
         graph, (start, stop) = self.graph(), self.driven_nodes[[0, -1]]
         if len(self.driven_nodes) > 2:
             far = dijkstra(graph, unweighted=True, indices=self.driven_nodes)[:, self.driven_nodes]
             np.fill_diagonal(far, np.inf)
             start, stop = self.driven_nodes[list(np.unravel_index(far.argmin(), far.shape))]
+        # back along the predecessors of a breadth-first search, then from nodes to spheres
         before, nodes = breadth_first_order(graph, start, directed=False)[1], [stop]
         while nodes[-1] != start:
             nodes.append(before[nodes[-1]])

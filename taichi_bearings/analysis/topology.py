@@ -95,6 +95,7 @@ def smallest_odd_loop(network: Network) -> int | None:
     here, best = first + count, 0.0
     while here != first:
         here, best = int(before[here]), best + 1
+    # the shortest path from each sphere to its other copy, several searches at a time
     for begin in range(0, len(starts), CHUNK):
         own = starts[begin : begin + CHUNK]
         far = dijkstra(cover, indices=own, unweighted=True, limit=best)

@@ -156,8 +156,10 @@ class Sheet:
         A contact over a periodic side has half a line at either side, or a line across at both.
         """
         which = np.flatnonzero(chosen[self.contact])
+        # contacts in the back come first, so that those in front cover them
         which = which[np.argsort(self.depth[self.ends[:, which]].mean(axis=0), kind="stable")]
         start, middle = self.place[self.ends[:, which]], (self.place[self.ends] + self.way)[:, which]
+        # a contact whose middle is at two places on paper crosses a periodic side and gets two lines
         over = np.linalg.norm(middle[0] - middle[1], axis=1) > self.pitch / 2
         twice = np.append(which, which[over])
         if across:
@@ -320,11 +322,13 @@ def limit_block(axes: "Axes3D", shape: tuple[int, ...], view: View) -> None:
 def paint_spheres(axes: "Axes3D", centre: np.ndarray, colour: np.ndarray, radius: float = 0.5) -> None:
     """Draw shaded spheres as one image, later ones in front. centre : (n, 2) as seen. colour : (n, 4)."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
+    # a picture of 1000 pixels along the longer side, with room for spheres at the edge
     pixel = max(x1 - x0, y1 - y0) / 1000
     light = lit_sphere(max(5, round(2 * radius / pixel)))
     size = len(light)
     canvas = np.zeros((int((y1 - y0) / pixel) + size, int((x1 - x0) / pixel) + size, 4))
     corner = np.rint((centre - radius - [x0, y0]) / pixel).astype(int)
+    # each sphere covers those before it: colour times diffuse light, plus white gloss, by its opacity
     for (left, low), tint in zip(corner, colour, strict=True):
         under = canvas[low : low + size, left : left + size]
         painted = np.clip(light[..., :1] * tint[:3] + light[..., 1:2], 0, 1)
@@ -341,9 +345,12 @@ def lit_sphere(pixels: int = 96) -> np.ndarray:
     pixels, 3).
     """
     x, y = np.meshgrid(*2 * (np.linspace(-1.0, 1.0, pixels),))
+    # height z of the surface of the sphere at each pixel, 0 outside
     square = x**2 + y**2
     z = np.sqrt(np.clip(1 - square, 0, None))
+    # light from the upper left; the cosine of its angle with the surface gives diffuse light and gloss
     towards = np.array([-0.45, 0.55, 0.70])
     cosine = np.clip((x * towards[0] + y * towards[1] + z * towards[2]) / np.linalg.norm(towards), 0, 1)
+    # a soft rim two pixels wide
     opacity = np.clip((1 - np.sqrt(square)) * pixels / 4, 0, 1)
     return np.stack([0.55 + 0.5 * cosine, 0.35 * cosine**24, opacity], axis=-1)

@@ -222,11 +222,13 @@ def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.nda
     periods, own = np.zeros((0, shift.shape[1])), 0
     order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")
     for _ in range(MOST_TRIED_PERIODS):
+        # the sum of periods nearest to each shift, and what is missing
         whole = np.round(shift @ np.linalg.pinv(periods)) if len(periods) else np.zeros((len(shift), 0))
         rest = shift - whole @ periods
         over = np.linalg.norm(rest, axis=1) > slack + ROUNDING * np.linalg.norm(shift, axis=1)
         if not over.any():
             return periods, None
+        # the rest of the shortest shift that is no sum makes a further period
         own = int(order[np.argmax(over[order])])
         periods = _with(periods, rest[own], float(slack[own]))
         if len(periods) > shift.shape[1] or np.linalg.norm(periods, axis=1).min(initial=np.inf) < least:

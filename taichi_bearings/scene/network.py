@@ -225,6 +225,7 @@ class Network:
         For any vector x > 0 no eigenvalue of a matrix A exceeds the largest (|A| x)_i / x_i (Collatz and Wielandt; x =
         1 gives Gershgorin's circles). Here x comes near the best such vector by steps of the power method.
         """
+        # absolute values of M^-1/2 K^T W K M^-1/2, which has the same eigenvalues
         scale = np.repeat(np.where(self.free, 1 / np.sqrt(inertia), 0.0), self.components)
         rows = np.tile(np.sqrt(weight), len(self.tangents))
         half = sparse.diags_array(rows) @ self.whole @ sparse.diags_array(scale)

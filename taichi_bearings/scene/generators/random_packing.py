@@ -104,6 +104,7 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
     count, dimension = vector.shape
     others = np.arange(count)[:, None] if dimension == 2 else np.column_stack(np.triu_indices(count, 1))
     size = np.linalg.norm(vector, axis=1)
+    # the new centre lies on a sphere of radius `first` about 0 and in a plane across each vector: at `along` on it
     along = (first**2 - reach**2 + size**2) / (2 * size)
     unit = vector / size[:, None]
     if dimension == 2:
@@ -118,6 +119,7 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
         foot = along[one, None] * unit[one] + beside[:, None] * side
         left, across = first**2 - along[one] ** 2 - beside**2, np.cross(unit[one], side)
         left[np.isinf(sine) | (sine**2 < FLATTEST)] = -1.0
+    # `left` is the squared distance from the foot to both solutions, which lie at right angles to the vectors
     real = left > FLATTEST
     foot, height, others = foot[real], np.sqrt(left[real])[:, None] * across[real], others[real]
     return np.concatenate([foot + height, foot - height]), np.concatenate([others, others])
@@ -146,10 +148,12 @@ def built(
         raise InputError(f"width is {side / 2:g}; it must be {allowed}")
     heap = _Heap(spheres, side, ratio, dimension)
     sizes = np.where(rng.random(spheres) < large, ratio, 1.0)
+    # the floor: spheres at random places of height 0 that overlap no other
     for _ in range(int(FLOOR_TRIES * (side / 2) ** (dimension - 1))):
         spot = np.append(rng.random(dimension - 1) * side, 0.0)
         if heap.count < spheres and heap.is_free(spot, sizes[heap.count]):
             heap.put(spot, sizes[heap.count])
+    # then each sphere goes into the lowest pocket for its size, or one of the other size if none is left
     floor, contact = heap.count, []
     while heap.count < spheres:
         own, wanted = heap.count, sizes[heap.count]
