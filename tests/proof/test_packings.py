@@ -324,7 +324,7 @@ HOSTILE = {
     "packing/contact": (first(10**9), "contact 0 is between"), "packing/driven": (first(-2), "was changed: driven"),
     "packing/radius": (first(0.0), "was changed: radius"), "packing/friction": (first(-1.0), "was changed: friction"),
     "packing/center": (first(np.nan), "was changed: center"), "packing/normal": (first(np.inf), "was changed: normal"),
-    "@power": (lambda _: np.ones(7), "for each of its 1 samples"),
+    "@power": (lambda _: np.ones(7), "for each of the 1 samples"),
     "@scene": (lambda _: "= =", "the scene"), "@schema_version": (lambda _: 9, "layout version"),
 }  # fmt: skip
 

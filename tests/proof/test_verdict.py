@@ -171,7 +171,7 @@ def test_a_file_without_what_is_needed_is_refused_in_one_sentence(changed, damag
 
 
 def test_files_that_are_none_and_two_powers_of_one_sample_are_refused(changed, tmp_path):
-    with pytest.raises(FileError, match="for each of its 1 samples"):
+    with pytest.raises(FileError, match="for each of the 1 samples"):
         verify(changed("spheres", says("power", [404.0, 1.0])))
     (tmp_path / "run.h5").write_bytes(b"no HDF5 file")
     with pytest.raises(FileError, match="cannot be read"):
