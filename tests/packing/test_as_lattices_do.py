@@ -245,7 +245,7 @@ def test_the_history_shows_every_replica():
 
 def test_a_minimum_is_found_on_the_threads_that_are_given_and_on_no_gpu():
     packing = tb.Packing.lattice("cubic", (3, 3, 3))
-    with pytest.raises(DeviceError, match="in the memory of the CPU; use --arch cpu"):
+    with pytest.raises(DeviceError, match="can only be found on the CPU; use --arch cpu"):
         tb.solve(packing, arch="vulkan")
     if runtime.available_threads() > 1:
         with pytest.raises(DeviceError, match="Taichi already runs in this process with cpu, f64, threads 1"):
