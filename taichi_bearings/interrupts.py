@@ -188,19 +188,22 @@ class Interrupt:
     """
 
     def __init__(self) -> None:
+        """Begin without having heard anything."""
         self.heard, self._first, self._at_once, self._too_late = False, 0.0, False, False
         self._context = handled(self._hear)
 
     def __enter__(self) -> "Interrupt":
+        """Have Ctrl-C and SIGTERM heard here from now on."""
         self._context.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Give the signals back to whoever heard them before."""
         self._context.__exit__(None, None, None)
 
     @contextmanager
     def at_once(self, seconds: float = math.inf) -> Iterator[None]:
-        """End what is inside the block with GivenUp wherever it is, by an interrupt or after so many seconds."""
+        """End the work inside the block with GivenUp, wherever it is, at Ctrl-C or SIGTERM or after so many seconds."""
         timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), self._end)
         try:
             if threading.current_thread() is threading.main_thread() and seconds < math.inf:
@@ -232,6 +235,7 @@ class Interrupt:
             raise KeyboardInterrupt
 
         def is_wanted() -> bool:
+            """Return True if the work inside `at_once` is still going on, when the signal is sent again."""
             self._too_late = late and self._at_once
             return self._at_once
 

@@ -79,6 +79,7 @@ class _Kept:
     """
 
     def __init__(self, core: Any, reader: Any, folder: Path, writes: bool) -> None:
+        """Take the attributes of the class."""
         self.core, self.reader, self.folder, self.writes = core, reader, folder, writes
         self._lock, self._settings = threading.Lock(), dict[int, list[str]]()
 

@@ -24,6 +24,7 @@ from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
 MOST_CORRECTORS = 3  # most of Gondzio's correctors; each costs a solve and saves part of a factorisation
+# The next three and PRODUCT_SPREAD are usual values of such methods; they change the number of steps, not the result.
 FULL_STEP = 0.9  # step length beyond which no further corrector is tried
 LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
 STEP_SHARE = 0.95  # share of the way to the boundary of the cones that a step goes
@@ -47,6 +48,8 @@ def friction_stiffness(
     the stiffness friction / slip across it, keeps matrices regular.
 
     friction : (n,). viscosity : (n,), None for none. difference : (d, n), slips, none of them 0.
+
+    Letters: n contacts with up to d slip components.
     """
     size = length(difference)
     along = difference / size
@@ -140,23 +143,24 @@ class _Step:
     @property
     def lengths(self) -> np.ndarray:
         """(2, S), the multiples of the step at which primal points (bound, slip) and dual points (friction, force)
-        leave their cones."""
+        leave their cones. Letters: S samples."""
         return self.found[: kernels.LEAST_FOUND]
 
     @property
     def shorter(self) -> np.ndarray:
-        """(S,), the smaller one of both `lengths`."""
+        """(S,), the smaller one of both `lengths`. Letters: S samples."""
         return self.lengths.min(axis=0)
 
     @property
     def reach(self) -> np.ndarray:
-        """(S,), sum of both `lengths`, each counted as 1 at most: the larger, the better the step."""
+        """(S,), sum of both `lengths`, each counted as 1 at most: the larger, the better the step. Letters: S
+        samples."""
         along, dual_along = self.within(1.0)
         return along + dual_along
 
     def within(self, share: float) -> np.ndarray:
         """Return the lengths (2, S) of the steps to take of primal and dual points: this share of the way to the
-        boundary of the cones, at most 1."""
+        boundary of the cones, at most 1. Letters: S samples."""
         return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
@@ -263,7 +267,8 @@ class Path:
 
     def _target(self, step: _Step) -> np.ndarray:
         """Return the product (S,) to aim at. The predictor `step` would leave a share x of the present mean product;
-        the target is x^2 / 4 of it (Mehrotra takes x^3; a smaller x is a more credible predictor)."""
+        the target is x^2 / 4 of it (Mehrotra takes x^3; a smaller x is a more credible predictor). Letters: S samples.
+        """
         count = np.array([max(1, iterate.in_cones) if iterate else 1 for iterate in self._given])
         product, by_reach, by_dual_reach, by_both = step.found[kernels.PRODUCT :]
         along, dual_along = step.within(1.0)

@@ -11,7 +11,7 @@ Point = tuple[np.ndarray, np.ndarray]
 
 
 def length(tail: np.ndarray) -> np.ndarray:
-    """Return the length (n,) of each of n vectors (d, n)."""
+    """Return the length (n,) of each of n vectors (d, n). Letters: d slip components."""
     return np.abs(tail[0]) if len(tail) == 1 else np.sqrt(inner(tail, tail))
 
 
@@ -20,13 +20,15 @@ def determinant(point: Point) -> np.ndarray:
     |tail|. It is positive inside the cone.
 
     point : head (n,) and tail (d, n).
+
+    Letters: n contacts with up to d slip components.
     """
     head, size = point[0], length(point[1])
     return (head - size) * (head + size)
 
 
 def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the scalar products (n,) of n pairs of vectors (d, n)."""
+    """Return the scalar products (n,) of n pairs of vectors (d, n). Letters: d slip components."""
     return np.einsum("dn,dn->n", tail, other)
 
 
@@ -34,6 +36,8 @@ def longest_step(point: Point, step: Point) -> float:
     """Return the largest a for which point + a * step stays in the cone of every contact; infinity if it never leaves.
 
     point, step : head (n,) and tail (d, n) each; a cone is |tail| <= head. The point lies inside all cones.
+
+    Letters: n contacts with up to d slip components.
     """
     (head, tail), (dhead, dtail) = point, step
     # a solves quadratic * a^2 + 2 linear * a + constant = 0; the smallest positive root counts
@@ -54,5 +58,7 @@ def isotropic(vectors: np.ndarray, strength: np.ndarray | float = 1.0) -> np.nda
 
     vectors : any vectors (d, n) on the contacts, which tell the shape; or (d, n, S) of S samples, for (d, d, n, S).
     strength : a number, or one for each contact, (n,).
+
+    Letters: d slip components.
     """
     return np.multiply.outer(np.eye(len(vectors)), strength * np.ones_like(vectors[0]))

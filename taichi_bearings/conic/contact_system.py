@@ -92,8 +92,8 @@ class ContactSystem:
 
     @classmethod
     def before_motions(cls, bearing: Bearing) -> "ContactSystem":
-        """Return the system that :meth:`of` returns, except that with oblique normals motions that make no contact slip
-        are still among the unknowns; then `motions` is None."""
+        """Return the system of a bearing, like :meth:`of`, but with motions of spheres that make no contact slip still
+        among the unknowns where contacts are not all along the axes; then `motions` is None."""
         network, contact = bearing.network, bearing.acting
         moves = network.reached(contact)
         contact = contact[moves[network.contact[:, contact]].any(axis=0)]
@@ -108,6 +108,8 @@ class ContactSystem:
 
         contact : (n,), numbers of the contacts. known : (N, C), u of the spheres where it is imposed.
         wanted : (N, C) mask of the unknowns. number : value of the field `motions`.
+
+        Letters: n contacts, C spin components, N spheres.
         """
         spins, sphere = known[network.contact[:, contact]].sum(axis=0), np.nonzero(wanted)[0]
         moved = np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
@@ -153,6 +155,8 @@ class ContactSystem:
 
         The signs s, (N, C), differ between spheres i and j in contact, so the difference s_j u_j - s_i u_i is s_j (u_i
         + u_j): the slip, up to a sign. Contacts that no unknown makes slip are left out.
+
+        Letters: C spin components, N spheres.
         """
         network, needed = self.network, np.flatnonzero((self.moved >= 0).any(axis=0))
         if not network.along_axes(self.numbers):
@@ -187,12 +191,13 @@ class ContactSystem:
 
     @cached_property
     def across(self) -> np.ndarray:
-        """(d, n, C), d tangents of each contact."""
+        """(d, n, C), d tangents of each contact. Letters: n contacts, C spin components."""
         return np.asarray(self.network.tangents[:, self.contact])
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """(n, C) mask, True where a component of the spins makes the contact slip and is unknown for some sphere."""
+        """(n, C) mask, True where a component of the spins makes the contact slip and is unknown for some sphere.
+        Letters: n contacts, C spin components."""
         return np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
 
     def of_contacts(self, bearing: Bearing, sample: int = 0) -> tuple[np.ndarray, ...]:
@@ -205,17 +210,19 @@ class ContactSystem:
         return self._with(offset=self.offset / speed, known=self.known / speed)
 
     def with_offset(self, offset: np.ndarray) -> "ContactSystem":
-        """Return the system in which the imposed spins contribute other slips, `offset` (d, n)."""
+        """Return the system in which the imposed spins contribute other slips, `offset` (d, n). Letters: n contacts
+        with up to d slip components."""
         return self._with(offset=offset)
 
     def all_spins(self, spins: np.ndarray) -> np.ndarray:
-        """Return u = radius * spin of all spheres, (N, C), from the unknowns `spins` (unknowns,)."""
+        """Return u = radius * spin of all spheres, (N, C), from the unknowns `spins` (unknowns,). Letters: C spin
+        components, N spheres."""
         own = np.append(spins, 0.0)[self.moved]
         return np.where(self.moved >= 0, own if self.sign is None else self.sign * own, self.known)
 
     def to_all_digits(self, spins: np.ndarray) -> np.ndarray:
         """Return the slips (d, n) for unknowns `spins` (unknowns,), with the relative precision of doubles even where
-        terms cancel."""
+        terms cancel. Letters: n contacts with up to d slip components."""
         if self.ends is not None:
             return self.differences(spins)
         first, second = self.all_spins(spins)[self.network.contact[:, self.contact]]
@@ -228,6 +235,8 @@ class ContactSystem:
         tangents T. They are 0 on contacts that are not in the system.
 
         forces : f (d, n), one component for each tangent.
+
+        Letters: n contacts with up to d slip components, C spin components, E contacts.
         """
         network = self.network
         found = np.zeros((network.contacts, network.components))
@@ -243,7 +252,7 @@ class ContactSystem:
     @cached_property
     def operator(self) -> sparse.csr_array:
         """K, (d*n, unknowns), sparse: the part of the slips that is linear in the unknowns, all first rows, then all
-        second ones."""
+        second ones. Letters: n contacts with up to d slip components."""
         if self.ends is None:
             return self.slips
         ends = self.ends.reshape(2, -1)
@@ -253,7 +262,7 @@ class ContactSystem:
 
     @cached_property
     def transposed(self) -> sparse.csr_array:
-        """K^T, (unknowns, d*n), sparse."""
+        """K^T, (unknowns, d*n), sparse. Letters: n contacts with up to d slip components."""
         return self.operator.T.tocsr()
 
     def copies(self, count: int) -> "ContactSystem":
@@ -271,26 +280,28 @@ class ContactSystem:
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """Return the change of the slips (d, n) for a change `step` (unknowns,) of the spins: K times the step. Of S
-        samples, (unknowns, S) gives (d, n, S)."""
+        samples, (unknowns, S) gives (d, n, S). Letters: n contacts with up to d slip components, S samples."""
         return (self.operator @ step).reshape(*self.offset.shape, *step.shape[1:])
 
     def differences(self, spins: np.ndarray) -> np.ndarray:
-        """Return the slips (d, n) for spins (unknowns,): K times the spins, plus what imposed spins contribute."""
+        """Return the slips (d, n) for spins (unknowns,): K times the spins, plus what imposed spins contribute.
+        Letters: n contacts with up to d slip components."""
         return self.change(spins) + self.offset
 
     def torques(self, forces: np.ndarray) -> np.ndarray:
         """Return the torques (unknowns,) of forces (d, n) on the contacts: K^T times the forces. Of S samples, (d, n,
-        S) gives (unknowns, S)."""
+        S) gives (unknowns, S). Letters: n contacts with up to d slip components."""
         return self.transposed @ forces.reshape(-1, *forces.shape[2:])
 
     def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
         """Return vectors (d, n) of sample number `replica`, read from values (C, R, E) by component, sample and
-        contact."""
+        contact. Letters: n contacts with up to d slip components, C spin components, R samples, E contacts."""
         return values[self.slot, replica, self.contact]
 
     def scatter_vectors(self, vectors: np.ndarray, values: np.ndarray, replica: int | slice) -> None:
         """Write vectors (d, n) of sample number `replica`, or (R, d, n) of a slice of samples, into values (C, R, E) by
-        component, sample and contact: the inverse of :meth:`gather_vectors`."""
+        component, sample and contact: the inverse of :meth:`gather_vectors`. Letters: n contacts with up to d slip
+        components, C spin components, R samples, E contacts."""
         np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
@@ -309,6 +320,8 @@ class ContactSystem:
         factor.
 
         An entry of the matrix is the sum of its terms, factor times stiffness.
+
+        Letters: d slip components.
         """
         d, count = self.offset.shape
         found, ends = [], [self._unknowns_of(slip) for slip in range(d)]
@@ -347,7 +360,8 @@ def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def stacked(stiffness: np.ndarray) -> np.ndarray:
     """Return the upper triangles of symmetric stiffnesses (d, d, n) as one vector (d (d + 1) / 2 * n,): all entries [0,
-    0], then all [0, 1], ...; or (..., S) of stiffnesses (d, d, n, S)."""
+    0], then all [0, 1], ...; or (..., S) of stiffnesses (d, d, n, S). Letters: n contacts with up to d slip components,
+    S samples."""
     return np.concatenate([stiffness[i, j] for i in range(len(stiffness)) for j in range(i, len(stiffness))])
 
 
@@ -357,6 +371,8 @@ def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     felt : (C, E) mask of the components that make each contact slip.
     returns : numbers (n,) of the contacts that some component makes slip; these components (d, n) of each, where d is
         the most that one has; (d, n) mask, False where a contact has fewer than d.
+
+    Letters: n contacts with up to d slip components, C spin components.
     """
     contact, most = np.flatnonzero(felt.any(axis=0)), felt.sum(axis=0).max(initial=1)
     slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most]
@@ -365,13 +381,15 @@ def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
 
 def free_spins(staggered: np.ndarray) -> np.ndarray:
     """Return the spins (R, unknowns) of the free spheres of a lattice, from staggered spins (C, R, *N) of all. The
-    component varies fastest. Driven are the first and the last plane along the last axis."""
+    component varies fastest. Driven are the first and the last plane along the last axis. Letters: C spin components, R
+    samples, N the shape of the lattice."""
     return np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(staggered.shape[1], -1)
 
 
 def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndarray) -> None:
     """Write spins (unknowns,) of the free spheres of sample number `replica`, or (R, unknowns) of a slice of samples,
-    into staggered spins (C, R, *N): the inverse of :func:`free_spins`."""
+    into staggered spins (C, R, *N): the inverse of :func:`free_spins`. Letters: C spin components, R samples, N the
+    shape of the lattice."""
     free = staggered[:, replica, ..., 1:-1]
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 

@@ -35,7 +35,7 @@ class Owners:
 
     def largest(self, values: np.ndarray) -> np.ndarray:
         """Return the largest value of each sample, (samples,), from non-negative numbers (n,) or vectors (d, n) on the
-        contacts; 0 for a sample without contacts."""
+        contacts; 0 for a sample without contacts. Letters: n contacts with up to d slip components."""
         return _largest(self.samples, self.contacts, values if values.ndim == 1 else values.max(axis=0))
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
@@ -132,7 +132,8 @@ class Contraction:
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
     def order(self, sample: int) -> np.ndarray:
-        """Return the order in which the new unknowns of a sample are eliminated, counted from its first.
+        """Return the order in which the new unknowns of a sample are eliminated, counted from its first. A new unknown
+        stands for a set of spins that contacts tie together.
 
         In small samples a set is eliminated when the last of its spins would be. In large ones (OWN_ORDER_UNKNOWNS) the
         sets, which extend across any plane, are dissected anew by their places.
@@ -187,6 +188,8 @@ def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: 
     system : the contacts; unknowns that a contact joins are coupled.
     place : (D, unknowns), where each unknown is; None for the places that the system has.
     own : range of the unknowns to order, None for all; they are counted from its first.
+
+    Letters: D dimensions.
     """
     own, place = own or slice(0, system.unknowns), system.place if place is None else place
     assert place is not None

@@ -72,16 +72,17 @@ class Friction:
 
     def limited(self, trial: np.ndarray) -> np.ndarray:
         """Return the forces (d, n) that friction allows: trial forces (d, n), shortened to the limit where they exceed
-        it."""
+        it. Letters: n contacts with up to d slip components."""
         return trial * np.minimum(1.0, self.limit / np.maximum(vector_length(trial), LEAST_FORCE))
 
     def slips(self, trial: np.ndarray) -> np.ndarray:
-        """Return a mask (n,) of contacts whose trial force (d, n) exceeds the limit."""
+        """Return a mask (n,) of contacts whose trial force (d, n) exceeds the limit. Letters: n contacts with up to d
+        slip components."""
         return vector_length(trial) > self.limit
 
     def stiffness(self, trial: np.ndarray) -> np.ndarray:
-        """Return the derivative (d, d, n) of each contact force with respect to the slip speed, at trial
-        forces (d, n)."""
+        """Return the derivative (d, d, n) of each contact force with respect to the slip speed, at trial forces (d, n).
+        Letters: n contacts with up to d slip components."""
         size = np.maximum(vector_length(trial), LEAST_FORCE)
         slips, along = size > self.limit, trial / size
         across = self.resistance * np.where(slips, self.limit / size, 1.0)
@@ -121,6 +122,8 @@ class FrictionStage:
         base : (unknowns,), spins from which inertia acts.
         start : (d, n), force of each spring at no slip.
         guess : (unknowns,), spins to begin with.
+
+        Letters: d slip components.
         """
         inertia, resistance = friction.inertia, friction.resistance
         spins = guess
@@ -146,18 +149,19 @@ class FrictionStage:
 
     def _trial(self, start: np.ndarray, resistance: np.ndarray, spins: np.ndarray) -> np.ndarray:
         """Return the trial forces (d, n) of the springs, before friction limits them: start + resistance * R *
-        differences of the spins."""
+        differences of the spins. Letters: n contacts with up to d slip components."""
         return start + resistance * self.radius * self.system.differences(spins)
 
     def _with_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """Return the force (d, n) plus the viscous force at these spins (unknowns,)."""
+        """Return the force (d, n) plus the viscous force at these spins (unknowns,). Letters: n contacts with up to d
+        slip components."""
         if friction.viscosity is None:
             return force
         return force + friction.viscosity * self.radius * self.system.differences(spins)
 
     def _torque(self, force: np.ndarray, inertia: float, gained: np.ndarray) -> np.ndarray:
         """Return what has to become 0, (unknowns,): inertia * gained plus the torques of the forces (d, n). gained :
-        (unknowns,), spins less `base`."""
+        (unknowns,), spins less `base`. Letters: n contacts with up to d slip components."""
         return inertia * gained + self.radius * self.system.torques(force)
 
     def _prepare(self, friction: Friction, trial: np.ndarray) -> bool:
@@ -166,6 +170,8 @@ class FrictionStage:
 
         In short stages inertia dominates, and a few conjugate gradients do. Else the matrix is factorised, unless
         nothing has changed since the last time.
+
+        Letters: n contacts with up to d slip components.
         """
         self._inertia, self._stiffness = friction.inertia, np.zeros(0)  # gives the memory of the last one back
         self._stiffness = friction.stiffness(trial)
@@ -218,6 +224,8 @@ class FrictionStage:
         trial, change : (d, n), trial forces, and their change by the whole step.
         spins, base, step : (unknowns,), spins now, spins from which inertia acts, and the whole step.
         first : slope along the step at length 0, below 0.
+
+        Letters: n contacts with up to d slip components.
         """
         gained = spins - base
 
@@ -257,6 +265,8 @@ class FrictionStage:
 
         base, spins : (unknowns,), spins from which inertia acts, and spins now. trial, force : (d, n), before and after
             the limit. scale : torque by which the rest is judged.
+
+        Letters: n contacts with up to d slip components.
         """
         for _ in range(REFINEMENTS):
             torque = self._torque(force, friction.inertia, spins - base)

@@ -122,7 +122,8 @@ class Iterate:
 
     @property
     def whole_dual(self) -> np.ndarray:
-        """(d, n), minus the force of every contact, with its viscous part."""
+        """(d, n), minus the force of every contact, with its viscous part. Letters: n contacts with up to d slip
+        components."""
         return whole_dual(self.dual, self.viscosity, self.difference)
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
@@ -177,5 +178,7 @@ def whole_dual(dual: np.ndarray, viscosity: np.ndarray | None, difference: np.nd
 
     dual : (d, n), minus the friction forces. viscosity : (n,), viscous force over slip speed; None for none.
     difference : (d, n), slips.
+
+    Letters: d slip components.
     """
     return dual if viscosity is None else dual - viscosity * difference

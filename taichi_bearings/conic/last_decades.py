@@ -23,7 +23,9 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, exactly
 
-DECIDED_EXPONENT = 0.5  # a contact is decided if slip / margin changes faster than the product to this power
+# A contact is decided if slip / margin changes faster than the product to this power: halfway between 0 for contacts at
+# their limit, and 1 for contacts that slip or stick.
+DECIDED_EXPONENT = 0.5
 # margin below which a contact can be at its limit (12^3 seeds 110 and 350), and below which one at rest surely is
 LEAST_MARGIN_AT_LIMIT, LOST_MARGIN = 1e-6, 1e-11
 VANISHING_PRODUCT = 1e-20  # product below which contacts are judged whose slip and margin both vanish
@@ -52,6 +54,8 @@ class LastDecades:
 
         iterate : the point; not changed. matrix : Newton matrix of its system.
         spins : (unknowns,), sums of two doubles, and difference : (d, n), slips: more precise than those of `iterate`.
+
+        Letters: n contacts with up to d slip components.
         """
         self._large, self._matrix = spins[0], matrix
         bound = iterate.bound - length(iterate.difference) + length(difference)

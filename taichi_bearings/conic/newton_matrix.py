@@ -89,6 +89,8 @@ class NewtonMatrix:
 
         stiffness : (d, d, n), or (d, d, n, S) side by side. inertia : stiffness of a spring at every spin: one number,
             (unknowns,) or (unknowns, S).
+
+        Letters: n contacts with up to d slip components, S samples.
         """
         if not self.factorise_each(stiffness, None, inertia).all():
             raise NotPositiveDefinite
@@ -102,6 +104,8 @@ class NewtonMatrix:
         stiffness : symmetric, positive, (d, d, n), or (d, d, n, S) side by side.
         wanted : (S,) mask, None for all.
         inertia : stiffness of a spring at every spin: one number, (unknowns,) or (unknowns, S).
+
+        Letters: n contacts with up to d slip components, S samples.
         """
         values = _side_by_side(self._map @ stacked(stiffness))
         samples = values.shape[1]
@@ -126,6 +130,8 @@ class NewtonMatrix:
         stiffness : (d, d, n), of size 1 or 0. The matrix is factorised, and its least eigenvalue found by inverse
             iteration from a random vector. It has to be above SURELY_REGULAR: far above what rounding makes of 0, and
             above the largest amount by which a diagonal is raised.
+
+        Letters: n contacts with up to d slip components.
         """
         if not self.factorise_each(stiffness).all():
             return False
@@ -185,6 +191,8 @@ class NewtonMatrix:
 
         dual : (d, n). stiffness : (d, d, n) of the springs. load : (unknowns,) torques that are to stay, or 0. Raises
             NotPositiveDefinite if the springs do not hold every spin.
+
+        Letters: n contacts with up to d slip components.
         """
         self.factorise(stiffness)
         # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by
@@ -195,7 +203,7 @@ class NewtonMatrix:
 
 
 def _side_by_side(values: np.ndarray) -> np.ndarray:
-    """Return an array (n, S) as it is, and an array (n,) of one sample as (n, 1)."""
+    """Return an array (n, S) as it is, and an array (n,) of one sample as (n, 1). Letters: n contacts, S samples."""
     return values if values.ndim == 2 else values[:, None]
 
 
@@ -204,6 +212,8 @@ def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray)
     which that succeeds.
 
     factor : holds the entries. diagonal : places of the diagonal among them.
+
+    Letters: S samples.
     """
     regular = factor.factorise()
     if (regular | ~wanted).all():
@@ -232,5 +242,6 @@ def _compile(engine: Engine, samples: int) -> None:
 
 
 def resisted(stiffness: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return the forces (d, n) of contacts with stiffnesses (d, d, n) against a change (d, n) of their slips."""
+    """Return the forces (d, n) of contacts with stiffnesses (d, d, n) against a change (d, n) of their slips. Letters:
+    n contacts with up to d slip components."""
     return np.einsum("ijn,jn->in", stiffness, change)

@@ -53,6 +53,8 @@ def polished(
     chosen : (samples,) mask of the samples to try.
     returns : spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
         n); mask (samples,) of the chosen samples in which it succeeds and no slip is lost.
+
+    Letters: n contacts with up to d slip components.
     """
     system = _PreciseSystem(tied, top)
     # the small parts of the given spins may be larger than the rounding of the large ones
@@ -69,6 +71,8 @@ def _balanced(
 
     system : slips and torques in twice the precision. matrix : Newton matrix. strengths : friction and viscosity (n,).
     unknown : (unknowns,), where to begin, sum of two doubles. going : (samples,) mask of samples to try.
+
+    Letters: n contacts.
     """
     owners, strongest = system.owners, system.owners.largest(strengths[0])
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
@@ -124,7 +128,8 @@ class _PreciseSystem:
         return places, (times * self.top[0][spin], times * self.top[1][spin])
 
     def differences(self, unknown: Pair) -> Pair:
-        """Return the slips (d, n) as sums of two doubles, from the unknowns (unknowns,)."""
+        """Return the slips (d, n) as sums of two doubles, from the unknowns (unknowns,). Letters: n contacts with up to
+        d slip components."""
         assert self.contracted.ends is not None
         (below, above), (places, more) = self.contracted.ends, self.imposed
         high, low = (np.append(part, 0.0) for part in unknown)
@@ -139,6 +144,8 @@ class _PreciseSystem:
 
         pulls : the forces, sums of two doubles. Their leading bits, multiples of one unit, are summed without any
             rounding, then the bits that follow, then the rest.
+
+        Letters: n contacts with up to d slip components.
         """
         total, rest = np.zeros(self.contracted.unknowns), pulls[0]
         largest = self.owners.largest(np.abs(rest))
@@ -168,7 +175,10 @@ def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
 
 def _forces(strengths: Strengths, difference: Pair) -> Pair:
     """Return the forces (d, n) of friction and viscosity at slips `difference` (d, n), as sums of two doubles, along
-    the slip: the sign with which they act is left out. strengths : friction and viscosity, (n,) each."""
+    the slip: the sign with which they act is left out. strengths : friction and viscosity, (n,) each.
+
+    Letters: n contacts with up to d slip components.
+    """
     friction, viscosity = strengths
     held = _along(friction, difference)
     return held if viscosity is None else add(held, scaled(viscosity, difference))
@@ -176,7 +186,7 @@ def _forces(strengths: Strengths, difference: Pair) -> Pair:
 
 def _along(friction: np.ndarray, difference: Pair) -> Pair:
     """Return friction (n,) times the direction of the slip `difference` (d, n), as sums of two doubles: exact where the
-    slip has one component only."""
+    slip has one component only. Letters: n contacts with up to d slip components."""
     found = exactly(friction * np.sign(difference[0]))
     both = np.flatnonzero((difference[0] != 0).all(axis=0))
     if len(difference[0]) == 2:

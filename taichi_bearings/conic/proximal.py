@@ -72,11 +72,13 @@ class Unknowns(ABC):
 
     @abstractmethod
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the unknowns (R, unknowns) of all samples, from spins (C, R, *N) by component, sample and sphere."""
+        """Return the unknowns (R, unknowns) of all samples, from spins (C, R, *N) by component, sample and sphere.
+        Letters: C spin components, R samples, N the shape of the lattice."""
 
     @abstractmethod
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Write the unknowns `spins` (unknowns,) of sample number `replica` into spins (C, R, *N), in place."""
+        """Write the unknowns `spins` (unknowns,) of sample number `replica` into spins (C, R, *N), in place. Letters: C
+        spin components, R samples, N the shape of the lattice."""
 
 
 class OfLattice(Unknowns):
@@ -94,12 +96,13 @@ class OfLattice(Unknowns):
         self.rows = len(spin_axes)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the spins (R, unknowns) of the free spheres."""
+        """Return the spins (R, unknowns) of the free spheres. Letters: R samples."""
         return free_spins(staggered)
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
         """Write the unknowns `spins` (unknowns,) of sample number `replica` into staggered spins (C, R, *N). The mean
-        of each layer about the height stays as it was, since no contact changes it; rounding must not either."""
+        of each layer about the height stays as it was, since no contact changes it; rounding must not either. Letters:
+        C spin components, R samples, N the shape of the lattice."""
         before = staggered[:, replica, ..., 1:-1].copy()
         place_free_spins(staggered, replica, spins)
         if self.height in self.spin_axes:
@@ -116,6 +119,8 @@ class OfNetwork(Unknowns):
         """Take a bearing, of which all contacts have to be in use. unit : speed that is counted as one, of u = radius *
         spin.
         inertia : moment of inertia over radius squared of each sphere, (N,).
+
+        Letters: N spheres.
         """
         network, contact = bearing.network, bearing.acting
         each = np.arange(network.spheres * network.components).reshape(network.spheres, -1)
@@ -139,12 +144,12 @@ class OfNetwork(Unknowns):
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
         """Return the unknowns (R, unknowns): u of each free sphere and component, times the root of its relative
-        inertia."""
+        inertia. Letters: R samples."""
         return np.asarray(self.root * np.moveaxis(staggered, 1, 0)[:, self.component, self.sphere])
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
         """Write the unknowns `spins` (unknowns,) of sample number `replica`, divided by the roots of the inertia, into
-        spins (C, R, N)."""
+        spins (C, R, N). Letters: C spin components, R samples, N spheres."""
         staggered[self.component, replica, self.sphere] = spins / self.root
 
 
@@ -176,7 +181,8 @@ class ProximalSteps:
         self._slowness = inertia * unit / (scene.slip_radius * self._force_unit)
 
     def step(self, staggered: np.ndarray, duration: float) -> Step:
-        """Return the step of length `duration` (time) that begins at the spins `staggered` (C, R, *N)."""
+        """Return the step of length `duration` (time) that begins at the spins `staggered` (C, R, *N). Letters: C spin
+        components, R samples, N the shape of the lattice."""
         scene = self.scene
         after = staggered.copy()
         force = np.zeros((self.unknowns.rows, *scene.coefficient.shape))
@@ -205,6 +211,8 @@ class ProximalSteps:
 
         friction, viscosity : (n,), in the units of the step; no viscosity: None.
         inertia : its origin is the spins before the step.
+
+        Letters: n contacts.
         """
         spins = inertia.origin
         slip = length(self._system.differences(spins))

@@ -138,7 +138,8 @@ class Resolved:
 
     @property
     def whole_dual(self) -> np.ndarray:
-        """(d, n), minus the force of every contact, with its viscous part."""
+        """(d, n), minus the force of every contact, with its viscous part. Letters: n contacts with up to d slip
+        components."""
         return whole_dual(self.dual, self.viscosity, self.difference)
 
 
@@ -312,6 +313,8 @@ def _with_slipless_forces(
         None.
     near : for each sample minus the forces (d, n) near which those of the slipless contacts are looked for.
     shared : what all samples share.
+
+    Letters: n contacts with up to d slip components.
     """
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
@@ -431,7 +434,8 @@ class _SmoothPower:
 
     @property
     def dual(self) -> np.ndarray:
-        """(d, kept), minus the friction forces: all friction of each contact left, along its slip."""
+        """(d, kept), minus the friction forces: all friction of each contact left, along its slip. Letters: d slip
+        components."""
         return -self.friction * self.difference / length(self.difference)
 
     def resolved(self, top: Pair | None) -> list[Resolved | None]:
@@ -461,6 +465,8 @@ class _SmoothPower:
 
         spins : (samples * unknowns,), before tying. rests : for each sample (unknowns,) what its spins lack, or None.
         difference, dual : (d, kept), slips and minus the friction forces of the contacts left.
+
+        Letters: d slip components.
         """
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
         at_limit = [np.zeros_like(mask) for mask in self.slipping]

@@ -52,6 +52,8 @@ def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.n
     """Return the slips (d, A) of the contacts along their tangents, computed in sums of two doubles.
 
     system, packing : the A contacts, and the spheres whose contacts they are. spins : (unknowns,), u, length/time.
+
+    Letters: d slip components.
     """
     network = system.network
     first, second = network.contact[:, system.contact]

@@ -144,19 +144,22 @@ class ContactRows:
         self._starts[key][0]()
 
     def put(self, row: int, sample: int, values: np.ndarray) -> None:
-        """Write numbers (n,) of one sample into row `row`, or vectors (d, n) into the d rows from there on."""
+        """Write numbers (n,) of one sample into row `row`, or vectors (d, n) into the d rows from there on. Letters: n
+        contacts with up to d slip components."""
         self.values[row : row + (len(values) if values.ndim == 2 else 1), self._at, sample] = values
 
     def numbers(self, row: int, sample: int) -> np.ndarray:
-        """Return the numbers (n,) of one sample in a row."""
+        """Return the numbers (n,) of one sample in a row. Letters: n contacts."""
         return self.values[row, self._at, sample]
 
     def vectors(self, row: int, sample: int, count: int) -> np.ndarray:
-        """Return vectors (count, n) of one sample: the components that stand in `count` rows from `row` on."""
+        """Return vectors (count, n) of one sample: the components that stand in `count` rows from `row` on. Letters: n
+        contacts."""
         return self.values[row : row + count, :, sample].take(self._at, axis=1)
 
     def two(self, row: int) -> np.ndarray:
-        """Return a view (2*contacts, S) of rows `row` and `row + 1`: the two components of a vector on each contact."""
+        """Return a view (2*contacts, S) of rows `row` and `row + 1`: the two components of a vector on each contact.
+        Letters: S samples."""
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)
 
 

@@ -19,7 +19,7 @@ from taichi_bearings.conic.cones import determinant, inner, isotropic, length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 
-LEFT_TORQUE = 1e-10  # torque over the mean friction that may be left
+LEFT_TORQUE = 1e-10  # torque over the mean friction that may be left: some 1e6 roundings of a force
 # least room over the sum of all torques left; no force has to change by more than that sum to balance them
 MARGIN_PER_TORQUE = 10.0
 # for contacts at their limit, over the friction: room that they are given where forces are balanced, and how far below
@@ -27,7 +27,7 @@ MARGIN_PER_TORQUE = 10.0
 ROOM_AT_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-9
 NOISE_ACROSS = 5e-5  # component of a force at its limit, over the other, that may be noise: above HELD_AT_LIMIT ** 0.5
 # number of balances; share of the way to the first limit that all but the last go; share of the whole way below which
-# it is given up
+# it is given up (found by trial; if no forces are found, the caller tries other states)
 MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
 MOST_CUTS = 60  # number of times that forces are cut to their limits and balanced again, after the last balance
 BALANCED_TORQUE = 1e-14  # torque over the mean friction that needs no further cut
@@ -53,6 +53,8 @@ def nearly_borne(
     heads : for each sample a mask (unknowns,) of one spin of each set of tied spins without a driven plane.
     returns : minus the forces (d, samples * n), all in balance; mask (samples,) of the samples in which forces inside
         all friction discs are found.
+
+    Letters: n contacts with up to d slip components.
     """
     samples, side = len(heads), _side_by_side(dual, len(heads))
     limit = _side_by_side(np.where(at_limit, friction, np.inf), samples) if at_limit.any() else None
@@ -105,6 +107,8 @@ def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
     along one component, the other one is set to 0, as it is noise that falls like the root of the margin.
 
     limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
+
+    Letters: n contacts with up to d slip components.
     """
     along = np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)
     return np.where(along | ~_at_limit(dual, limit), dual, 0.0)
@@ -115,6 +119,8 @@ def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
     it.
 
     dual : (d, n, samples). limit : (n, samples), infinite for contacts that are not at their limit.
+
+    Letters: n contacts with up to d slip components.
     """
     return np.sqrt((dual**2).sum(axis=0)) > (1 - HELD_AT_LIMIT) * limit
 
@@ -127,6 +133,8 @@ def _balanced(
     system, matrix : contacts of one sample, and their matrix with the stiffnesses of the springs, factorised.
     side : minus the forces (d, n, samples). springs : (n, samples), their stiffnesses.
     going : (samples,) mask of samples to change.
+
+    Letters: n contacts with up to d slip components.
     """
     torques = system.torques(side)
     nearer = side - springs * system.change(matrix.solve(torques))
@@ -141,10 +149,10 @@ def _cut_and_balanced(
     limit: np.ndarray,
     going: np.ndarray,
 ) -> np.ndarray:
-    """Return the dual (d, n, samples) with no force beyond its limit: forces are cut to their limit and balanced in
+    """Return minus the forces (d, n, samples), none beyond its limit: forces are cut to their limit and balanced in
     turn, as long as that reduces the torques. The arguments are those of :func:`_balanced`.
 
-    limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
+    limit : (n, samples), friction of the n contacts that may rest at their limit, infinite for others.
     """
     last = np.full(len(going), np.inf)
     for _ in range(MOST_CUTS):
@@ -158,8 +166,8 @@ def _cut_and_balanced(
 
 
 def _cut(dual: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
-    """Return the dual (d, n, samples) with forces at or beyond their limit (n, samples) set to exactly that size.
-    `limit` None means that no contact rests at its limit; then nothing changes."""
+    """Return minus the forces `dual` (d, n, samples), with those at or beyond their limit (n, samples) set to exactly
+    that size. `limit` None means that no contact rests at its limit; then nothing changes."""
     if limit is None:
         return dual
     size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
@@ -172,6 +180,8 @@ def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.n
 
     friction : (samples * n,). here, there : minus the forces (d, samples * n).
     free : (samples * n,) mask of contacts that are not looked at. samples : their number.
+
+    Letters: n contacts with up to d slip components.
     """
     change = there - here
     square, slope, room = inner(change, change), inner(here, change), determinant((friction, here))
@@ -185,6 +195,8 @@ def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torque
 
     friction, slipping : (samples * n,). dual : (d, samples * n), minus the forces. torques : (unknowns, samples), those
         left, also on spins that were held. The mask `slipping` marks contacts that need no room.
+
+    Letters: n contacts with up to d slip components.
     """
     left = np.abs(torques).T.copy()
     total, samples = MARGIN_PER_TORQUE * left.sum(axis=1), len(left)
@@ -194,10 +206,12 @@ def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torque
 
 
 def _side_by_side(values: np.ndarray, samples: int) -> np.ndarray:
-    """Return an array (..., n, samples) from values (..., samples * n) of samples one after the other."""
+    """Return an array (..., n, samples) from values (..., samples * n) of samples one after the other. Letters: n
+    contacts."""
     return np.ascontiguousarray(np.swapaxes(values.reshape(*values.shape[:-1], samples, -1), -2, -1))
 
 
 def _one_by_one(values: np.ndarray) -> np.ndarray:
-    """Return an array (..., samples * n) from values (..., n, samples): the inverse of :func:`_side_by_side`."""
+    """Return an array (..., samples * n) from values (..., n, samples): the inverse of :func:`_side_by_side`. Letters:
+    n contacts."""
     return np.swapaxes(values, -2, -1).reshape(*values.shape[:-2], -1)

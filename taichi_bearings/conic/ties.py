@@ -20,7 +20,8 @@ from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 
-MOST_BLOCK_UNKNOWNS = 600  # most unknowns of a block that is searched for motions which turn no slip
+# Limits of a search in doubles that proves nothing: what lies beyond them is not found, or taken to be tied.
+MOST_BLOCK_UNKNOWNS = 600  # most unknowns of a block that is searched for motions which turn no slip (dense, n^3)
 NOISE_SHARE = 2e-3  # component of a force at its limit, over the other one, that may be noise
 LEAST_TURN = 1e-9  # change of the direction of a unit slip, per unit of motion, that counts as none
 LEAST_MOVE = 1e-7  # change of a slip over the largest of its motion, and share left of a slip, that count as 0
@@ -43,6 +44,8 @@ def tied_contacts(
     system : the contacts. order : order in which its unknowns are eliminated.
     friction : (n,). difference, dual : (d, n), slips and minus the friction forces at one minimum.
     slipping, at_limit : (n,) masks of contacts that slip there, and that bear all their friction and yet do not slip.
+
+    Letters: n contacts with up to d slip components.
     """
     ties = np.zeros(len(friction), dtype=bool)
     if len(np.unique(friction)) == len(friction):
@@ -68,8 +71,8 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
     tied : the contacts that slip or are at their limit, over the sets of spins that the other contacts tie together.
     difference : (d, contacts), slips, or directions in which contacts can begin to slip.
 
-    A slip with one component has one line to move on. Of one with two components the change across the slip has to be
-    0, one equation each. Blocks of more than MOST_BLOCK_UNKNOWNS unknowns are left out.
+    A slip with one component keeps its direction anyhow. For one with two components the change across the slip has to
+    be 0, one equation each. Blocks of more than MOST_BLOCK_UNKNOWNS unknowns that equations join are left out.
     """
     unknowns, count = tied.unknowns, difference.shape[1]
     conditions = sparse.csr_array((0, unknowns))
@@ -140,6 +143,8 @@ def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     which k of these bounds are equalities and the others hold.
 
     first : (n,), slips. rates : (n, k), their changes by k motions.
+
+    Letters: n contacts.
     """
     box, motions = np.eye(rates.shape[1]), rates.shape[1]
     bounds, offsets = np.vstack([rates, box, -box]), np.append(first, np.full(2 * motions, LONGEST_MOTION))

@@ -88,10 +88,11 @@ class Lists:
         return np.concatenate([self.size, one, [self.numbers_row], self.ends, self.start, self.incident])
 
     def parts(self, spec: ListSpec) -> list[tuple[FieldSpec, Rows]]:
-        """Return pairs of fields and the place of their rows in the first copy: the fields of spheres (C, 1, N), those
-        of contacts (C, 1, E), and "numbers", the constants of kernels (C, 1).
+        """Return for each kind of fields its spec and the place of its rows in memory, in the first copy of the
+        network: fields of spheres (C, 1, N), of contacts (C, 1, E), and "numbers", the constants of kernels (C, 1). C
+        is the number of components.
 
-        spec : fields of spheres, and fields of contacts: names and numbers of components C.
+        spec : fields of spheres, and fields of contacts: names and numbers of components.
         """
         rows = [
             Rows(length, 0, (1, len(order)), order)

@@ -130,19 +130,19 @@ class Lattice:
 
     def by_axis(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return values (..., E) on the contacts as a tuple of arrays (..., *contacts), one for each axis; these are
-        views."""
+        views. Letters: E contacts."""
         head = values.shape[:-1]
         return tuple(values[..., span].reshape(*head, *self.contact_shape(a)) for a, span in enumerate(self.spans))
 
     def flat(self, parts: Sequence[np.ndarray]) -> np.ndarray:
         """Return values (..., E) on the contacts, from one array (..., *contacts) for each axis: the inverse of
-        :meth:`by_axis`."""
+        :meth:`by_axis`. Letters: E contacts."""
         head = parts[0].shape[: parts[0].ndim - self.dimension]
         return np.concatenate([part.reshape(*head, -1) for part in parts], axis=-1)
 
     @cached_property
     def axis(self) -> np.ndarray:
-        """(E,) axis along which each contact lies."""
+        """(E,) axis along which each contact lies. Letters: E contacts."""
         return np.repeat(np.arange(self.dimension), [span.stop - span.start for span in self.spans])
 
     def along(self, axis: int) -> tuple[Index, Index]:
@@ -158,14 +158,15 @@ class Lattice:
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """(2, E) lower and upper sphere of each contact, as numbers in C order."""
+        """(2, E) lower and upper sphere of each contact, as numbers in C order. Letters: E contacts."""
         sphere = np.arange(self.sites).reshape(self.shape)
         pairs = [[sphere[end] for end in self.along(axis)] for axis in range(self.dimension)]
         return np.stack([self.flat(end) for end in zip(*pairs, strict=True)])
 
     @cached_property
     def column(self) -> np.ndarray:
-        """(E,) number, in C order, of the sphere of the top plane above the upper end of each contact."""
+        """(E,) number, in C order, of the sphere of the top plane above the upper end of each contact. Letters: E
+        contacts."""
         return self.ends[1] // self.shape[-1]
 
     def across(self, component: int) -> "Lattice":
@@ -177,7 +178,7 @@ class Lattice:
 
     def tangential_mask(self, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return (C, E) True for the spin components that make a contact slip: all but the one along it. spin_axes :
-        axes of the C components."""
+        axes of the C components. Letters: E contacts."""
         return np.array(spin_axes)[:, None] != self.axis
 
     @cached_property
@@ -187,7 +188,7 @@ class Lattice:
 
     @cached_property
     def lower_parity(self) -> np.ndarray:
-        """(E,) s = +1 or -1 of the lower sphere of each contact."""
+        """(E,) s = +1 or -1 of the lower sphere of each contact. Letters: E contacts."""
         return self.parity.ravel()[self.ends[0]]
 
     @cached_property
@@ -204,7 +205,8 @@ class Lattice:
 
     @cached_property
     def between_driven(self) -> np.ndarray:
-        """(E,) True for the contacts that join two driven spheres: they never slip and are left out of every sum."""
+        """(E,) True for the contacts that join two driven spheres: they never slip and are left out of every sum.
+        Letters: E contacts."""
         return self.is_driven.ravel()[self.ends].all(axis=0)
 
     @cached_property
@@ -244,8 +246,8 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
 
 
 def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, ...]:
-    """Return friction (..., E, 3), in 2D (..., E), as one array for each axis: (..., *contacts, 3) or (...,
-    *contacts)."""
+    """Return friction (..., E, 3), in 2D (..., E), as one array for each axis: (..., *contacts, 3) or (..., *contacts).
+    Letters: E contacts."""
     if lattice.dimension == 2:
         return lattice.by_axis(friction)
     parts = zip(*map(lattice.by_axis, np.moveaxis(friction, -1, 0)), strict=True)
@@ -258,6 +260,8 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
 
     friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact. spin_axes : the C spin components that are
         wanted.
+
+    Letters: R samples, E contacts.
     """
     if lattice.dimension == 2:
         return -lattice.lower_parity * friction[None]

@@ -18,6 +18,8 @@ def difference(field: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
     *contacts).
 
     field : (..., *N), its last axes are those of the lattice.
+
+    Letters: N the shape of the lattice.
     """
     low, high = lattice.along(axis)
     return np.asarray(field[high] - field[low])
@@ -28,6 +30,8 @@ def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) 
     transpose of :func:`difference`.
 
     total : (*N) or more axes before, changed in place. force : shaped as the contacts along the axis.
+
+    Letters: N the shape of the lattice.
     """
     low, high = lattice.along(axis)
     total[low] += force
@@ -39,6 +43,8 @@ def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tupl
     contact. The radius times its length over C is the slip speed (paper Eq. 2).
 
     staggered : (C, R, *N), spins by component, sample and sphere. spin_axes : axes of the C components.
+
+    Letters: R samples, N the shape of the lattice, E contacts.
     """
     found = np.zeros((*staggered.shape[: staggered.ndim - lattice.dimension], lattice.all_contacts))
     for axis, across in enumerate(lattice.by_axis(found)):
@@ -52,6 +58,8 @@ def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> 
     """Return the sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
 
     force : (C, R, E), forces along the spin difference of the contact. spin_axes : axes of the C spin components.
+
+    Letters: R samples, N the shape of the lattice, E contacts.
     """
     total = np.zeros((*force.shape[:-1], *lattice.shape))
     for axis, vectors in enumerate(lattice.by_axis(force)):
@@ -65,6 +73,8 @@ def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...
     *N).
 
     coefficient : (R, E), such as the friction of each contact. spin_axes : axes of the C spin components.
+
+    Letters: R samples, N the shape of the lattice, E contacts.
     """
     total = np.zeros((len(spin_axes), len(coefficient), *lattice.shape))
     for axis, values in enumerate(lattice.by_axis(coefficient)):

@@ -91,12 +91,15 @@ class Layout:
 
     def parts(self, spec: object) -> list[tuple[Any, Rows]]:
         """Return pairs of fields and the place of their rows in memory. Here all fields have the shape (C, R, *N), so
-        there is one pair. spec : names and numbers of components C of the fields."""
+        there is one pair. spec : names and numbers of components C of the fields.
+
+        Letters: R samples, N the shape of the lattice.
+        """
         return [(spec, Rows(self.length, self.margin, (self.replicas, *self.shape)))]
 
     def at_lower_sphere(self, contacts: np.ndarray) -> np.ndarray:
         """Return values by contact (R, E) as (D, R, *N), D axes: each contact at its lower sphere, 0 where there is
-        none."""
+        none. Letters: R samples, N the shape of the lattice, E contacts."""
         full = np.zeros((len(self.shape), self.replicas, *self.shape))
         for axis, values in enumerate(self.lattice.by_axis(contacts)):
             self.from_lower_sphere(full[axis], axis)[...] = values
@@ -104,5 +107,5 @@ class Layout:
 
     def from_lower_sphere(self, full: np.ndarray, axis: int) -> np.ndarray:
         """Return the part (..., R, *contacts) of values (..., R, *N) at lower spheres that belongs to contacts along an
-        axis."""
+        axis. Letters: R samples, N the shape of the lattice."""
         return np.asarray(full[(Ellipsis,) + tuple(map(slice, self.lattice.contact_shape(axis)))])

@@ -66,7 +66,7 @@ class Motions:
 
     @property
     def number_is_certain(self) -> bool:
-        """True where the number of motions is certain: their slips and all pivots are clear of rounding."""
+        """True if the number of motions is certain: their slips and all pivots are clear of rounding."""
         return self.decided and self.smallest_kept > SURELY_ONE
 
     @property

@@ -75,5 +75,5 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
 
 
 def unknowns(region: Region) -> float:
-    """Return the number of unknowns in a region."""
+    """Return the number of unknowns in a region, which has a box of spheres for each spin component."""
     return float(sum(np.prod([b - a for a, b in zip(*box, strict=True)]) for box in region.values()))

@@ -56,11 +56,12 @@ def equal_paths(
 def _steps_in_doubt(
     inner: np.ndarray, upward: np.ndarray, unit: np.ndarray, path: ShortestPaths
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Return the steps on walks from left to right outside that are longer than the path by less than a unit a contact:
-    only those can be as light. A step crosses one contact in one direction.
+    """Return the steps on walks from the left to the right outside that are longer than the path by less than a unit a
+    contact: only those can be as light. A step crosses one contact in one direction.
 
-    inner, upward : weights (B, w - 1, h - 2) and (B, w, h - 1) of the contacts of B grids. unit : (B,) unit to which
-        they were rounded down for `path`, the shortest paths.
+    inner, upward : weights of the contacts of B grids of w columns and h rows: along rows, without the end rows, (B, w
+        - 1, h - 2); between rows, (B, w, h - 1).
+    unit : (B,) unit to which they were rounded down for `path`, the shortest paths.
     returns : contact (steps,); faces (2, steps), the one that is left and the one that is entered; weight (steps,); and
         for each grid the numbers of its steps. Each outside is one face: the first one of the first, or last, column.
     """
