@@ -135,7 +135,7 @@ def test_bottlenecks_between_three_bodies_are_those_of_networkx(seed):
     for edge, ends in enumerate(network.body[network.ends].T):
         joined.add_edge(*ends)
         joined.edges[tuple(ends)].setdefault("own", []).append(edge)
-    for start, end in combinations([body for body in network.held if body in joined], 2):
+    for start, end in combinations([body for body in network.driven_nodes if body in joined], 2):
         for path in networkx.all_simple_edge_paths(joined, start, end):
             on_path.update(number for step in path for number in joined.edges[step]["own"])
     assert set(np.flatnonzero(found.backbone)) == on_path
