@@ -21,11 +21,10 @@ import numpy as np
 from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import ContactState, Separation, count, separate
 from taichi_bearings.scene import Solution, Status
-from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.version import VERSION
 
 if TYPE_CHECKING:
-    from taichi_bearings.scene.network import Network
+    pass
 
 
 class Asked(Protocol):
@@ -75,17 +74,32 @@ class Quantity:
     symbol: str = ""
 
 
-def _of_lattice(
-    of: Callable[[Answer], object], in_lists: Callable[[Answer], object] = lambda _: None
-) -> Callable[[Answer], object]:
-    """Return a function of an answer that calls `of` if the answer is of a lattice, and `in_lists` if it is of a
-    packing; by default a packing has no value."""
-    return lambda answer: (in_lists if answer.solution.scene.network.lattice is None else of)(answer)
+def _fact(name: str) -> Callable[[Answer], object]:
+    """Return a function of an answer that gives a number that describes what was solved, None where there is none.
+
+    name : of the number in `Bearing.facts`.
+    """
+    return lambda answer: answer.solution.scene.facts.get(name)
 
 
-def _in_lists(of: Callable[["Network"], int]) -> Callable[[Answer], object]:
-    """Return a function of an answer that calls `of` with the network of a packing; for a lattice it returns None."""
-    return _of_lattice(lambda _: None, lambda answer: of(answer.solution.scene.network))
+def _of_unique_slips(of: Callable[[Answer], object]) -> Callable[[Answer], object]:
+    """Return a function of an answer that calls `of` where the slips of the minimum are unique; elsewhere, in packings,
+    it gives no value."""
+    return lambda answer: of(answer) if answer.solution.scene.driving.slips_are_unique else None
+
+
+def _shape(answer: Answer) -> object:
+    """Return the number of spheres along each axis of a lattice, None for other packings."""
+    shape = answer.solution.scene.facts.get("shape")
+    return None if shape is None else Whole(shape)
+
+
+def _iterations(answer: Answer) -> object:
+    """Return the iterations of the method: one number if all samples were stepped together, else one for each."""
+    solution = answer.solution
+    if solution.scene.driving.samples_step_together:
+        return solution.iterations
+    return solution.own.get("iterations", solution.iterations)
 
 
 def _contacts(solution: Solution) -> int | np.ndarray:
@@ -108,11 +122,12 @@ def _decades(answer: Answer) -> np.ndarray:
     return np.where(answer.solution.gap <= answer.asked.tolerance, _separation(answer).decades, np.nan)
 
 
-def _normalised(solution: Solution) -> np.ndarray | None:
-    """Return the power over F_n R |omega_T| of a lattice, (R,); None where that is 0, or with a viscosity."""
-    scene = of_lattice(solution.scene)
-    unit = scene.normal_force * scene.lattice.radius * abs(scene.imposed[0])
-    return solution.power / unit if scene.law.is_rate_independent and unit > 0 else None
+def _normalised(answer: Answer) -> np.ndarray | None:
+    """Return the power over F_n R |omega_T| of a lattice, (R,); None where that is 0, with a viscosity, and for other
+    packings."""
+    facts, solution = answer.solution.scene.facts, answer.solution
+    unit = facts["normal_force"] * facts["radius"] * abs(facts["spin_top"]) if "spin_top" in facts else 0.0
+    return solution.power / unit if solution.scene.law.is_rate_independent and unit > 0 else None
 
 
 def _at_end(column: str) -> Callable[[Answer], object]:
@@ -201,14 +216,13 @@ SAMPLES = _named(
         Quantity("method", "1", "method that solved the sample", lambda a: a.solution.method),
         Quantity("law", "1", "contact law", lambda a: a.solution.scene.law.name),
         Quantity("shape", "1", "spheres along each axis, height last",
-                 _of_lattice(lambda a: Whole(a.solution.scene.network.shape))),
-        Quantity("spheres", "1", "spheres of a packing", _in_lists(lambda network: network.spheres)),
+                 _shape),
+        Quantity("spheres", "1", "spheres of a packing", _fact("spheres")),
         Quantity("driven_spheres", "1", "driven spheres of a packing",
-                 _in_lists(lambda network: int((~network.free).sum()))),
+                 _fact("driven_spheres")),
         Quantity("seed", "1", "seed from which the coefficients are drawn", lambda a: list(a.solution.scene.seeds)),
         Quantity("iterations", "1", "iterations of the method",
-                 _of_lattice(lambda a: a.solution.iterations,
-                             lambda a: a.solution.own.get("iterations", a.solution.iterations))),
+                 _iterations),
         Quantity("seconds", "s", "wall time of the solve, without compilation; an equal share for seeds solved"
                  " together",
                  lambda a: a.solution.seconds, r"t_\mathrm{solve}"),
@@ -231,27 +245,27 @@ SAMPLES = _named(
         Quantity("unproven", "1", "contacts whose state is not proven",
                  lambda a: a.solution.unproven),
         Quantity("largest_slipless_slip", "length/time", "largest slip of a slipless contact",
-                 _of_lattice(lambda a: _separation(a).largest_slipless)),
+                 _of_unique_slips(lambda a: _separation(a).largest_slipless)),
         Quantity("smallest_slipping_slip", "length/time", "smallest slip of a slipping contact",
-                 _of_lattice(lambda a: _separation(a).smallest_slipping)),
+                 _of_unique_slips(lambda a: _separation(a).smallest_slipping)),
         Quantity("separation_decades", "1", "orders of magnitude from the largest slipless to the smallest slipping"
                  " slip",
-                 _of_lattice(_decades)),
+                 _of_unique_slips(_decades)),
         Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
         Quantity("largest_balance_residual", "force*length", "largest component of the torque out of balance on"
                  " a free sphere; for packings divided by its radius",
                  lambda a: a.solution.largest_balance_residual),
         Quantity("spin_top", "1/time", "spin of the top plane",
-                 _of_lattice(lambda a: of_lattice(a.solution.scene).imposed[0]), r"\omega_T"),
+                 _fact("spin_top"), r"\omega_T"),
         Quantity("spin_bottom", "1/time", "spin of the bottom plane",
-                 _of_lattice(lambda a: of_lattice(a.solution.scene).imposed[1]), r"\omega_B"),
+                 _fact("spin_bottom"), r"\omega_B"),
         Quantity("normal_force", "force", "normal force at every contact",
-                 _of_lattice(lambda a: a.solution.scene.normal_force), "F_n"),
-        Quantity("radius", "length", "radius of the spheres", _of_lattice(lambda a: a.solution.scene.slip_radius), "R"),
+                 _fact("normal_force"), "F_n"),
+        Quantity("radius", "length", "radius of the spheres", _fact("radius"), "R"),
         Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force radius |spin_top|)",
-                 _of_lattice(lambda a: _normalised(a.solution)), r"P\,/\,(F_n R\,\omega_T)"),
+                 _normalised, r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1", "true: proven that no other slips have the least power; false: proven that"
                  " others do",
                  lambda a: a.solution.minimum_is_unique),

@@ -95,12 +95,14 @@ SLICES = {"proof.slices", "proof.on_lattice", "scene.interface", "scene.network"
 """Modules that work on the slices of a lattice: its network, its lightest cuts, and two of the proofs."""
 FILES_AND_FIGURES = {"export", "files", "kernels", "lattice", "numerics", "plots", "view"}
 """Floors whose arrays or pictures have the shape of a lattice, or that work on its strides."""
-LATTICES_ASKED_FOR = SLICES | {
-    "analysis.domains", "analysis.slipless_network", "analysis.structure", "quantities", "runs.analysis",
-    "runs.caveats", "runs.cost", "runs.figures", "runs.points_and_lines", "runs.result", "runs.run", "runs.run_layout",
-    "runs.settings", "runs.stored_structure", "runs.structure_report", "runs.verify", "runs.writing",
-    "scans.estimate", "scans.histogram", "scans.sample", "scans.scan", "scans.stored_scans", "scene.solution",
-    "solvers.answer", "solvers.cundall_strack", "solvers.drive", "solvers.method", "solvers.on_lists",
+FILES_OF_RUNS = {
+    "runs.points_and_lines", "runs.run_layout", "runs.stored_structure", "runs.structure_report", "runs.writing",
+}  # fmt: skip
+"""Modules that write or read arrays in files, in which those of a lattice have its shape or are split by axis."""
+LATTICES_ASKED_FOR = SLICES | FILES_OF_RUNS | {
+    "analysis.domains", "analysis.slipless_network", "analysis.structure", "runs.caveats", "runs.cost", "runs.result",
+    "runs.run", "runs.settings", "runs.verify", "scans.estimate", "scans.histogram", "scans.sample", "scans.scan",
+    "scans.stored_scans", "solvers.cundall_strack", "solvers.drive", "solvers.method", "solvers.on_lists",
     "solvers.on_strides",
 }  # fmt: skip
 """Modules that ask whether what is solved is a lattice, or take it for one."""

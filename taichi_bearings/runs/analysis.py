@@ -101,7 +101,7 @@ class Analysis:
                 self.structure = structure
             numbers.append(structure.numbers)
             self.arrays.append(findings_of(structure))
-        found_by = None if result.scene.network.lattice is None else solution.slip_threshold
+        found_by = solution.slip_threshold if result.scene.driving.slips_are_unique else None
         proven = "proven" if np.all(result.numbers["states_proven"]) else "decided"
         self.report: Json = {
             **together(numbers),

@@ -52,10 +52,7 @@ def draw_figure(
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):
         raise InputError(f"replica is {sample}; the run has {len(solution.state)} replicas, counted from 0")
-    if (lattice := solution.scene.network.lattice) is not None:
-        _check_page(kind, lattice.shape, page)
-    elif page.planes:
-        raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
+    _check_page(kind, solution.scene.network.shape, page)
     if time is not None:
         return draw_snapshot(solution, sample, time, slip_threshold, page)
     if kind in OF_STRUCTURES:
@@ -64,10 +61,14 @@ def draw_figure(
 
 
 def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
-    """Raise InputError if the page asks for planes or a view that the figure `kind` of a lattice does not have.
+    """Raise InputError if the page asks for planes or a view that the figure `kind` does not have.
 
-    shape : spheres along each axis of the lattice.
+    shape : spheres along each axis of a lattice; one number for another packing, which has no planes.
     """
+    if len(shape) == 1:
+        if page.planes:
+            raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
+        return
     if page.planes and kind not in WITH_PLANES:
         raise InputError(f"plane is given, but {kind} shows no planes; these do: {', '.join(WITH_PLANES)}")
     if page.view and kind not in WITH_VIEW:
@@ -96,7 +97,7 @@ def draw_snapshot(
     moment = moment_of(structure, structure.snapshots[nearest], slip_threshold)
     threshold = moment.threshold or 0.0
     title, note = f"{describe(moment.scene)}, $t = {mathematics(at)}$", ""
-    if moment.scene.network.lattice is not None:
+    if moment.scene.natural_spin is not None:
         unit, symbol = driving(moment.scene)
         title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$"
         fastest = moment.fastest

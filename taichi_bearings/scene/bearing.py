@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from taichi_bearings.numerics.double_double import Pair
+from taichi_bearings.plain_files import Json
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.law import Coefficients, Law
@@ -70,6 +71,13 @@ class Bearing(ABC):
 
         They come in the order of the law and in the units of users: friction is a pure number, damping is force *
         time/length.
+        """
+
+    @property
+    @abstractmethod
+    def facts(self) -> Json:
+        """Numbers that say in tables and summaries what is solved, by name: the shape of a lattice, its imposed spins,
+        normal force and radius, or how many spheres another packing has.
         """
 
     @abstractmethod

@@ -58,6 +58,8 @@ class Driving:
     """
 
     driven_contacts_slip = True  # whether contacts between driven spheres may slip
+    slips_are_unique = False  # whether a contact that slips at every minimum has the same slip at all of them
+    samples_step_together = False  # whether methods step all samples as one, with one count of iterations
 
     def __init__(self, network: "Network", spin: np.ndarray, contact: np.ndarray) -> None:
         """Store what is imposed on a network.
@@ -340,6 +342,7 @@ class Planes(Driving):
     """
 
     driven_contacts_slip = False
+    slips_are_unique = samples_step_together = True
 
     def __init__(
         self,

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.numerics.double_double import Pair, divide, exactly
 from taichi_bearings.options import SEED, SHAPE, finite_number
-from taichi_bearings.plain_files import writing
+from taichi_bearings.plain_files import Json, writing
 from taichi_bearings.read_only import read_only
 from taichi_bearings.scene import checks, geometry
 from taichi_bearings.scene.array_files import read_arrays
@@ -185,6 +185,11 @@ class Packing(Bearing):
     def contacts(self) -> int:
         """Number E of contacts."""
         return len(self.contact)
+
+    @property
+    def facts(self) -> Json:
+        """Numbers of spheres and of driven spheres, by name."""
+        return {"spheres": self.spheres, "driven_spheres": int((~self.network.free).sum())}
 
     @cached_property
     def network(self) -> Network:

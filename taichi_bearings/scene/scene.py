@@ -15,6 +15,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import AXIS_NAMES, MOST_SITES, axis_numbers
 from taichi_bearings.options import COUNT, SEED, SHAPE, finite_number
+from taichi_bearings.plain_files import Json
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.bearing import vector_length as vector_length
@@ -352,6 +353,13 @@ class Scene(Bearing):
         planes.
         """
         return self.driving.sides
+
+    @property
+    def facts(self) -> Json:
+        """Shape, imposed spins, normal force and radius, by name."""
+        top, bottom = self.imposed
+        given = {"normal_force": self.normal_force, "radius": self.slip_radius}
+        return {"shape": self.lattice.shape, "spin_top": top, "spin_bottom": bottom, **given}
 
     def with_top(self, strength: float) -> "Scene":
         """Return a copy whose top has its spin, or its bearing state, multiplied by `strength`."""

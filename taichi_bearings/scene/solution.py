@@ -293,7 +293,7 @@ class Solution:
         It is never True for packings: contacts that slip at every minimum may do so at several speeds there.
         """
         tied = (self.state == ContactState.TIED).any(axis=1)
-        proven = self.states_proven & (self.scene.network.lattice is not None)
+        proven = self.states_proven & self.scene.driving.slips_are_unique
         return [False if ties else True if known else None for ties, known in zip(tied, proven, strict=True)]
 
     def sample(self, number: int) -> "Solution":

@@ -21,8 +21,8 @@ from taichi_bearings.proof.contact_state import (
     unresolved,
 )
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.scene import Progress, Scene, Solution, Status
-from taichi_bearings.scene.scene import of_lattice, vector_length
+from taichi_bearings.scene import Bearing, Progress, Scene, Solution, Status
+from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.without_slip import without_slip
 
@@ -97,7 +97,7 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
     """
     if not other.lower_bound[0] > answer.lower_bound[0]:
         return answer
-    judgement = judged(of_lattice(answer.scene), answer.spin, answer.spin_rounding, other.friction)
+    judgement = judged(answer.scene, answer.spin, answer.spin_rounding, other.friction)
     if judgement is None:
         return answer
     return replace(
@@ -204,7 +204,7 @@ def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> 
     )
 
 
-def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
+def judged(scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
     """Return what spins and friction prove by themselves, whatever the method believes; None for numbers that no
     arithmetic can judge.
 

@@ -121,7 +121,7 @@ def solve(
     if method.options.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
     asked = _Asked(stop or StopRule(), monitors, slip_threshold, recording or Recording())
-    if scene.network.lattice is not None or scene.replicas == 1:
+    if scene.driving.samples_step_together or scene.replicas == 1:
         return _solved([_Sample(scene, method, spin, checkpoints)], asked)[0]
     return _apart(scene, method, spin, checkpoints, asked)
 
