@@ -48,7 +48,7 @@ from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.loops import FrictionBounds, Piece, block_norms, tangent_rows, weighted_lengths
 from taichi_bearings.proof.resting import known_friction
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor
-from taichi_bearings.proof.springs import slip_rows
+from taichi_bearings.proof.springs import numbered, slip_rows
 
 # Choices of which R to try. Nothing that is proven depends on them, as any R is valid.
 FORCES_AT_ONCE = 64  # other contacts for whose loads R is computed at once
@@ -61,21 +61,22 @@ YIELDING, CARRYING_STEPS = -1e-13, 3  # minus what is added to the diagonal, to 
 def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """Return the mask (E,) of contacts that are proven to rest at every minimum, in a packing with oblique normals.
 
-    bounds : the network, its friction balanced by springs, and these springs.
+    bounds : the network, its friction balanced by springs, and which components of spins these hold.
     far : (E,), bound on |slip at any minimum - given slip|; infinite where none is known.
     """
-    network, springs = bounds.network, bounds.springs
+    network, unknown = bounds.network, bounds.unknown
     found = np.zeros(len(network.acts), dtype=bool)
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # normals are taken for units
-    if springs is None or not longest < UP:
+    if unknown is None or not longest < UP:
         return found
     known, off = known_friction(bounds, far)
     rests = network.counts & ~known & ((network.holding - length(bounds.friction)).lower() > 0)
     # Contacts that can roll exactly are sought among those with friction left. Optimal friction is at most mu F_n, and
     # with damping eta (slip + far) more.
-    exact = ExactMotions.of(network, springs.number, rests)
+    number = numbered(unknown)
+    exact = ExactMotions.of(network, number, rests)
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
-    friction_bounds = FrictionBounds(network, springs.number, exact, bounds.friction, known, off * UP, limit * UP)
+    friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
     # Step 1: contacts in loops rest where they surely bear less than their limit. Steps 2 to 5: exactly rolling
     # contacts.
     pieces_of_q = friction_bounds.split_into_pieces()
@@ -240,7 +241,7 @@ class ExactlyRolling:
         residual : (n,), bound on the torques that the correction has to take away.
         """
         network, part = self.friction_bounds.network, self.part
-        corrected = np.sqrt(np.bincount(part, residual**2)) / self.friction_bounds.exact.floor * UP
+        corrected = np.sqrt(np.bincount(part, residual**2)) / self.friction_bounds.exact.floor[0] * UP
         of_sphere = np.zeros(len(network.free), dtype=np.intp)
         of_sphere[self.friction_bounds.sphere[self.columns]] = part
         first, second = network.graph.contact[:, self.contacts]

@@ -31,6 +31,7 @@ FASTEST_COMPARED = 1e6  # surface speed over the fastest imposed one, up to whic
 PAID = 1e-10  # share of the potential that a bound proven of all spins may cost; else a restricted one is given
 LEAST_POWER = 1e-3  # share of the natural potential; springs are made for no smaller one
 DOUBLE_ERROR = 1e-12  # relative error, amply, of a quotient found in plain doubles
+OF_SAMPLES = ("upper", "lower", "excess", "worst", "proof", "largest_torque", "price")  # fields (R,) of bounds
 PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} times the fastest imposed"
 
 
@@ -48,10 +49,11 @@ class Bounds:
     proof : (R,), PROVEN, or the words that restrict `lower` to slower spins.
     largest_torque : (R,), largest torque over radius that the stored friction leaves over on a free sphere.
     price : (R,), what these torques may cost at spins within the box of imposed spins.
-    springs : the springs that took torques away, where components mix; None elsewhere, or if none could be made.
+    unknown : (n, 3) mask of the components of spins that springs hold, where components mix; None elsewhere, or if no
+        springs could be made.
     friction : F by component after springs have balanced it, where components mix; else empty.
-    alone : of several samples in which components mix, the bounds of each sample by itself; else empty. The fields
-        `springs` and `friction` are then found in these alone.
+    alone : the bounds of each sample by itself, where several samples do not go the same way; else empty. The fields
+        `unknown` and `friction` are then found in these alone.
     """
 
     network: JudgedNetwork
@@ -63,48 +65,54 @@ class Bounds:
     proof: np.ndarray
     largest_torque: np.ndarray
     price: np.ndarray
-    springs: Springs | None
+    unknown: np.ndarray | None
     friction: list[Enclosure]
     alone: tuple[Bounds, ...] = ()
 
     @classmethod
-    def joined(cls, network: JudgedNetwork, samples: list[Bounds]) -> Bounds:
-        """Return the bounds of a network of several samples, made from `samples`, those of each by itself."""
-        of_samples = ("upper", "lower", "excess", "worst", "proof", "largest_torque", "price")
-        found = {name: np.concatenate([getattr(one, name) for one in samples]) for name in of_samples}
+    def one_by_one(cls, network: JudgedNetwork) -> Bounds:
+        """Return the bounds of several samples that do not all go the same way, each found by itself."""
+        network = replace(network, rolling=None)
+        samples = [cls.of(network.some(slice(number, number + 1))) for number in range(network.count)]
+        found = {name: np.concatenate([getattr(one, name) for one in samples]) for name in OF_SAMPLES}
         size = joined([one.size for one in samples])
-        return cls(network, size=size, springs=None, friction=[], alone=tuple(samples), **found)
+        return cls(network, size=size, unknown=None, friction=[], alone=tuple(samples), **found)
+
+    def sample(self, number: int) -> Bounds:
+        """Return the bounds of the sample with this number alone."""
+        pick, count = slice(number, number + 1), self.network.count
+        own = {name: getattr(self, name)[pick] for name in OF_SAMPLES}
+        sizes = len(self.network.free) // count, len(self.network.acts) // count
+        spheres, contacts = (slice(number * size, (number + 1) * size) for size in sizes)
+        unknown = None if self.unknown is None else self.unknown[spheres]
+        friction = [part[contacts] for part in self.friction]
+        return Bounds(self.network.some(pick), size=self.size[contacts], unknown=unknown, friction=friction, **own)
 
     @classmethod
     def of(cls, network: JudgedNetwork) -> Bounds:
         """Compute the bounds of a network by theorem 1."""
-        if network.mixes and network.count > 1:  # springs are those of one sample
-            alone = [network.some(slice(number, number + 1)) for number in range(network.count)]
-            return cls.joined(network, list(map(cls.of, alone)))
-        potential, layered = network.dissipated(0.5), network.graph.layered
+        potential, layered, count = network.dissipated(0.5), network.graph.layered, network.count
         # Upper bound: any spins have a potential that is not below the least, but spins that cannot exist prove
         # nothing.
         upper = potential.upper()
         if layered:
             upper = np.where(network.motion.torn, np.inf, upper)
-        if network.mixes and upper > 0:
+        if network.mixes and count > 1 and not (upper > 0).all():
+            return cls.one_by_one(network)
+        if network.mixes and (upper > 0).all():
             network = replace(network, rolling=rolling(network))
+            if len(set(network.samples_that_mix.tolist())) > 1:  # what is left of some samples needs no springs
+                return cls.one_by_one(network)
         # Lower bound: price of the torques that the friction leaves over, within the box.
-        count, friction, springs, proof = network.count, network.own_friction, None, PROVEN
-        torques = network.own_torques
+        friction, unknown = network.own_friction, None
+        torques, proof = network.own_torques, np.full(network.count, PROVEN)
         left = np.array([_largest(network, torque) for torque in torques])
         paid = price = _price(network, torques)
-        if network.mixes and upper > 0:
-            # Without a box springs take the torques away. What rounding leaves is paid for at the largest spins of some
-            # minimum, or, where these are not known to be small, at the fastest that are compared.
-            springs = Springs.of(network, max(float(upper[0]), LEAST_POWER * float(natural(network)[0])))
-            fastest, reach = FASTEST_COMPARED * float(network.box.max(initial=0.0)), np.inf
-            if springs is not None:
-                friction, torques = springs.balanced()
-                reach = springs.reach
-            rest = float(np.sum([part.most[network.reached].sum() for part in torques])) * UP
-            proof = PROVEN if reach <= fastest or reach * rest <= PAID * upper[0] else WITHIN
-            paid = Enclosure.exact(np.array([rest * (reach if proof == PROVEN else fastest)]))
+        if network.mixes and (upper > 0).all():
+            balance = _held_by_springs(network, upper)
+            if balance is None:
+                return cls.one_by_one(network)
+            friction, torques, unknown, proof, paid = balance
         # Work of the driven spheres, less that price.
         work = -paid
         for torque, imposed in zip(torques, network.imposed, strict=True):
@@ -127,9 +135,36 @@ class Bounds:
         least = work / Enclosure.exact(worst) - cost
         lower = least.lower()
         apart = (potential - least).upper() if not layered else (upper - lower) * UP
-        words, friction = np.full(count, proof), friction if network.mixes else []
-        return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, words, left.max(axis=0), price.upper(),
-                   springs, friction)  # fmt: skip
+        return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, proof, left.max(axis=0), price.upper(),
+                   unknown, friction if network.mixes else [])  # fmt: skip
+
+
+def _held_by_springs(
+    network: JudgedNetwork, upper: np.ndarray
+) -> tuple[list[Enclosure], list[Enclosure], np.ndarray | None, np.ndarray, Enclosure] | None:
+    """Where components mix no box holds spins, and springs take the torques away. What rounding leaves is paid for at
+    the largest spins of some minimum, or, where these are not known to be small, at the fastest that are compared.
+
+    upper : (R,), potentials of the given spins.
+
+    Returns the friction and the torques after springs have balanced it, the mask (n, 3) of the components of spins that
+    springs hold, None without springs, the words for which spins the bound is proven, (R,), and the price (R,) of the
+    torques. None for several samples of which some has no springs.
+    """
+    count, springs = network.count, Springs.of(network, np.maximum(upper, LEAST_POWER * natural(network)))
+    if springs is None and count > 1:
+        return None
+    friction, torques, unknown = network.own_friction, network.own_torques, None
+    fastest, reach = FASTEST_COMPARED * float(network.box.max(initial=0.0)), np.full(count, np.inf)
+    if springs is not None:
+        friction, torques = springs.balanced()
+        reach, unknown = springs.reach, springs.number >= 0
+    every = [np.where(network.reached, part.most, 0.0).reshape(count, -1).sum(axis=1) for part in torques]
+    rest = np.sum(every, axis=0) * UP
+    with np.errstate(invalid="ignore"):
+        known = (reach <= fastest) | (reach * rest <= PAID * upper)
+    paid = Enclosure.exact(rest * np.where(known, reach, fastest))
+    return friction, torques, unknown, np.where(known, PROVEN, WITHIN), paid
 
 
 def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:

@@ -49,7 +49,7 @@ from taichi_bearings.dissection import Part
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, length
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
-from taichi_bearings.proof.rounded_elimination import EPS, Elimination
+from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
 
 MOST_SLIP_TURN = 0.25  # largest change of a slip, over its size, for which 0.72 of step 1 holds
 CURVATURE_TRIALS = 4  # number of trials, each but the first from spins that a step of Newton's method has improved
@@ -343,6 +343,7 @@ class Form:
         place: np.ndarray,
         of_rows: bool = False,
         parts: list[Part] | None = None,
+        samples: Samples | None = None,
     ) -> Form | None:
         """Scale the columns of `rows` and of `doubt`, and order the elimination; None where a column is 0 or not
         finite.
@@ -350,6 +351,7 @@ class Form:
         place : (d, n), positions of the unknowns. If `of_rows` is True: positions of the rows, and each unknown is put
             at the mean of its rows.
         parts : the parts in which unknowns are eliminated; None to find them.
+        samples : the samples of the unknowns; None for a single one.
         """
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         if not ((squares > 0) & (squares < np.inf)).all():
@@ -358,14 +360,14 @@ class Form:
         rows, doubt = (_with_values(part, part.data * inverse[part.indices]) for part in (rows, doubt))
         if of_rows:
             place = place @ _with_values(rows, rows.data**2)
-        return cls(rows, doubt, squares, Elimination.of((rows.T @ rows).tocsc(), place, parts))
+        return cls(rows, doubt, squares, Elimination.of((rows.T @ rows).tocsc(), place, parts, samples))
 
     @cached_property
     def scale(self) -> np.ndarray:
         """(n,), factors by which the scaled unknowns are multiplied to give the original ones."""
         return 1 / np.sqrt(self.squares)
 
-    def floor(self, sharp: bool = False) -> float | None:
+    def floor(self, sharp: bool = False) -> np.ndarray:
         """Return a proven lower bound tau of the eigenvalues of the scaled form; None if none is found. sharp : spend
         more time to find a large bound, see :func:`proven_floor`."""
         return proven_floor(self.rows, self.doubt, self.elimination, sharp)
@@ -398,7 +400,7 @@ class Curvature:
     @cached_property
     def tau(self) -> float:
         """The proven floor tau of the curvature in scaled unknowns; 0 if none is proven."""
-        return self.form.floor() or 0.0
+        return float(self.form.floor()[0])
 
     @cached_property
     def entries(self) -> list[sparse.csr_array]:
@@ -524,9 +526,10 @@ def _curvature_rows(
 
 def proven_floor(
     rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination, sharp: bool = False
-) -> float | None:
-    """Return a number tau such that all eigenvalues of A^T A are tau or more, for every matrix A whose entries differ
-    from those of `rows` by no more than those of `doubt`. None if none is found.
+) -> np.ndarray:
+    """Return for each of the R samples a number tau, (R,), such that all eigenvalues of A^T A are tau or more, for
+    every matrix A whose entries differ from those of `rows` by no more than those of `doubt`. 0 where none is found,
+    and infinite for samples without unknowns.
 
     elimination : of rows^T rows, as doubles have formed it.
     sharp : True to estimate the least eigenvalue at once, for a floor that is as large as possible. Else
@@ -535,45 +538,49 @@ def proven_floor(
     A guess is shifted off the diagonal and the rest eliminated. If all pivots are positive, the rest is positive but
     for the errors that are bounded here, and half of the guess is proven if these take less than the other half.
     """
-    terms = int(np.bincount(rows.indices).max(initial=0)) + 4
+    samples, found = elimination.samples, np.zeros(elimination.samples.count)
+    found[np.bincount(samples.of, minlength=samples.count) == 0] = np.inf
+    terms = samples.largest(np.bincount(rows.indices, minlength=rows.shape[1])) + 4
     sizes = _with_values(rows, np.abs(rows.data)) + doubt
-    guesses: tuple[tuple[Callable[[], float], int], ...]
-    guesses = (lambda: CURVATURE_SHARE, 1), (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS)
+    guesses: tuple[tuple[Callable[[], np.ndarray], int], ...]
+    guesses = (
+        (lambda: np.full(len(found), CURVATURE_SHARE), 1),
+        (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS),
+    )
     for guess, steps in guesses[sharp:]:
-        most, off = (_largest_eigenvalue(part, steps) for part in (sizes, doubt))
+        if found.all():
+            break
+        most, off = (_largest_eigenvalue(part, steps, samples) for part in (sizes, doubt))
         # Errors, in the spectral norm: `most` and `off` bound the squared norms of |rows| + doubt and of doubt. The
         # products A^T A of all these A differ by 2 |A| |doubt| at most. Doubles form them as sums of `terms` products,
         # each with a rounding of EPS, and round once more where the diagonal, about 1, is shifted.
         tau, error = guess(), 2 * np.sqrt(most * off) + (terms + 1) * EPS * most + EPS
         missed = elimination.distance_from_positive(tau)
         # A^T A - tau has no eigenvalue below -(missed + error): if that is less than half of tau, tau / 2 is a floor.
-        if missed is not None and tau - (missed + error) * UP > tau / 2:
-            return tau / 2
-    return None
+        holds = (found == 0) & (tau - (missed + error) * UP > tau / 2)
+        found[holds] = tau[holds] / 2
+    return found
 
 
-def _least_eigenvalue(elimination: Elimination) -> float:
-    """Return a rough value of the least eigenvalue of the eliminated matrix, by inverse iteration; 0 where rounding
-    hides it. Nothing about it is proven; it is a guess for :func:`proven_floor`."""
-    factor, vector = (
-        elimination.factorised(-LEAST_CURVATURE),
-        np.random.default_rng(0).standard_normal(elimination.size),
-    )
-    if factor is None:
-        return 0.0
+def _least_eigenvalue(elimination: Elimination) -> np.ndarray:
+    """Return a rough value of the least eigenvalue of the eliminated matrix of each sample, (R,), by inverse iteration;
+    0 where rounding hides it. Nothing about it is proven; it is a guess for :func:`proven_floor`."""
+    factor, samples = elimination.factorised_samples(-LEAST_CURVATURE), elimination.samples
+    if factor.failed.all():
+        return np.zeros(samples.count)
+    vector = np.random.default_rng(0).standard_normal(elimination.size)[samples.rank]  # the same for a sample alone
     for _ in range(POWER_ITERATIONS):
-        vector = factor.solve(vector / np.linalg.norm(vector))
-        if not np.isfinite(vector).all():
-            return 0.0
-    return float(1 / np.linalg.norm(vector))
+        vector = factor.solve(vector / samples.norms(vector)[samples.of])
+    found = 1 / samples.norms(vector)
+    return np.where(np.isfinite(found) & ~factor.failed, found, 0.0)
 
 
-def _largest_eigenvalue(rows: sparse.csr_array, steps: int) -> float:
-    """Return an upper bound of the largest eigenvalue of W^T W for a matrix W without negative entries: the largest of
-    (W^T W x) / x, entry by entry, for any positive vector x (Collatz and Wielandt). rows : W. steps : number of power
-    iterations that improve x, from ones."""
+def _largest_eigenvalue(rows: sparse.csr_array, steps: int, samples: Samples) -> np.ndarray:
+    """Return an upper bound (R,) of the largest eigenvalue of W^T W for a matrix W without negative entries, for each
+    sample: the largest of (W^T W x) / x, entry by entry, for any positive vector x (Collatz and Wielandt). rows : W.
+    steps : number of power iterations that improve x, from ones."""
     columns, vector = rows.T, np.ones(rows.shape[1])
     for _ in range(steps):
         vector = columns @ (rows @ vector)
-        vector = vector / max(float(vector.max(initial=0.0)), TINY) + EPS
-    return float(((columns @ (rows @ vector)) / vector).max(initial=0.0)) * UP
+        vector = vector / np.maximum(samples.largest(vector), TINY)[samples.of] + EPS
+    return samples.largest((columns @ (rows @ vector)) / vector) * UP

@@ -41,7 +41,7 @@ from taichi_bearings.proof.curvature import proven_floor
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.rounded_elimination import Elimination, Factor
-from taichi_bearings.proof.springs import rounding_of, slip_rows
+from taichi_bearings.proof.springs import numbered, rounding_of, slip_rows
 
 FAINT = 1e-100  # size of factors above which no part of a product underflows
 # How motions are guessed. A wrong guess makes the proof fail, as what it says is checked without rounding.
@@ -61,14 +61,14 @@ class ExactMotions:
 
     spheres : (N,) mask of the free spheres that these contacts join.
     contacts : (E,) mask of the contacts: among these spheres, and with driven ones.
-    floor : proven lower bound of the singular values, other than 0, of the matrix that gives their slips from spins;
-        infinite without any sphere.
+    floor : (R,), proven lower bound of the singular values, other than 0, of the matrix that gives their slips from
+        spins; infinite for samples without any sphere.
     motions : how all spins follow from a few of them and from imposed spins; None without any sphere.
     """
 
     spheres: np.ndarray
     contacts: np.ndarray
-    floor: float = np.inf
+    floor: np.ndarray
     motions: _Motions | None = None
 
     @classmethod
@@ -79,7 +79,7 @@ class ExactMotions:
         rests : (E,) mask of the contacts that shall roll.
         """
         spheres, (first, second) = network.reached, network.graph.contact
-        for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES else 0):
+        for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES * network.count else 0):
             whole = spheres | ~network.free
             contacts = rests & whole[first] & whole[second]
             touched = np.zeros(len(spheres), dtype=bool)
@@ -92,7 +92,7 @@ class ExactMotions:
             if isinstance(found, tuple):
                 return cls(spheres, contacts, *found)
             spheres = spheres & ~found
-        return cls(np.zeros_like(spheres), np.zeros_like(rests))
+        return cls(np.zeros_like(spheres), np.zeros_like(rests), np.full(network.count, np.inf))
 
     def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
         """Return spins by component, 3 enclosures (N,), at which all these contacts roll exactly. spin : given spins,
@@ -133,31 +133,37 @@ class _Parts:
         of_contact = np.searchsorted(parts, label[np.where(network.free[ends[0]], *ends)])
         return cls(network, free, ends, network.graph.normal[contacts], rows, of_unknown, of_contact, len(parts))
 
-    def floor_and_motions(self) -> tuple[float, _Motions] | np.ndarray:
+    def floor_and_motions(self) -> tuple[np.ndarray, _Motions] | np.ndarray:
         """Prove that all contacts can roll exactly, and return the floor of singular values and the motions; else
         return a mask (N,) of at least one sphere that is to be left out before the next try."""
         everything, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
         network, place = self.network, self.network.graph.place[sphere].T
+        samples = network.samples_of(sphere)
         # Step 1: choose J, unknowns without which no pivot is nearly 0. All others follow.
-        elimination = Elimination.of((self.rows.T @ self.rows).tocsc(), place, network.parts_of(sphere))
+        elimination = Elimination.of((self.rows.T @ self.rows).tocsc(), place, network.parts_of(sphere), samples)
         follows = ~elimination.dependent(NULL_PIVOT)
         # A slip has two components. Parts without more of these conditions than unknowns outside J have nothing to
         # prove: leave them out.
         conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
         enough = conditions <= np.bincount(self.of_unknown, follows, self.count)
-        if enough.any() or not follows.any():
-            return self._spheres(enough[self.of_unknown] | ~follows.any())
+        # So are samples in which no unknown follows.
+        enough = enough[self.of_unknown] | (np.bincount(samples.of, follows, samples.count) == 0)[samples.of]
+        if enough.any():
+            return self._spheres(enough)
         # Steps 2 to 5: s^2 for the other unknowns, and the motions that follow from J and from what is imposed.
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
-        parts = network.parts_of(sphere[follows])
-        elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows], parts)
-        tau, factor = proven_floor(rows, rounding_of(rows), elimination, sharp=True), elimination.factorised()
-        if tau is None or factor is None or choices is None:
+        parts, followers = network.parts_of(sphere[follows]), network.samples_of(sphere[follows])
+        elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows], parts, followers)
+        tau = proven_floor(rows, rounding_of(rows), elimination, sharp=True)
+        factor = elimination.factorised_samples()
+        if choices is None:
             return everything
+        if (fails := (tau == 0) | factor.failed).any():
+            return self._spheres(fails[samples.of])
         motions, no_fraction = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor)
         slipping = motions.slipping_contacts()
         if not len(slipping):
-            return float(np.sqrt(tau) / UP), motions
+            return np.sqrt(tau) / UP, motions
         found = self._spheres(no_fraction)
         # Leave out spheres with a number that is no fraction, and both ends of contacts that slip though all numbers
         # are fractions.
@@ -304,12 +310,6 @@ class _Motions:
             found.append(part.where(~np.asarray(free.any(axis=1))))
             found[k].put(sphere[component == k], total.at(np.flatnonzero(component == k)))
         return found
-
-
-def numbered(mask: np.ndarray) -> np.ndarray:
-    """Return an array of the shape of `mask`: for True entries their number, counted from 0 in order; -1 for the
-    others."""
-    return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
 
 
 def _sum_of_spins(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:

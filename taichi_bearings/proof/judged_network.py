@@ -35,7 +35,7 @@ from taichi_bearings.dissection import Part, dissected, restricted
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, length, row_sum
 from taichi_bearings.proof.listed import Listed, across, signs
-from taichi_bearings.proof.rounded_elimination import REGION_UNKNOWNS
+from taichi_bearings.proof.rounded_elimination import REGION_UNKNOWNS, Samples
 from taichi_bearings.proof.slices import nothing, slices
 from taichi_bearings.scene.law import Law
 
@@ -137,7 +137,12 @@ class JudgedNetwork:
     def mixes(self) -> bool:
         """True if a component of some slip depends on more than one component of the spins; False for discs, and where
         unit normals are along the axes."""
-        return self.graph.mixes(self.counts)
+        return bool(self.samples_that_mix.any())
+
+    @property
+    def samples_that_mix(self) -> np.ndarray:
+        """(R,) mask of the samples in which `mixes` is true."""
+        return np.asarray((self.graph.mixing & self.counts).reshape(self.count, -1).any(axis=1))
 
     @cached_property
     def slips_with(self) -> np.ndarray:
@@ -164,6 +169,10 @@ class JudgedNetwork:
         """Return the parts in which n unknowns are eliminated that only contacts couple. sphere : (n,), the sphere of
         each."""
         return restricted(self.division, sphere, REGION_UNKNOWNS)
+
+    def samples_of(self, sphere: np.ndarray) -> Samples:
+        """The samples of n unknowns. sphere : (n,), that of each one."""
+        return Samples(sphere // (len(self.free) // self.count), self.count)
 
     def some(self, pick: slice) -> JudgedNetwork:
         """Return the network of the samples in the slice `pick` alone."""

@@ -9,6 +9,7 @@ u is spin times radius.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
@@ -86,11 +87,13 @@ class Listed:
         """(C, m) mask, True where a component of the spins makes a contact slip; only where components do not mix."""
         return self.normal.T == 0 if self.normal.shape[1] == 3 else np.ones((1, len(self.normal)), dtype=bool)
 
-    def mixes(self, counts: np.ndarray) -> bool:
-        """Return True if a component of a slip depends on several components of the spins, at the contacts of the mask
-        `counts` (m,). It does not for discs, nor where unit normals are along the axes."""
-        normal = self.normal
-        return normal.shape[1] == 3 and not bool((np.sort(np.abs(normal[counts])) == (0, 0, 1)).all())
+    @cached_property
+    def mixing(self) -> np.ndarray:
+        """(m,) mask of the contacts at which a component of the slip depends on several components of the spins. It
+        does not for discs, nor where unit normals are along the axes."""
+        if self.normal.shape[1] == 2:
+            return np.zeros(len(self.normal), dtype=bool)
+        return ~(np.sort(np.abs(self.normal)) == (0, 0, 1)).all(axis=1)
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
         """Return the lengths (m,) of vectors given by component, C enclosures (m,)."""

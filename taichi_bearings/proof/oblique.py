@@ -56,11 +56,11 @@ from taichi_bearings.dissection import Part
 from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.curvature import Form
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
-from taichi_bearings.proof.exact_motions import ExactMotions, numbered
+from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
-from taichi_bearings.proof.rounded_elimination import EPS, Elimination
-from taichi_bearings.proof.springs import floor_of_slips, slip_rows
+from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
+from taichi_bearings.proof.springs import floor_of_slips, numbered, slip_rows
 
 # A contact is put into S if its slip exceeds this share of the fastest imposed component: any choice is safe, since a
 # wrong one only makes the proof fail.
@@ -74,37 +74,40 @@ MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end 
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
-def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
+def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Find which contacts slip at the minima, and how far their slips are from the given ones; None if nothing is
     proven.
 
-    bounds : the network of one packing with E contacts, its friction, and springs that balanced this friction.
+    bounds : the network of one or several samples of a packing with E contacts in all, its friction, and springs that
+        balanced this friction. Several samples are treated as parts of one that no contact joins.
 
-    Returns (slides, distance). slides : (E,) mask; every other contact that can dissipate is proven to rest at every
-    minimum. distance : (E,), for the contacts of the mask a bound on |slip at any minimum - given slip|, 0 for others.
-    A contact of the mask thus slips at every minimum if it has friction, or if its given slip is larger than that
-    bound.
+    Returns (slides, distance, proven). slides : (E,) mask; every other contact that can dissipate is proven to rest at
+    every minimum. distance : (E,), for the contacts of the mask a bound on |slip at any minimum - given slip|, 0 for
+    others. A contact of the mask thus slips at every minimum if it has friction, or if its given slip is larger than
+    that bound. proven : (R,) mask of the samples for which all this is proven. Of several samples only the given spins
+    are tried, of a single one improved spins as well.
     """
-    network, springs = bounds.network, bounds.springs
+    network, unknown = bounds.network, bounds.unknown
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
-    if springs is None or not longest < UP:
+    if unknown is None or not longest < UP:
         return None
     # Step 1: guess which contacts slip (S) and which rest (T), find the motions in which contacts of T roll exactly,
     # and prove that the slips of the other contacts of T are independent.
     moves = (network.slip.value > MOVING * network.box.max()) | (network.holding.high == 0)
-    slides, number = network.counts & moves, springs.number
+    slides, number = network.counts & moves, numbered(unknown)
     slipping, resting = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
     exact = ExactMotions.of(network, number, network.counts & ~slides)
     others = network.counts & ~slides & ~exact.contacts
     least_other = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), others, sharp=True)
-    if least_other is None:
+    if not (least_other > 0).any():
         return None
     # Steps 2 and 3, from the given spins, and if that fails from spins that Newton's method has improved.
     near = Near(network, exact, np.sqrt(least_other) / UP, number, slipping, resting, network.spin, bounds.friction)
-    if (distance := near.proven_distance()) is None:
+    distance, proven = near.proven_distance()
+    if network.count == 1 and not proven.any():
         near = near.improved()
-        distance = near.proven_distance()
-    if distance is None:
+        distance, proven = near.proven_distance()
+    if not proven.any():
         return None
     # slips of the improved spins are not quite the given ones
     distances, moved = (
@@ -112,7 +115,7 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
         [a - b for a, b in zip(network.slips(network.spin), near.slips, strict=True)],
     )
     distances[slipping] = (distance + length(moved).most[slipping]) * UP
-    return slides, distances
+    return slides, distances, proven
 
 
 @dataclass(frozen=True)
@@ -123,8 +126,8 @@ class Near:
     that gives slips from the n unknown components of free spins.
 
     exact : motions of spheres in which some resting contacts roll exactly.
-    floor_of_other_contacts : proven lower bound of the singular values of K^T for the other resting contacts and for
-        the spheres that exact motions leave out; infinite if there is no such contact.
+    floor_of_other_contacts : (R,), proven lower bound of the singular values of K^T for the other resting contacts and
+        for the spheres that exact motions leave out; infinite if there is no such contact, 0 if nothing is proven.
     number : (N, 3), which of the n unknowns each component of a spin is, -1 where it is none.
     slipping, resting : (S,) and (T,), indices of the contacts.
     spin : spins times radius by component, 3 enclosures (N,).
@@ -134,7 +137,7 @@ class Near:
 
     network: JudgedNetwork
     exact: ExactMotions
-    floor_of_other_contacts: float
+    floor_of_other_contacts: np.ndarray
     number: np.ndarray
     slipping: np.ndarray
     resting: np.ndarray
@@ -217,6 +220,11 @@ class Near:
         """The parts in which the unknowns are eliminated, one after the other."""
         return self.network.parts_of(np.nonzero(self.number >= 0)[0])
 
+    @property
+    def samples(self) -> Samples:
+        """The samples of the unknowns."""
+        return self.network.samples_of(np.nonzero(self.number >= 0)[0])
+
     def curvature(self, firmness: float = 1.0) -> Form | None:
         """Return the curvature of the potential at these spins, as a quadratic form |B x|^2 of the changes x of the n
         unknowns, with springs at resting contacts; None if some unknown changes no slip.
@@ -248,7 +256,7 @@ class Near:
         rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ self.rows)
         # Rounding of an entry: slip, cross product, division, root, sum of three products: fewer than 32 operations.
         doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
-        return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts)
+        return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts, samples=self.samples)
 
     def improved(self) -> Near:
         """Return spins closer to the minimum among spins at which the resting contacts rest, by Newton's method. Its
@@ -304,11 +312,30 @@ class Near:
         )
         return replace(self, spin=spin, resting_friction=resting)
 
-    def proven_distance(self) -> np.ndarray | None:
-        """Return for each of the S slipping contacts a bound (S,) on |slip at the only minimum - slip at these spins|;
-        None if step 2 or step 3 of the proof (head of the file) fails."""
-        distance = self._distance_of_minimum() if (self.size.least[self.with_friction] > 0).all() else None
-        return distance if distance is not None and self._resting_contacts_can_bear(distance) else None
+    def proven_distance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return for each of the S slipping contacts a bound (S,) on |slip at the only minimum - slip at these spins|,
+        and the mask (R,) of the samples for which steps 2 and 3 of the proof (head of the file) succeed."""
+        distance, proven = self._distance_of_minimum()
+        return distance, proven & self._resting_contacts_can_bear(distance) if proven.any() else proven
+
+    @cached_property
+    def _sample(self) -> np.ndarray:
+        """(S,), the sample of each slipping contact."""
+        return self.network.sample_of(self.slipping)
+
+    def _norms(self, values: np.ndarray, sample: np.ndarray) -> np.ndarray:
+        """Return the norm (R,) of the values that belong to each sample. values : (q,). sample : (q,), that of each."""
+        return np.sqrt(np.bincount(sample, values**2, self.network.count))
+
+    def _norms_on_spheres(self, values: np.ndarray, some: np.ndarray) -> np.ndarray:
+        """Return the norm (R,) of the values (N, 3) at the spheres of each sample that are in the mask `some` (N,)."""
+        squares = np.where(some[:, None], values, 0.0) ** 2
+        return np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
+
+    def _of_all(self, holds: np.ndarray, sample: np.ndarray) -> np.ndarray:
+        """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are true. sample : (q,),
+        that of each entry."""
+        return np.bincount(sample, ~holds, self.network.count) == 0
 
     @property
     def _other_spheres(self) -> np.ndarray:
@@ -338,35 +365,40 @@ class Near:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
 
-    def _distance_of_minimum(self) -> np.ndarray | None:
+    def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray]:
         """Prove step 2 (head of the file): among spins at which resting contacts do not slip there is one minimum.
-        Return for each of the S slipping contacts a bound (S,) on |slip there - slip at these spins|; None if it is not
-        proven."""
-        size, damping, curvature = self.size.most, self.damping.most, self.curvature()
-        if curvature is None or (tau := curvature.floor(sharp=True)) is None:
-            return None
+        Return for each of the S slipping contacts a bound (S,) on |slip there - slip at these spins|, and the mask (R,)
+        of the samples for which it is proven."""
+        size, damping, sample = self.size.most, self.damping.most, self._sample
+        slips = self._of_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
+        curvature = self.curvature() if slips.any() else None
+        if curvature is None:
+            return np.full(len(size), np.inf), np.zeros_like(slips)
+        tau = curvature.floor(sharp=True)
+        proven = slips & (tau > 0) & (self.floor_of_other_contacts > 0)
         others, ends = (
             np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts)),
             self.network.graph.contact[:, self.slipping],
         )
         # Distance to V, the spins at which resting contacts do not slip: by step 1 a change of spins by no more than
         # (norm of these slips) / (singular value) takes them away. The slip of a contact changes by up to twice that.
-        missed = float(np.sqrt(sum((part.most[others] ** 2).sum() for part in self.slips)))
-        off = missed / self.floor_of_other_contacts * UP if missed else 0.0
-        far = np.where(self._other_spheres[ends].any(axis=0), 2 * off * UP, 0.0)
+        missed = np.sqrt(sum(self._norms(p.most[others], self.network.sample_of(others)) ** 2 for p in self.slips))
+        off = np.where(missed > 0, missed / self.floor_of_other_contacts * UP, 0.0)
+        far = np.where(self._other_spheres[ends].any(axis=0), 2 * off[sample] * UP, 0.0)
         angle, size_error, size_by_law = self._distance_from_slip_direction(far)
         scale = np.zeros(self.number.shape)
         scale[self.number >= 0] = curvature.scale
         # slope = |r| / tau + |b| / tau^1/2 in scaled unknowns. Friction of size F at a small angle a to the slip has a
         # part F a across it, which counts in b: over the root of the curvature F / |y|, that is a (F |y|)^1/2. The part
         # along the slip is shorter by F a^2 / 2 at most, which counts in r, as does what the size of F misses.
-        slope = np.linalg.norm(scale * self._largest_torques(size_error + size_by_law * angle**2 * UP)) / tau
-        slope += np.sqrt((size_by_law * size * angle**2 + damping * far**2).sum() / tau)
+        torque = scale * self._largest_torques(size_error + size_by_law * angle**2 * UP)
+        slope = self._norms_on_spheres(torque, np.ones(len(scale), dtype=bool)) / tau
+        slope += np.sqrt(np.bincount(sample, size_by_law * size * angle**2 + damping * far**2, len(tau)) / tau)
         largest = scale.max(axis=1)
         # Where 12 comes from: two spheres change a slip by up to 2^1/2 scale |x|, and 2^1/2 / 0.72 < 2. Slips in V may
         # be a quarter longer than those of B, and by the check below may have lost tau / 8 by their directions. That
         # leaves 0.8 (1 - 8^-1/2)^2 tau > tau / 3, hence a factor of 3. 2 times 3 would do; 12 is twice as much.
-        distance = (far + 12 * largest[ends].max(axis=0) * slope * UP**2 + TINY) * UP
+        distance = (far + 12 * largest[ends].max(axis=0) * slope[sample] * UP**2 + TINY) * UP
         turn, loss = self._relative_to_slip(distance), np.zeros(len(scale))
         for end in ends:
             # Curvature lost as slips turn, shared among spheres: (2 turn)^2 mu F_n / |y| by each contact, as a unit
@@ -374,8 +406,8 @@ class Near:
             np.add.at(loss, end, 8 * turn * self._relative_to_slip(turn * self.strength.most))
         # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
         # be no more than what is lost, below tau / 8, but it is tau or more: so there is just one minimum.
-        known = (turn <= MOST_TURN).all() and (largest**2 * loss * UP < tau / 8).all()
-        return distance if known else None
+        remains = (largest**2 * loss * UP).reshape(len(tau), -1).max(axis=1) < tau / 8
+        return distance, proven & self._of_all(turn <= MOST_TURN, sample) & remains
 
     def _distance_from_slip_direction(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return three arrays (S,) that compare the friction F in use at the S slipping contacts with that by the law,
@@ -393,10 +425,10 @@ class Near:
         size_error[some] = (length([part.at(self.slipping) for part in self.friction]) - size_by_law).most[some]
         return angle, size_error, size_by_law.most
 
-    def _resting_contacts_can_bear(self, distance: np.ndarray) -> bool:
-        """Prove step 3 (head of the file): return True if resting contacts can bear, below all their friction limits,
-        what slipping contacts leave to them at the minimum. distance : (S,), bound on how far the slips there are from
-        these."""
+    def _resting_contacts_can_bear(self, distance: np.ndarray) -> np.ndarray:
+        """Prove step 3 (head of the file): return the mask (R,) of the samples in which resting contacts can bear,
+        below all their friction limits, what slipping contacts leave to them at the minimum. distance : (S,), bound on
+        how far the slips there are from these."""
         network, exact = self.network, self.exact
         torque = self._largest_torques(
             self._distance_from_law
@@ -407,11 +439,13 @@ class Near:
         # the spheres that exact motions leave out, then on the others. To these the first correction brings torques of
         # its own, at most `most` times as large: |u_i + u_j|^2 <= 2 (|u_i|^2 + |u_j|^2), so no singular value of K is
         # above the root of twice the largest number of contacts of a sphere.
-        by_left = float(np.linalg.norm(torque[self._other_spheres])) / self.floor_of_other_contacts * UP
+        sample = network.sample_of(self.resting)
+        by_left = self._norms_on_spheres(torque, self._other_spheres) / self.floor_of_other_contacts * UP
         most = np.sqrt(2 * np.bincount(network.graph.contact[:, network.counts].ravel()).max())
-        by_exact = (float(np.linalg.norm(torque[exact.spheres])) + most * by_left) / exact.floor * UP**2
+        by_exact = (self._norms_on_spheres(torque, exact.spheres) + most * by_left) / exact.floor * UP**2
         margin = (network.holding - length(self.friction)).lower()[self.resting]
-        return bool((margin > np.where(exact.contacts[self.resting], by_exact, by_left) * UP).all())
+        change = np.where(exact.contacts[self.resting], by_exact[sample], by_left[sample])
+        return self._of_all(margin > change * UP, sample)
 
 
 def _without_error(values: Enclosure) -> Enclosure:

@@ -38,6 +38,39 @@ own)."""
 
 
 @dataclass(frozen=True)
+class Samples:
+    """The samples of n unknowns that are eliminated together. of : (n,), the sample of each unknown. count : R."""
+
+    of: np.ndarray
+    count: int
+
+    @classmethod
+    def one(cls, unknowns: int) -> Samples:
+        """Return the samples of unknowns that belong to a single one."""
+        return cls(np.zeros(unknowns, dtype=np.intp), 1)
+
+    def largest(self, values: np.ndarray) -> np.ndarray:
+        """Return the largest of the values (n,) of each sample, (R,); 0 if none is larger."""
+        if self.count == 1:
+            return np.array([values.max(initial=0.0)])
+        found = np.zeros(self.count)
+        np.maximum.at(found, self.of, values)
+        return found
+
+    def norms(self, values: np.ndarray) -> np.ndarray:
+        """Return the norm of the values (n,) of each sample, (R,)."""
+        return np.sqrt(np.bincount(self.of, values**2, self.count))
+
+    @property
+    def rank(self) -> np.ndarray:
+        """(n,), the number of each unknown among those of its sample, from 0."""
+        order, size = np.argsort(self.of, kind="stable"), np.bincount(self.of, minlength=self.count)
+        found = np.empty(len(order), dtype=np.intp)
+        found[order] = np.arange(len(order)) - np.repeat(np.cumsum(size) - size, size)
+        return found
+
+
+@dataclass(frozen=True)
 class Front:
     """A group of unknowns that are eliminated together.
 
@@ -65,19 +98,29 @@ class Elimination:
     order : (n,), the unknown at each place of the order of elimination.
     lower : lower triangle of the matrix in this order.
     fronts : all fronts, children before parents.
+    samples : the R samples, which the matrix does not couple.
     """
 
     order: np.ndarray
     lower: sparse.csc_array
     fronts: list[Front]
+    samples: Samples
 
     @classmethod
-    def of(cls, matrix: sparse.csc_array, place: np.ndarray, parts: list[Part] | None = None) -> Elimination:
+    def of(
+        cls,
+        matrix: sparse.csc_array,
+        place: np.ndarray,
+        parts: list[Part] | None = None,
+        samples: Samples | None = None,
+    ) -> Elimination:
         """Order the unknowns of a matrix and find the fronts.
 
         place : (d, n), position of each unknown in d dimensions, by which nested dissection divides them.
         parts : the unknowns in parts that are eliminated one after the other; None to divide the graph of the matrix.
+        samples : the samples of the unknowns; None for a single one.
         """
+        samples = Samples.one(len(place[0])) if samples is None else samples
         parts = dissected(matrix, place, REGION_UNKNOWNS) if parts is None else parts
         order = np.concatenate([part.nodes for part in parts])
         lower = sparse.csc_array(sparse.tril(matrix[order][:, order], format="csc"))
@@ -93,7 +136,7 @@ class Elimination:
             touched[border] = touched[first:end] = False
             fronts.append(Front(first, end - first, border, part.children))
         _refuse_disorder(order, fronts)
-        return cls(order, lower, fronts)
+        return cls(order, lower, fronts, samples)
 
     @property
     def size(self) -> int:
@@ -101,20 +144,22 @@ class Elimination:
         return len(self.order)
 
     def columns(
-        self, shift: float, least: float = 0.0, held: np.ndarray | None = None
+        self, shift: float | np.ndarray, least: float = 0.0, held: np.ndarray | None = None
     ) -> Iterator[tuple[Front, Columns | None]]:
         """Yield each front with its columns of the factor of the matrix less `shift` times the identity; yield None for
-        the columns, and end, where a pivot is not positive.
+        the columns where a pivot is not positive. What follows is then worthless for the sample of that front.
 
+        shift : a number, or one for each sample, (R,).
         held : (n,), filled in place with a mask, in the order of elimination, of unknowns that leave no pivot above
             `least`: these are taken out of the matrix, as if held at 0. None: no unknown is taken out.
         """
+        shifts = np.broadcast_to(shift, self.samples.count)[self.samples.of[self.order]]
         updates: dict[int, np.ndarray] = {}
         local = np.empty(self.size, dtype=np.int64)
         for number, front in enumerate(self.fronts):
             places = front.places
             local[places] = np.arange(len(places))
-            pivots, below, rest = self._assembled(front, local, shift)
+            pivots, below, rest = self._assembled(front, local, shifts)
             # Add the updates of the children, eliminate the own unknowns, and leave the update for the parent.
             for child in front.children:
                 at, update = local[self.fronts[child].border], updates.pop(child)
@@ -128,19 +173,20 @@ class Elimination:
                 pivots[out], pivots[:, out], pivots[out, out], below[:, out] = 0.0, 0.0, 1.0, 0.0
                 held[front.first + out] = True
             pivots, fault = dpotrf(pivots, lower=True, overwrite_a=True)
-            if fault:
-                yield front, None
-                return
-            if below.size:
+            if below.size and not fault:
                 below = dtrsm(1.0, pivots, below, side=1, lower=1, trans_a=1, overwrite_b=True)
                 rest = dsyrk(-1.0, below, 1.0, rest, lower=1, overwrite_c=True)
             updates[number] = rest
-            yield front, (pivots, below)
+            yield front, None if fault else (pivots, below)
 
-    def _assembled(self, front: Front, local: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _assembled(
+        self, front: Front, local: np.ndarray, shifts: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the lower triangle of a dense matrix over all places of a front in three blocks: own by own, border by
-        own and border by border. It has the matrix entries of its own columns, less the shift on their diagonal. local
-        : (n,), row within the front of each place in the order of elimination."""
+        own and border by border. It has the matrix entries of its own columns, less the shift on their diagonal.
+
+        local, shifts : (n,), row within the front of each place in the order of elimination, and the shift there.
+        """
         begin = self.lower.indptr[front.first : front.first + front.own + 1]
         at, own, border = slice(begin[0], begin[-1]), np.arange(front.own), len(front.border)
         pivots, below, rest = (
@@ -150,12 +196,13 @@ class Elimination:
         inside = row < front.own
         pivots[row[inside], column[inside]] = value[inside]
         below[row[~inside] - front.own, column[~inside]] = value[~inside]
-        pivots[own, own] -= shift
+        pivots[own, own] -= shifts[front.first : front.first + front.own]
         return pivots, below, rest
 
-    def distance_from_positive(self, shift: float) -> float | None:
-        """Return a bound on the distance, in the spectral norm, between the matrix less `shift` times the identity and
-        the positive matrix L L^T with the computed factor L. None if a pivot is not positive.
+    def distance_from_positive(self, shift: float | np.ndarray) -> np.ndarray:
+        """Return a bound (R,) on the distance, in the spectral norm, between the matrix of each sample less `shift`
+        times the identity and the positive matrix L L^T with the computed factor L. Infinite if a pivot is not
+        positive. shift : a number, or one for each sample, (R,).
 
         The two differ by at most gamma |L| |L|^T, entry by entry, with gamma = t EPS / (1 - t EPS) for sums of t terms
         in any order (Higham, Accuracy and Stability of Numerical Algorithms, 2002, theorem 10.3). The norm of W W^T,
@@ -169,33 +216,55 @@ class Elimination:
             terms[front.border] += front.own
         gamma = terms * EPS / (1 - terms * EPS) + 8 * EPS  # 8 EPS more than the theorem asks for
         root, total = np.sqrt(gamma), np.zeros(self.size)
+        failed = np.zeros(self.samples.count, dtype=bool)
         for front, columns in self.columns(shift):
             if columns is None:
-                return None
+                failed[self._sample_of(front)] = True
+                if failed.all():
+                    break
+                continue
             sizes, own = [np.abs(part) for part in columns], slice(front.first, front.first + front.own)
             carried = root[own] @ sizes[0] + root[front.border] @ sizes[1]
             total[own] += sizes[0] @ carried
             total[front.border] += sizes[1] @ carried
-        return float((root * total).max(initial=0.0)) * UP
+        found = np.empty_like(total)
+        found[self.order] = root * total
+        return np.where(failed, np.inf, self.samples.largest(found) * UP)
+
+    def _sample_of(self, front: Front) -> int:
+        """Return the sample whose unknowns a front has."""
+        return int(self.samples.of[self.order[front.first]])
 
     def dependent(self, least: float) -> np.ndarray:
         """Return the mask (n,) of unknowns that, once they are held at 0, leave only pivots above `least`: as far as
-        doubles show, one for each eigenvalue 0. All True if elimination fails. Nothing about it is proven."""
-        held = np.zeros(self.size, dtype=bool)
-        if any(columns is None for _, columns in self.columns(0.0, least, held)):
-            held[:] = True
+        doubles show, one for each eigenvalue 0. All True in samples whose elimination fails. Nothing about it is
+        proven."""
+        held, failed = np.zeros(self.size, dtype=bool), np.zeros(self.samples.count, dtype=bool)
+        for front, columns in self.columns(0.0, least, held):
+            if columns is None:
+                failed[self._sample_of(front)] = True
         found = np.empty_like(held)
         found[self.order] = held
-        return found
+        return found | failed[self.samples.of]
 
     def factorised(self, shift: float = 0.0) -> Factor | None:
-        """Return the factor of the matrix less `shift` times the identity; None if a pivot is not positive."""
-        found = []
+        """Return the factor of the matrix less `shift` times the identity; None if a pivot of some sample is not
+        positive."""
+        factor = self.factorised_samples(shift)
+        return None if factor.failed.any() else factor
+
+    def factorised_samples(self, shift: float = 0.0) -> Factor:
+        """Return the factor of the matrix less `shift` times the identity. Solutions of samples of which a pivot is not
+        positive are worthless."""
+        found, failed = [], np.zeros(self.samples.count, dtype=bool)
         for front, columns in self.columns(shift):
             if columns is None:
-                return None
+                failed[self._sample_of(front)] = True
+                if failed.all():
+                    break
+                columns = np.eye(front.own), np.zeros((len(front.border), front.own))
             found.append((front, columns))
-        return Factor(self.order, found)
+        return Factor(self.order, found, failed)
 
 
 def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
@@ -232,10 +301,12 @@ def _add_at(whole: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: np.n
 
 @dataclass(frozen=True)
 class Factor:
-    """The factor L of an elimination: the columns of each front, and the order (n,) of elimination."""
+    """The factor L of an elimination: the columns of each front, and the order (n,) of elimination. failed : (R,) mask
+    of the samples that have none."""
 
     order: np.ndarray
     columns: list[tuple[Front, Columns]]
+    failed: np.ndarray
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Return the solution of L L^T x = right, in the original order of unknowns. right : (n,), or (n, m) for m

@@ -168,10 +168,10 @@ class Grid(Listed):
             self.on_spheres(whole)[..., -1] = signs * self.on_spheres(part)[..., -1]
         return found
 
-    def mixes(self, counts: np.ndarray) -> bool:
-        """Return False: on lattices each component of the slip depends on one component of the spins. counts : not
-        used."""
-        return False
+    @cached_property
+    def mixing(self) -> np.ndarray:
+        """(m,) mask, False everywhere: on lattices each component of the slip depends on one component of the spins."""
+        return np.broadcast_to(np.False_, self.contacts)  # takes no memory
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
         """Return the signs of the sublattice by component, C arrays (n,): neighbours always differ. feels : not

@@ -41,7 +41,7 @@ from taichi_bearings.proof.curvature import Form, proven_floor
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
-from taichi_bearings.proof.rounded_elimination import EPS, REGION_UNKNOWNS, Elimination
+from taichi_bearings.proof.rounded_elimination import EPS, REGION_UNKNOWNS, Elimination, Samples
 
 # How the springs are solved for; the torques that are left over are computed anew, so nothing depends on it.
 ROUNDS, SHIFT = 2, -1e-13  # number of solves; minus what is added to the diagonal, so that pivots stay positive
@@ -74,15 +74,14 @@ class Springs:
     form: Form
 
     @classmethod
-    def of(cls, network: JudgedNetwork, potential: float) -> Springs | None:
-        """Make springs for minima whose potential is at most `potential` (in units of the network); None if some
+    def of(cls, network: JudgedNetwork, potential: np.ndarray) -> Springs | None:
+        """Make springs for minima whose potentials are at most `potential` (R,), in units of the network; None if some
         unknown spin component changes no slip."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
-        least = holding[holding > 0].min(initial=np.inf)
+        least = np.where(holding > 0, holding, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
+        least, most = network.on_contacts(least), network.on_contacts(potential)
         with np.errstate(all="ignore"):
-            weight = np.maximum(
-                holding * (least / potential) / potential if least < np.inf else 0.0, slope / potential / 2
-            )
+            weight = np.maximum(np.where(least < np.inf, holding * (least / most) / most, 0.0), slope / most / 2)
         number = np.full((len(network.free), 3), -1)
         there = network.reached[:, None] & ~turning_freely(network)
         number[there] = np.arange(there.sum())
@@ -92,13 +91,13 @@ class Springs:
     def balanced(self) -> tuple[list[Enclosure], list[Enclosure]]:
         """Return the friction less what the springs take from it, and the torques over radius that it leaves over: by
         component, 3 enclosures (E,) and 3 enclosures (N,)."""
-        network, factor = self.network, self.form.elimination.factorised(SHIFT)
-        torques, there, fine = network.torques(network.own_moment), self.number >= 0, network.own_friction
-        if factor is None:
+        network, factor = self.network, self.form.elimination.factorised_samples(SHIFT)
+        torques, there, fine = network.own_torques, self.number >= 0, network.own_friction
+        if factor.failed.all():
             return fine, torques
-        taken = np.zeros_like(network.graph.friction)
+        taken, failed = np.zeros_like(network.graph.friction), factor.failed[self.form.elimination.samples.of]
         for _ in range(ROUNDS):
-            left = np.stack([part.value for part in torques], axis=1)[there]
+            left = np.where(failed, 0.0, np.stack([part.value for part in torques], axis=1)[there])
             root = np.sqrt(np.tile(self.weight, 3))
             taken += (root * (self.form.rows @ factor.solve(left * self.form.scale))).reshape(3, -1).T
             fine = [Enclosure.exact(f.high, -x) for f, x in zip(network.own_friction, taken.T, strict=True)]
@@ -106,16 +105,15 @@ class Springs:
         return fine, torques
 
     @property
-    def reach(self) -> float:
-        """Upper bound on the size of every component of free spins (times radius) at some minimum; infinite if no floor
-        is proven."""
+    def reach(self) -> np.ndarray:
+        """Upper bound (R,) on the size of every component of free spins (times radius) at some minimum; infinite if no
+        floor is proven."""
+        slips, largest = self.network.slips(self.network.imposed), self.form.elimination.samples.largest
+        squares = sum((self.weight * part.most**2).reshape(self.network.count, -1).sum(axis=1) for part in slips)
         with np.errstate(all="ignore"):
             floor = self.form.floor()
-        if floor is None:
-            return np.inf
-        slips = self.network.slips(self.network.imposed)
-        start = np.sqrt(sum((self.weight * part.most**2).sum() for part in slips))
-        return float(self.form.scale.max(initial=0.0) * (1 + start) / np.sqrt(floor) * UP**2)
+            found = largest(self.form.scale) * (1 + np.sqrt(squares)) / np.sqrt(floor) * UP**2
+        return np.where(floor > 0, found, np.inf)
 
 
 def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
@@ -126,13 +124,15 @@ def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, 
     # Entries are rounded by the weight, its root and the products: some five times, with 16 allowed for.
     doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
     sphere = np.nonzero(number >= 0)[0]
-    return Form.of(rows, doubt, network.graph.place[sphere].T, parts=network.parts_of(sphere))
+    samples = network.samples_of(sphere)
+    return Form.of(rows, doubt, network.graph.place[sphere].T, parts=network.parts_of(sphere), samples=samples)
 
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (N,) of free spheres that can make all their contacts roll, whatever the other spheres do."""
     size = np.sqrt((network.graph.friction**2).sum(axis=1))
-    small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, size.max(initial=0.0))
+    largest = network.on_contacts(size.reshape(network.count, -1).max(axis=1, initial=0.0))
+    small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, largest)
     # Candidates are spheres all of whose contacts bear (nearly) nothing.
     ends = network.graph.contact[:, network.counts & (size > small)]
     some = network.reached.copy()
@@ -140,30 +140,31 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
     first, second = network.graph.contact[:, network.counts]
     inner = some[first] & some[second]
     label = pieces(len(some), first[inner], second[inner])
-    if _independent(network, some):
+    independent = _independent(network, some)
+    if independent.all():
         return some
+    open_ = some & ~np.repeat(independent, len(some) // network.count)
     # Keep the candidates, piece by piece as contacts join them, for which independence is proven.
-    for part in np.unique(label[some]):
+    for part in np.unique(label[open_]):
         own = some & (label == part)
-        if not _independent(network, own):
+        if not _independent(network, own).all():
             some &= ~own
     return some
 
 
-def _independent(network: JudgedNetwork, some: np.ndarray) -> bool:
-    """Return True if it is proven that spins of the spheres in the mask `some` (N,) can make any slips whatever of all
-    their contacts that can dissipate."""
+def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
+    """Return the mask (R,) of the samples of which it is proven that spins of the spheres in the mask `some` (N,) can
+    make any slips whatever of all their contacts that can dissipate."""
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
-    return floor_of_slips(network, number, network.counts & some[network.graph.contact].any(axis=0)) is not None
+    own = network.counts & some[network.graph.contact].any(axis=0)
+    return floor_of_slips(network, number, own) > 0
 
 
-def floor_of_slips(
-    network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False
-) -> float | None:
-    """Return a proven floor of the eigenvalues of K K^T, with K the matrix of slips, for the contacts in the mask
-    `contacts` (E,). If there is one, the slips of these contacts are independent. Infinite without any contact; None if
-    no floor is found.
+def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False) -> np.ndarray:
+    """Return for each sample a proven floor (R,) of the eigenvalues of K K^T, with K the matrix of slips, for the
+    contacts in the mask `contacts` (E,). If it is not 0, the slips of these contacts are independent. Infinite without
+    any contact; 0 if no floor is found.
 
     Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
     out.
@@ -176,14 +177,17 @@ def floor_of_slips(
     own[np.argmax(np.abs(network.graph.normal), axis=1), np.arange(count)] = False
     chosen = np.flatnonzero(own.ravel())
     if not len(chosen):
-        return np.inf
+        return np.full(network.count, np.inf)
     columns = sparse.csr_array(slip_rows(network, number)[chosen].T)
     columns.eliminate_zeros()
-    if columns.shape[1] > columns.shape[0] or (np.bincount(columns.indices, minlength=columns.shape[1]) == 0).any():
-        return None
+    # More slips than unknowns, or one that no unknown changes, are not independent.
+    samples = Samples(network.sample_of(chosen % count), network.count)
+    unknowns = (number >= 0).reshape(network.count, -1).sum(axis=1)
+    if (np.bincount(samples.of, minlength=network.count) > unknowns).all():
+        return np.zeros(network.count)
     place = network.graph.place[network.graph.contact[0, chosen % count]].T
     parts = _parts_of_slips(network, np.asarray((number >= 0).any(axis=1)), chosen % count)
-    elimination = Elimination.of((columns.T @ columns).tocsc(), place, parts)
+    elimination = Elimination.of((columns.T @ columns).tocsc(), place, parts, samples)
     with np.errstate(all="ignore"):
         return proven_floor(columns, rounding_of(columns), elimination, sharp)
 
@@ -222,6 +226,12 @@ def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
     found = sparse.csr_array((value[there], column[there], begin), shape=shape)
     found.sort_indices()
     return found
+
+
+def numbered(mask: np.ndarray) -> np.ndarray:
+    """Return an array of the shape of `mask`: for True entries their number, counted from 0 in order; -1 for the
+    others."""
+    return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
 
 
 def turning_freely(network: JudgedNetwork) -> np.ndarray:

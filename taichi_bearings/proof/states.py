@@ -52,7 +52,7 @@ from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.minima_by_cuts import states_by_cuts
 from taichi_bearings.proof.resting import at_rest
 from taichi_bearings.proof.rounded_elimination import EPS
-from taichi_bearings.proof.springs import slip_rows, weighed
+from taichi_bearings.proof.springs import numbered, slip_rows, weighed
 from taichi_bearings.proof.tied_minima import MISSED_LIMIT, tied_states
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
@@ -82,12 +82,20 @@ class States:
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
     """Return the contact states at every minimum, one object a sample, from the bounds on the power."""
-    if bounds.alone:
-        return [states for one in bounds.alone for states in proven_states(one)]
     network, layered = bounds.network, bounds.network.graph.layered
     # Contacts that do not count, or are in samples without any potential, rest.
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
-    if (bounds.proof != PROVEN).any():
+    if bounds.alone:
+        return [states for one in bounds.alone for states in proven_states(one)]
+    if network.mixes and network.count > 1:
+        near = _enclosed_minimum(bounds) if _can_be_enclosed_together(bounds) else None
+        together = _nothing(network, "") if near is None else _enclosed(network, near)
+        done = np.zeros(network.count, dtype=bool) if near is None else near[2]
+        found = [
+            states if proven else proven_states(bounds.sample(number))[0]
+            for number, (states, proven) in enumerate(zip(together, done, strict=True))
+        ]
+    elif (bounds.proof != PROVEN).any():
         found = _nothing(network, "the bound is proven of some spins alone")
     # Which theorem applies depends on damping, on whether components mix, and on how many are needed.
     elif network.law.flows:
@@ -120,11 +128,18 @@ def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bo
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
 
 
-def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
+def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Return the result of :func:`oblique.enclosed_minimum`, whose module is loaded for packings alone."""
     from taichi_bearings.proof.oblique import enclosed_minimum
 
     return enclosed_minimum(bounds)
+
+
+def _can_be_enclosed_together(bounds: Bounds) -> bool:
+    """True if minima of several samples may be enclosed together: bounds of all are proven of all spins, and friction
+    everywhere lets states follow from the minima alone, without bounds on slips, which other samples would loosen."""
+    held = bounds.network.holding.high[bounds.network.counts] > 0
+    return bool((bounds.proof == PROVEN).all() and bounds.network.law.holds and held.all())
 
 
 def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
@@ -134,11 +149,11 @@ def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     return at_rest_beside_loops(bounds, far)
 
 
-def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray]) -> list[States]:
+def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.ndarray]) -> list[States]:
     """Return the states that follow from `near`, the mask S (E,) and the distances (E,) of
     :func:`oblique.enclosed_minimum`: contacts outside S rest, those of S slip if they have friction or a slip above the
     distance."""
-    slides, far = near
+    slides, far, _ = near
     known = (network.holding.high > 0) | (network.slip.least > far)
     slips = np.where(known, SLIPPING, UNDECIDED)
     return _samples(network, np.where(slides & network.counts, slips, SLIPLESS), "slips are small", None)
@@ -302,8 +317,8 @@ def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
 def _by_cones(bounds: Bounds) -> np.ndarray:
     """Return a bound (E,) on |slip at any minimum - given slip|, for a Coulomb network whose components mix; infinite
     where nothing is proven."""
-    network, springs = bounds.network, bounds.springs
-    if springs is None:
+    network = bounds.network
+    if bounds.unknown is None:
         return np.full(len(network.acts), np.inf)
     holding, slip = np.where(network.counts, network.holding.value, 0.0), network.slip.most
     room = np.maximum((network.holding - bounds.size).lower(), 0.0)
@@ -317,7 +332,8 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
     # Rows: the slip across friction of contacts near their limit, all components of the slip of the others.
     pick = sparse.csr_array((np.append(across[own].T.ravel(), np.ones(len(kept))),
                              (np.append(at[0], kept), np.append(at[1], kept))), shape=(3 * count,) * 2)  # fmt: skip
-    rows = sparse.csr_array(pick @ slip_rows(network, springs.number))
+    number = numbered(bounds.unknown)
+    rows = sparse.csr_array(pick @ slip_rows(network, number))
     excess, far, most = float(bounds.excess[0]), np.full(count, np.inf), bounds.upper / holding * UP
     for _ in range(PASSES):
         fastest = np.maximum(np.fmin(most, slip + far), slip)
@@ -325,14 +341,15 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
         weight = np.where(network.counts, holding / (2 * fastest), 0.0)
         stiff = np.minimum(room**2 / excess, STIFFEST * weight)
         weight = np.where(slides, weight, np.where(network.counts, stiff, 0.0))
-        form = weighed(network, rows, np.sqrt(np.tile(weight, 3)), springs.number)
-        if form is None or (floor := form.floor()) is None:
+        form = weighed(network, rows, np.sqrt(np.tile(weight, 3)), number)
+        floor = 0.0 if form is None else float(form.floor()[0])
+        if form is None or not floor > 0:
             break
         # Both y* and the given slips have a form of at most E, so they differ by at most twice its root.
         rounded = 16 * EPS * np.sqrt((weight * fastest**2)[slides].sum())
         radius = 2 * (np.sqrt(excess) + rounded) / np.sqrt(floor) * UP**2
-        scale = np.zeros(springs.number.shape)
-        scale[springs.number >= 0] = form.scale
+        scale = np.zeros(number.shape)
+        scale[number >= 0] = form.scale
         largest = scale.max(axis=1)[network.graph.contact].max(axis=0)
         far = np.fmin(far, np.sqrt(2) * largest * radius * np.linalg.norm(network.graph.normal, axis=1) * UP**2)
     return far
