@@ -85,7 +85,7 @@ The symbols
 here           in the code              is
 =============  =======================  ==========================================================
 n, m           free, acts (lengths)     spheres and contacts of all samples, one after the other
-R              count                    samples; a packing is one
+R              count                    samples, of a lattice or of one packing
 k              components, k            a component of spins: of discs one, of spheres three
 u              spin                     R omega; of lattices signed, and measured from the bottom
 y              slips(), slip            slips, and their sizes
