@@ -31,7 +31,7 @@ FASTEST_COMPARED = 1e6  # surface speed over the fastest imposed one, up to whic
 PAID = 1e-10  # share of the potential that a bound proven of all spins may cost; else a restricted one is given
 LEAST_POWER = 1e-3  # share of the natural potential; springs are made for no smaller one
 DOUBLE_ERROR = 1e-12  # relative error, amply, of a quotient found in plain doubles
-OF_SAMPLES = ("upper", "lower", "excess", "worst", "proof", "largest_torque", "price")  # fields (R,) of bounds
+BOUNDS_OF_SAMPLES = ("upper", "lower", "excess", "worst", "proof", "largest_torque", "price")  # fields (R,) of bounds
 PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} times the fastest imposed"
 
 
@@ -74,14 +74,14 @@ class Bounds:
         """Return the bounds of several samples that do not all go the same way, each found by itself."""
         network = replace(network, rolling=None)
         samples = [cls.of(network.some(slice(number, number + 1))) for number in range(network.count)]
-        found = {name: np.concatenate([getattr(one, name) for one in samples]) for name in OF_SAMPLES}
+        found = {name: np.concatenate([getattr(one, name) for one in samples]) for name in BOUNDS_OF_SAMPLES}
         size = joined([one.size for one in samples])
         return cls(network, size=size, unknown=None, friction=[], alone=tuple(samples), **found)
 
     def sample(self, number: int) -> Bounds:
         """Return the bounds of the sample with this number alone."""
         pick, count = slice(number, number + 1), self.network.count
-        own = {name: getattr(self, name)[pick] for name in OF_SAMPLES}
+        own = {name: getattr(self, name)[pick] for name in BOUNDS_OF_SAMPLES}
         sizes = len(self.network.free) // count, len(self.network.acts) // count
         spheres, contacts = (slice(number * size, (number + 1) * size) for size in sizes)
         unknown = None if self.unknown is None else self.unknown[spheres]
