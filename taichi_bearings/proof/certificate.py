@@ -60,14 +60,14 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list
 
 
 def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
-    """True if the gap of every sample is so wide that no contact state can follow from it.
+    """Return True if the gap of every sample is so wide that no contact state can follow from it.
 
-    At any minimum a contact of friction w that bears |f| slips by no more than excess / (w - |f|). No spin of a minimum
-    leaves the box between the planes, so no contact slips faster than R times the jump across all components, R the
-    radius. If the excess is at least the largest w times that, the first bound is no better for any contact, whatever f
-    is.
+    At any minimum a contact with the friction limit w that bears |f| slips by no more than excess / (w - |f|). No spin
+    of a minimum leaves the interval between the spins of both planes, so no contact slips faster than the radius times
+    the jump. If the excess is at least the largest w times that, the first bound is no better for any contact, whatever
+    f is.
 
-    excess : (R,) in samples, power less its proven lower bound, energy/time.
+    excess : (R,) for R samples, power less its proven lower bound, energy/time.
     """
     if scene.law.flows or not scene.law.holds:
         return False

@@ -167,7 +167,7 @@ class Slipping:
         return sparse.csr_array((signs, ends[kept], begin), shape=(len(ends), self.unknowns))
 
     def moved(self, step: np.ndarray) -> Slipping:
-        """Return these contacts with their slips after the unknowns have changed by `step` (unknowns,)."""
+        """Return a copy with the slips after the unknowns have changed by `step` (unknowns,)."""
         by = np.append(step, 0.0)
         difference = tuple(
             part + (Enclosure.exact(by[upper]) - Enclosure.exact(by[lower]))

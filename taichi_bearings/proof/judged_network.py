@@ -114,12 +114,14 @@ class JudgedNetwork:
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """(m,) mask of the contacts that act at a reached sphere: all others dissipate nothing at any minimum."""
+        """(m,) mask of the contacts that can dissipate: they have a coefficient and a free end, and contacts connect
+        them to a driven sphere. All others dissipate nothing at any minimum."""
         return self.acts if self.is_whole else self._holding & self.graph.any_end(self.reached)
 
     @cached_property
     def _holding(self) -> np.ndarray:
-        """(m,) mask of the contacts that act and touch no sphere in `rolling`."""
+        """(m,) mask of the contacts that have a coefficient and a free end (`acts`) and touch no sphere in
+        `rolling`."""
         return self.acts if self.rolling is None else self.acts & ~self.graph.any_end(self.rolling)
 
     @cached_property
@@ -157,8 +159,8 @@ class JudgedNetwork:
 
     @cached_property
     def division(self) -> list[Part]:
-        """The spheres divided into parts, in the order in which they are eliminated: by nested dissection of the
-        contacts that act between free ones."""
+        """The n spheres divided into groups, in the order in which they are eliminated: by nested dissection of the
+        graph of contacts between free spheres."""
         first, second = self.graph.contact[:, self.acts]
         inner, count = self.free[first] & self.free[second], len(self.free)
         ends = np.append(first[inner], second[inner]), np.append(second[inner], first[inner])
@@ -166,8 +168,8 @@ class JudgedNetwork:
         return dissected(graph, self.graph.place.T, REGION_UNKNOWNS // len(self.spin))
 
     def parts_of(self, sphere: np.ndarray) -> list[Part]:
-        """Return the parts in which n unknowns are eliminated that only contacts couple. sphere : (n,), the sphere of
-        each."""
+        """Return the groups in which n unknowns are eliminated from a matrix, in this order; only contacts may couple
+        two unknowns. sphere : (n,), the sphere to which each unknown belongs."""
         return restricted(self.division, sphere, REGION_UNKNOWNS)
 
     def samples_of(self, sphere: np.ndarray) -> Samples:
@@ -208,7 +210,7 @@ class JudgedNetwork:
         return contacts // (len(self.acts) // self.count)
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return for each contact (m,) the number of its sample. values : (R,)."""
+        """Return for each of the m contacts the value (m,) of its sample. values : (R,), a value for each sample."""
         return (
             np.broadcast_to(values, len(self.acts))
             if self.count == 1

@@ -104,8 +104,9 @@ class CutGraph:
         return cls(own, low, high, up, down, label, node[order], value[order], is_double)
 
     def follows(self, margin: np.ndarray) -> sparse.csr_array:
-        """Return the directed graph (nodes, nodes) with an edge from a node to another one that is above every lightest
-        cut if the first one is (step 2). margin : (q,), E / step, largest unused friction of an edge of such a cut."""
+        """Return a directed graph (nodes, nodes): an edge leads from one node to another if that is above every
+        lightest cut whenever the first one is (step 2 at the head of the file). margin : (q,), for each edge of the cut
+        graph the largest part of mu F_n that friction may leave unused in a lightest cut, excess / step."""
         size, rises, falls = len(self.label), self.up > margin, self.down > margin
         tail, head = np.append(self.high[rises], self.low[falls]), np.append(self.low[rises], self.high[falls])
         return sparse.csr_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(size, size))

@@ -217,7 +217,7 @@ class Near:
 
     @cached_property
     def parts(self) -> list[Part]:
-        """The parts in which the unknowns are eliminated, one after the other."""
+        """Groups of unknowns in the order in which they are eliminated from a matrix."""
         return self.network.parts_of(np.nonzero(self.number >= 0)[0])
 
     @property
@@ -302,8 +302,8 @@ class Near:
             found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
 
     def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Near:
-        """Return these spins and this friction after one step. step : (n,), added to the unknowns. less_friction : (3,
-        T), subtracted from the friction of the T resting contacts."""
+        """Return a copy of spins and friction after one step of Newton's method. step : (n,), added to the unknown
+        spins. less_friction : (3, T), subtracted from the friction of the T resting contacts."""
         moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
         moved[self.number >= 0], less[:, self.resting] = step, -less_friction
         spin, resting = (

@@ -247,8 +247,8 @@ class BetweenTwo:
 
     @classmethod
     def of(cls, pulls: Pulls, contacts: Slipping) -> BetweenTwo:
-        """Find these domains. pulls : the n contacts that bear all their friction. contacts : slips of those that
-        slip."""
+        """Find the domains that lie between two others. pulls : the n contacts that bear all their friction. contacts :
+        slips of those that slip."""
         pair, known = (
             pulls.same_in_both,
             [pulls.known_pulls_cancel_at(pulls.domain_tc[slot], slot) for slot in range(2)],
@@ -357,7 +357,8 @@ class Saturated:
 
     @classmethod
     def of(cls, motion: Motion) -> Saturated | None:
-        """Find these contacts; None if some contact bears its whole friction with a part along both components."""
+        """Find the contacts of a motion that do not slip, yet bear all their friction; None if some of them bears it
+        with a part along both components."""
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
