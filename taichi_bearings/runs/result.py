@@ -260,8 +260,19 @@ class Result:
         return replace(self, asked=asked, solution=solution, started_from=one)
 
     def start(self) -> np.ndarray | None:
-        """Return the initial spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time; None for a
-        packing whose initial spins are named only.
+        """Return the spins from which the solve started.
+
+        Returns
+        -------
+        array or None
+            Laboratory spins, (R, *N) of discs or (R, *N, 3) of spheres for R samples, 1/time; None for a packing whose
+            initial spins are named only.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.solve(tb.Scene.random((4, 5), seed=3), start="zero", threads=1).start().shape
+        (1, 4, 5)
         """
         named, path = self.asked.initial, self.path
         if self.started_from is not None or self.scene.network.lattice is None:

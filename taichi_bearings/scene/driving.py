@@ -410,7 +410,7 @@ class Planes(Driving):
 
     @cached_property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """The spin components that have to be found; at some minimum no contact slips by the others.
+        """Numbers of the spin components that have to be solved for; some minimum has no slip from the others.
 
         A component in which top and bottom agree is constant at a minimum (equations.md, 3). The component along the
         height of a cubic lattice is constant in each layer: contacts along the height do not slip by it. If no

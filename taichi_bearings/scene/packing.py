@@ -216,9 +216,25 @@ class Packing(Bearing):
         return {name: np.reshape(v, (self.replicas, -1)) for name, v in given.items() if v is not None}
 
     def slip_speeds(self, spin: np.ndarray) -> np.ndarray:
-        """Return the slip speed of each contact, (contacts E,), length/time.
+        """Return the slip speed of each contact at spins of your own.
 
-        spin : laboratory spins, (spheres N, 3) of spheres or (N,) of discs, 1/time.
+        Parameters
+        ----------
+        spin : (N, 3) array, in 2D (N,)
+            Laboratory spins, 1/time.
+
+        Returns
+        -------
+        (E,) array
+            Slip speeds, length/time.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import taichi_bearings as tb
+        >>> row = tb.Packing([[0, 0], [1, 0]], [[0, 1]], driven=[0, 1], spin=[1, 1], friction=[0.2])
+        >>> row.slip_speeds(np.array([1.0, 1.0])), row.slip_speeds(np.array([1.0, -1.0]))
+        (array([1.]), array([0.]))
         """
         return self.network.slips(spin.reshape(self.spheres, -1) * self.network.radius[:, None])
 
@@ -234,13 +250,34 @@ class Packing(Bearing):
         return spin, rest
 
     def inertias(self, mass: float, inertia: float | None, density: ArrayLike | None = None) -> np.ndarray:
-        """Return moments of inertia over squared radii, (spheres N,), mass.
+        """Return the moments of inertia of all spheres over their squared radii.
 
-        mass : of a sphere of the mean radius, if neither of the others is given. Masses grow with the radius to the D.
-        inertia : moment of inertia of a sphere of the mean radius, mass * length^2, or None.
-        density : mass / length^D, one number or (N,), or None.
+        Masses grow with the radius to the power of the dimension.
 
-        Raises InputError if both inertia and density are given.
+        Parameters
+        ----------
+        mass : float
+            Mass of a sphere of the mean radius, used if neither of the others is given.
+        inertia : float or None
+            Moment of inertia of a sphere of the mean radius, mass * length^2.
+        density : float or (N,) array, optional
+            Mass / length^D.
+
+        Returns
+        -------
+        (N,) array
+            Moments of inertia over squared radii, mass.
+
+        Raises
+        ------
+        InputError
+            If both inertia and density are given.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Packing.lattice("square", (2, 3)).inertias(mass=1.0, inertia=None)
+        array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])
         """
         radius, shape = self.network.radius, 0.5 if self.dimension == 2 else 0.4
         if density is not None:
@@ -268,7 +305,25 @@ class Packing(Bearing):
         return found
 
     def with_top(self, strength: float) -> "Packing":
-        """Return a copy whose top, the driven body of the largest number, has its spins multiplied by `strength`."""
+        """Return a copy whose top, the driven body of the largest number, has its spins multiplied by a number.
+
+        Parameters
+        ----------
+        strength : float
+            The number.
+
+        Returns
+        -------
+        Packing
+            The copy.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> row = tb.Packing([[0, 0], [1, 0]], [[0, 1]], driven=[0, 1], spin=[1, 1], friction=[0.2])
+        >>> row.with_top(3.0).spin
+        array([1., 3.])
+        """
         top = self.driving.is_top.reshape(-1, *(1,) * (self.spin.ndim - 1))
         return replace(self, spin=np.where(top, strength, 1.0) * self.spin)
 
@@ -278,10 +333,28 @@ class Packing(Bearing):
 
     @classmethod
     def together(cls, samples: Sequence["Packing"]) -> "Packing":
-        """Return one packing with R samples, made of R packings that differ in their coefficients alone.
+        """Return one packing with several samples, made of packings that differ in their coefficients alone.
 
-        samples : the packings, one sample each. Friction, viscosity and normal force of the result have a leading axis
-        R. Raises InputError if the packings differ in anything else.
+        Parameters
+        ----------
+        samples : sequence of Packing
+            The packings, one sample each.
+
+        Returns
+        -------
+        Packing
+            Its friction, viscosity and normal force have a leading axis of samples.
+
+        Raises
+        ------
+        InputError
+            If the packings differ in anything else.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Packing.together([tb.Packing.lattice("square", (3, 4), seed=seed) for seed in (1, 2)]).seeds
+        (1, 2)
         """
         first = samples[0]
         if len(samples) == 1:

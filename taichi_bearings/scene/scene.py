@@ -362,7 +362,24 @@ class Scene(Bearing):
         return {"shape": self.lattice.shape, "spin_top": top, "spin_bottom": bottom, **given}
 
     def with_top(self, strength: float) -> "Scene":
-        """Return a copy whose top has its spin, or its bearing state, multiplied by `strength`."""
+        """Return a copy whose top has its spin, or its bearing state, multiplied by a number.
+
+        Parameters
+        ----------
+        strength : float
+            The number.
+
+        Returns
+        -------
+        Scene
+            The copy.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Scene.random((4, 5), seed=3).with_top(2.0).spin_top
+        2.0
+        """
         if self.top is None:
             return replace(self, spin_top=strength * self.spin_top)
         return replace(self, top=tuple(strength * part for part in self.top))

@@ -28,11 +28,14 @@ TANGENT = 1e-9  # gap of discs that touch, over the sum of their radii
 
 
 def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray, Built]:
-    """Return radii (spheres N,) and the bearing: places (N, 2), contacts (contacts E, 2), normals (E, 2), signs (N,) of
-    the two kinds, and bodies (N,), 0 for discs on the lower line, 1 for those on the upper one, -1 for others.
+    """Return the discs of a space-filling bearing: radii (spheres N,), and a tuple with places (N, 2), contacts
+    (contacts E, 2), normals (E, 2), signs (N,), and driven bodies (N,).
 
-    m, n, least_radius, periods : as of `Packing.space_filling`. Heights are from 0 to 1, x is periodic, and large discs
-    come first. Raises InputError for arguments that are not allowed.
+    Signs are +1 and -1 for the two kinds of discs, which turn in opposite senses. Bodies are 0 for discs on the lower
+    line, 1 for those on the upper one, -1 for others. Heights are from 0 to 1, x is periodic, and large discs come
+    first.
+
+    m, n, least_radius, periods : as for `Packing.space_filling`. Raises InputError for arguments that are not allowed.
     """
     m, n = (whole(0, LARGEST_COUNT).named(name, value) for name, value in (("m", m), ("n", n)))
     periods = whole(1, MOST_PERIODS).named("periods", periods)
