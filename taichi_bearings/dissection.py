@@ -118,11 +118,13 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
         active = active[np.bincount(own[active], minlength=1)[own[active]] > leaf]
         if not len(active):
             return _in_postorder(np.concatenate(parent), part)
+        # only edges inside regions that are still to be divided matter further on
         large = np.zeros(count, dtype=bool)
         large[active] = True
         inside = large[first] & large[second]
         first, second = first[inside], second[inside]
         ordered = ordered[large[ordered]].reshape(len(place), -1)
+        # separators stay with the part of their region; its two halves are the regions of the next level
         side, cover = _best_cut(first, second, own, ordered)
         active = active[~cover[active]]
         halves, own[active] = np.unique(2 * own[active] + side[active], return_inverse=True)

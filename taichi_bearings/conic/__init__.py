@@ -1,7 +1,7 @@
 """The Coulomb minimum as a conic programme: contact systems, cones, central path, and settling of contact states.
 
 The problem is to minimise the sum over contacts of mu b + eta |v|^2 / 2 over spins and bounds b >= |v|, where v = K u +
-b0 is the slip, linear in the spins u. Its dual is to find contact forces f in balance, K^T f = 0, with |f| <= mu (plus
+v0 is the slip, linear in the spins u. Its dual is to find contact forces f in balance, K^T f = 0, with |f| <= mu (plus
 a viscous force eta v where there is a viscosity eta). The pair (b, v) and the pair (mu, -f) of each contact are points
 of second-order cones: head not smaller than the length of the tail. Interior-point steps (central_path.py, iterate.py)
 follow the central path, on which the product, bound times what is left of the friction, is the same for all contacts,

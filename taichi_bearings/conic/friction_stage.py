@@ -133,6 +133,7 @@ class FrictionStage:
         noise = 8 * EPS * friction.stiffest * self.radius**2 * self.spin_scale
         prepared = False
         for _ in range(MOST_NEWTON_STEPS):
+            # Torques that are left; the stage ends when they are small.
             force = self._with_viscosity(friction, friction.limited(trial), spins)
             torque = self._torque(force, inertia, spins - base)
             if prepared and np.abs(torque).max(initial=0.0) <= STAGE_TORQUE * scale + noise:
@@ -140,6 +141,7 @@ class FrictionStage:
             prepared = self._prepare(friction, trial)
             if not prepared:
                 return None
+            # A Newton step, as long as the line search allows.
             step = self._solved(-torque)
             change = resistance * self.radius * self.system.change(step)
             length = self._step_length(friction, trial, change, spins, base, step, float(torque @ step))

@@ -56,6 +56,7 @@ class NewtonMatrix:
         """
         self.memory, self._system, self._parts = memory or Memory(), system, parts or [slice(0, system.unknowns)]
         own_memory = self.memory if len(self._parts) == 1 else None
+        # Each term of the matrix belongs to the sample of its first unknown.
         first, second, source, sign = system.terms()
         part_of = np.searchsorted([part.start for part in self._parts], first, side="right") - 1
         places, self._choleskys, end = np.empty_like(first), list[Cholesky](), 0
@@ -63,6 +64,7 @@ class NewtonMatrix:
         for number, part in enumerate(self._parts):
             own = np.flatnonzero(part_of == number) if parts else slice(None)
             pairs = first[own] - part.start, second[own] - part.start
+            # The pattern of one sample, and where each of its terms goes among the entries.
             of_part = partial(order, number) if callable(order) else partial(np.asarray, order)
             cholesky = Cholesky(part.stop - part.start, of_part, pairs, own_memory, engine)
             entry, pattern = cholesky.pattern.entry(*pairs), cholesky.pattern
@@ -116,6 +118,7 @@ class NewtonMatrix:
             own = slice(None) if len(self._parts) == 1 else slice(number, number + 1)
             if not regular[own].any():
                 continue
+            # Entries of this sample, plus springs on the diagonal; then its factorisation.
             factor, pattern = cholesky.factor(samples), cholesky.pattern
             factor.entries[entries, :samples] = values[among]
             springs = _side_by_side(inertia[part])[pattern.order] if isinstance(inertia, np.ndarray) else inertia

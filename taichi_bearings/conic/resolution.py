@@ -8,14 +8,15 @@ decides for every contact, and returns spins, slips and forces of the minimum (:
 
 Symbols (all words are in conic/__init__.py).
 
-==========  ==========================================================================================
-u           spins of the free spheres, the unknowns (unknowns,)
-v = K u + b slip of each contact, (d, n): linear in the spins; b comes from the driven spheres
-mu          largest friction force of each contact, (n,), in units of their mean
-f           friction force of each contact, (d, n); `dual` is -f
-margin      1 - |f| / mu, the share of its friction that a contact does not use
-S           the contacts that slip
-==========  ==========================================================================================
+============  ========================================================================================
+u             spins of the free spheres, the unknowns (unknowns,)
+v = K u + v0  slip of each contact, (d, n): linear in the spins; v0 comes from the driven spheres
+mu            largest friction force of each contact, (n,), in units of their mean
+f             friction force of each contact, (d, n); `dual` in the code is -f
+margin        1 - |f| / mu, the share of its friction that a contact does not use
+S             the contacts that slip
+n, d          number of contacts, and most slip components that one of them has (1 or 2)
+============  ========================================================================================
 
 Theorem used (optimality of a convex function; Rockafellar, Convex Analysis, 1970, section 27). Spins are a minimum
 exactly if there are forces f such that
@@ -33,7 +34,7 @@ force eta v more; nothing else changes.)
 
 Example: three contacts in a row with frictions 3, 1, 2, the first end at rest, the last one driven by a jump of 4. On
 the path the middle contact has nearly no margin and slips by nearly 4. With the others tied its slip is 4 and its force
-1. The tied contacts have to bear that force, and 1 is below 3 and 2: proven, the least power is 1 * 4.
+1. The tied contacts have to bear that force, and 1 is below 3 and 2: so the least power is 1 * 4.
 
 Steps of :func:`resolve`.
 

@@ -171,6 +171,7 @@ def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> 
     for number, members in enumerate(batches):
         batch[members] = number
     for number, members in enumerate(batches):
+        # take the first free stretch that holds all updates of the batch
         ends = np.cumsum(size[members])
         length = int(ends[-1])
         which = next(i for i, (_, stretch) in enumerate(free) if stretch >= length)
@@ -179,6 +180,7 @@ def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> 
         peak, places[members] = max(peak, start + length), start + ends - size[members]
         if parent[members[0]] >= 0:  # all of a batch is used by one other
             waiting[batch[parent[members[0]]]].append((start, length))
+        # give back the updates of the children, and join free stretches that touch
         for stretch in waiting[number]:
             stretches, free = sorted([*free, stretch] if stretch[1] else free), []
             for start, length in stretches:
