@@ -114,8 +114,9 @@ class JudgedNetwork:
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """(m,) mask of the contacts that can dissipate: they have a coefficient and a free end, and contacts connect
-        them to a driven sphere. All others dissipate nothing at any minimum."""
+        """(m,) mask of the contacts that can dissipate at a minimum: they have a coefficient and a free end, contacts
+        connect them to a driven sphere, and neither sphere is in `rolling`. All others dissipate nothing at any
+        minimum."""
         return self.acts if self.is_whole else self._holding & self.graph.any_end(self.reached)
 
     @cached_property
