@@ -125,8 +125,6 @@ def solve(
         monitors = _monitors(callback)
         density = {"density": options.pop("density")} if isinstance(scene, Packing) and "density" in options else {}
         job = _job(scene, method, {"tolerance": tolerance, **options}, start)
-        if isinstance(scene, Packing) and monitors and minimises(job.settings):
-            raise InputError(f"callback is given, but method {job.settings.method} of a packing does not use it")
         return replace(job.solve(monitors, **density), command="taichi_bearings.solve")
 
 

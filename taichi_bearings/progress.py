@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.stages import Stage, Step, listener
+from taichi_bearings.stages import Stage, listener
 from taichi_bearings.words import counted
 
 BETWEEN = "loading"  # name of the time outside all stages
@@ -173,13 +173,17 @@ def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
 
 
 def standing(report: Any) -> str:
-    """Return in words where a solve stands. report : a `Step` or a solvers.drive.Report."""
-    if isinstance(report, Step):
-        return f"{counted(report.iteration, 'iteration')}, P = {report.power:.8g}, gap {report.gap:.1e}"
+    """Return in words where a solve stands. report : a solvers.drive.Report."""
     progress = report.progress
     words = [counted(progress.iteration, "iteration")]
     words += [f"t = {progress.time:.3g}"] if progress.time is not None else []
-    return ", ".join([*words, f"P = {float(np.mean(report.objective)):.8g}", f"gap {float(np.max(report.gap)):.1e}"])
+    return ", ".join([*words, f"P = {float(np.mean(report.objective)):.8g}", f"gap {gap_of(report):.1e}"])
+
+
+def gap_of(report: Any) -> float:
+    """Return the largest gap of all samples; where nothing is proven on the way, that of the central path."""
+    on_path = report.progress.gap_of_path
+    return float(np.max(report.gap)) if on_path is None else on_path
 
 
 def forecast(stage: Stage) -> tuple[float, str]:
@@ -194,7 +198,7 @@ def forecast(stage: Stage) -> tuple[float, str]:
     if report is None:
         return (stage.expected if stage.expected and not stage.done else left), ""
     left = left if left <= FARTHEST * seconds else math.inf
-    limit = math.inf if isinstance(report, Step) else report.stop.seconds - report.seconds
+    limit = report.stop.seconds - report.seconds
     return (left, f" to {share_of(report)[1]}") if left < limit else (limit, " to the time limit")
 
 
@@ -204,9 +208,7 @@ def share_of(report: Any) -> tuple[float, str]:
 
     report : a `Step` or a solvers.drive.Report.
     """
-    gap = float(np.max(report.gap))
-    if isinstance(report, Step):
-        return _by_decades(gap, report.aim), f"gap {report.aim:.0e}"
+    gap = gap_of(report)
     progress, stop = report.progress, report.stop
     if progress.time is not None:
         return progress.time / stop.duration, f"t = {stop.duration:g}"

@@ -42,21 +42,6 @@ class Stage:
             who.hear(self)
 
 
-@dataclass(frozen=True)
-class Step:
-    """The progress of a descent that ends at a given gap.
-
-    iteration : number of steps so far.
-    power, gap : power, and relative gap to the least one, that they have reached.
-    aim : gap at which the descent ends; the gap falls by equal factors in equal times.
-    """
-
-    iteration: int
-    power: float
-    gap: float
-    aim: float
-
-
 listener: ContextVar[Any] = ContextVar("listener", default=None)
 """Hears of all stages, or is None; its methods are `begin` and `end` of a stage, and `hear` of a report."""
 

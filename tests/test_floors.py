@@ -87,7 +87,7 @@ def test_oracles_of_proofs_share_no_code_with_them(name):
 
 
 KINDS_ASKED_FOR = {
-    "api", "solvers.packing_answer", "scene.scene", "scene.packing",
+    "api", "solvers.packings", "scene.scene", "scene.packing",
 }  # fmt: skip
 """Modules that look at the class of what is solved: front doors, and those that only packings come to."""
 

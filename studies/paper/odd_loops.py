@@ -38,7 +38,7 @@ from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure, shades
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers.nested_cuts import least_spins
-from taichi_bearings.solvers.packing_answer import solve_packing
+from taichi_bearings.solvers.packings import solve_packing
 
 from .claims import Effort
 from .drawing import draw_means, name_sizes

@@ -354,10 +354,6 @@ class Path:
             return self.iterate(sample).gap
         return float(self._excess[sample] / self._power[sample])
 
-    def cost(self, sample: int) -> float:
-        """Cost of a sample after a step: friction times slip speed and half the viscous power."""
-        return float(self._power[sample]) if self._viscosity is None else self.iterate(sample).cost
-
     def price_of_torques(self, sample: int) -> float:
         """Return what unbalanced torques of a sample take from its lower bound at most, relative to its cost, as
         :attr:`Iterate.price_of_torques`."""

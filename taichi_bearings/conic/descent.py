@@ -5,7 +5,6 @@
 
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,7 +70,6 @@ class Descent:
         small: bool,
         settles: bool,
         asked: bool = True,
-        told: Callable[[Sample, float], None] | None = None,
     ) -> None:
         """Prepare a descent; the subclass sets `samples`.
 
@@ -81,10 +79,9 @@ class Descent:
         settles : True to settle contact states here. This needs a law whose force does not depend on the slip speed, so
             that contacts rest.
         asked : True if contact states are wanted, and not only a bound on the power.
-        told : function that is called with each sample and its cost after each of its steps; None for none.
         """
         self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
-        self.told, self.step_seconds = told, 0.0  # duration of the last step
+        self.step_seconds = 0.0  # duration of the last step
 
     def advance(self, steps: int) -> None:
         """Take up to `steps` further steps of every sample that is not done, and settle contact states where it is
@@ -93,10 +90,12 @@ class Descent:
         Several small samples are stepped side by side; where one leaves, another takes its place. Samples near the end
         of their paths wait for others, as settling their states together takes half the time.
         """
-        waiting = deque((sample, sample.steps + steps) for sample in self.samples if not sample.done)
-        together = self.small and len(waiting) > 1
+        at_end = [(sample, sample.steps + steps) for sample in self.samples if sample.at_end]  # of an earlier call
+        waiting = deque((of, of.steps + steps) for of in self.samples if not (of.done or of.at_end))
+        if not (at_end or waiting):
+            return
+        together = self.small and len(waiting) + len(at_end) > 1
         path, going = Path(self.shared.matrix, LANES if together else 1), dict[int, tuple[Sample, int]]()
-        at_end: list[tuple[Sample, int]] = []
         with one_thread():  # fronts are shared among threads here, not inside the library
             try:
                 while waiting or going or at_end:
@@ -144,8 +143,6 @@ class Descent:
         gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
         sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
-        if self.told is not None and accepted:
-            self.told(sample, path.cost(place))
         sample.at_end = sample.gap < max(self._near(sample), SETTLING_GAP if self.settles and sample.done else 0.0)
         if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)

@@ -169,6 +169,14 @@ class Lattice:
         contacts."""
         return self.ends[1] // self.shape[-1]
 
+    def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
+        """Return a view (R, planes, m, n) of values (R, ...) of the spheres, or of the contacts along one axis.
+
+        component : number of a spin component; the planes are the layers across its axis. The height is the last axis.
+        A square lattice is one plane.
+        """
+        return values[:, None] if self.dimension == 2 else np.moveaxis(values, 1 + component, 1)
+
     def across(self, component: int) -> "Lattice":
         """Return the lattice of one plane of spheres across the axis `component`: contacts in it couple the spin
         component along that axis. A square lattice itself."""

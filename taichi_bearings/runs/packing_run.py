@@ -1,7 +1,7 @@
 """Runs of packings: the packing that settings describe, and its answer by the method that they name.
 
-A replica is one sample of several that differ in their coefficients alone. The minimum of a packing is found at once,
-or by a method that steps from initial spins, a dynamics or a descent.
+A replica is one sample of several that differ in their coefficients alone. Minima are found without initial spins;
+dynamics and descents step from these.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,9 +26,9 @@ from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed
-from taichi_bearings.solvers.packing_answer import solve_packing
+from taichi_bearings.solvers.packings import least_power, side_by_side, some_of
+from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
-from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 TWICE = {"distribution": "friction", "viscosity": "viscosity", **{name: name for name in SIZES}}
 """Options, and the arrays of a file that make them superfluous: only one of the two may be given."""
 COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing, in the order of the coefficients of a law
-BLOCK_REPLICAS = 16  # number of replicas whose minima are found together, and that Ctrl-C can lose
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # axes of an array of one sample; other arrays have one
 
 
@@ -70,9 +69,6 @@ def solve_packings(
     monitors : functions that are called at each check. checkpoints : where and how often checkpoints are written, and
         the one to continue from; None for none. others : as for :func:`solved_packing`.
 
-    Dynamics and descents run in the loop of `solvers.drive.solve`. Minima are found block by block, those of small
-    packings together.
-
     After Ctrl-C the result holds the samples that were begun. With checkpoints, from which the others can be solved
     later, KeyboardInterrupt is raised instead, unless all samples were begun.
     """
@@ -86,17 +82,17 @@ def solve_packings(
         return Result(settings, solution, start, interrupted=solution.interrupted)
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
     for begin, end in _blocks(settings, scene):
-        of_steps = {} if minimises(settings) else {"monitors": monitors, "checkpoints": written[begin]}
+        first = start if each is None else each[begin]
+        block = some_of(scene, begin, end)
+        of_block = {"monitors": monitors, "checkpoints": written[begin], **others}
         try:
-            with stage("solving"), leaving.saving() if found else nullcontext():
-                first = start if each is None else each[begin]
-                block = scene if scene.replicas == 1 else scene.some(slice(begin, end))
-                solved = solved_packing(settings, block, start=first, **of_steps, **others)
-                found += [solved.sample(number) for number in range(end - begin)]
+            with leaving.saving() if found else nullcontext():
+                solved = solved_packing(settings, block, start=first, **of_block)
+            found += [solved.sample(number) for number in range(end - begin)]
         except KeyboardInterrupt:
             if not found:
                 raise
-        if is_interrupted := len(found) < end or found[-1].status is Status.INTERRUPTED:
+        if is_interrupted := len(found) < end or found[-1].interrupted or found[-1].status is Status.INTERRUPTED:
             if len(found) < count and checkpoints is not None:
                 raise KeyboardInterrupt
             settings, start = replace(settings, replicas=len(found)), start if each is None else each[: len(found)]
@@ -106,9 +102,10 @@ def solve_packings(
 
 def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
     """Yield blocks of samples that are solved together: the number of the first, and one more than that of the last."""
-    size = BLOCK_REPLICAS if are_solved_together(settings, scene.network.spheres) else 1
-    for begin in range(0, scene.replicas, size):
-        yield begin, min(begin + size, scene.replicas)
+    if are_solved_together(settings, scene.network.spheres):
+        yield from side_by_side(scene)
+    else:
+        yield from ((number, number + 1) for number in range(scene.replicas))
 
 
 def are_solved_together(settings: RunSettings, spheres: int) -> bool:
@@ -119,7 +116,7 @@ def are_solved_together(settings: RunSettings, spheres: int) -> bool:
 
 
 def minimises(settings: RunSettings) -> bool:
-    """Return True if the method finds the minimum of a packing directly, without stepping from initial spins.
+    """Return True if the method finds the minimum of a packing without initial spins.
 
     Raises InputError for a method that packings do not have.
     """
@@ -253,7 +250,7 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
     """Return the answer for a packing by the method that the settings name.
 
     start : initial spins; None to take those that the settings name.
-    others : `density`, `monitors` and `checkpoints` of :func:`_stepped`, for dynamics and descents alone.
+    others : `monitors` and `checkpoints` as for `solvers.drive.solve`, and `density` of :func:`_stepped`.
     """
     row, given = row_of_packing(settings.method), settings.given
     device = {key: given[key] for key in ON_DEVICE if key in given}
@@ -262,16 +259,19 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
             raise DeviceError("the least power of a packing can only be found on the CPU; use --arch cpu")
         if threads := device.get("threads"):
             runtime.start(threads=threads)
-        found = solve_packing(packing, settings.tolerance, settings.method)
+        if "density" in others:
+            raise InputError(f"density is given, but method {settings.method} of a packing has no use for it")
+        found = least_power(packing, settings.method, StopRule.of(settings), **others)
     else:
         method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
         if device:
             runtime.start(**device)
         first = settings.initial if start is None else start
         found = _stepped(packing, method, first, settings, **others)
-    if settings.torque is not None and found.status is not Status.INTERRUPTED:
+    if settings.torque is not None and found.status is not Status.INTERRUPTED and not found.interrupted:
         free = replace(settings, torque=None, slip_threshold=None)
-        found = under_torque(found, settings.torque, lambda other: solved_packing(free, other, **others))
+        alone = {name: others[name] for name in others if name == "density"}  # checkpoints are of the first solve
+        found = under_torque(found, settings.torque, lambda other: solved_packing(free, other, **alone))
     if (threshold := settings.slip_threshold) is None:
         return found
     by_slip, known = by_threshold(found.slip, found.state, threshold), what_is_proven(found.state, found.proven)
@@ -298,7 +298,6 @@ def _stepped(
     from taichi_bearings.solvers.drive import solve  # and with it Taichi's kernels
     from taichi_bearings.solvers.dynamics import Dynamics
     from taichi_bearings.solvers.recording import Recording
-    from taichi_bearings.solvers.stopping import StopRule
 
     method = options.build()
     if isinstance(method, Dynamics):

@@ -25,6 +25,7 @@ from taichi_bearings.runs.writing import draw_figures, publish
 from taichi_bearings.scene import Bearing, Snapshots, Solution, Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.solvers.stopping import is_certified
 from taichi_bearings.words import html_table, listed
 
 if TYPE_CHECKING:
@@ -143,13 +144,12 @@ class Result:
         in words.
 
         A sample whose own gap is within the tolerance is certified, however the other samples ended. The exception is a
-        dynamics that reached a limit before the simulated time that was asked for.
+        dynamics that ended before the simulated time that was asked for.
         """
-        limits = () if self.asked.duration is None else (Status.STEP_LIMIT, Status.TIME_LIMIT)
-        each = self.solution.own.get("status", [self.solution.status] * len(self))
+        own, asked = self.solution.own.get("status", [self.solution.status] * len(self)), self.asked
         return [
-            Status.CERTIFIED if gap <= self.asked.tolerance and status not in limits else status
-            for status, gap in zip(each, self.solution.gap, strict=True)
+            Status.CERTIFIED if is_certified(status, gap, asked.tolerance, asked.duration is not None) else status
+            for status, gap in zip(own, self.solution.gap, strict=True)
         ]
 
     @property

@@ -90,8 +90,6 @@ OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top",
 OF_TABLES, OF_SIDES = ("contacts", "touching"), ("spin_top", "spin_bottom", "direction")
 """Keys that only a table of centres uses; and keys of a lattice that such a table uses too."""
 MOST_TOUCHING = 0.05  # the largest gap at which spheres may touch, the same as that of contacts that are given
-OF_COURSES = ("initial", "iterations", "time_limit")
-"""Keys that a packing does not use if its minimum is found at once."""
 NAMED_FILES = ("coefficients", "packing", "contacts", "initial")  # keys that name files
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
@@ -363,7 +361,6 @@ class RunSettings:
         table, law, unused = settings_table(), LAWS[self.law], {}
         has_states = self.top is not None or self.bottom is not None
         minimises = self.is_packing and row_of_packing(self.method) is None
-        no_course = self.is_packing and not method.is_dynamics
         for key, value in self.given.items():
             methods, laws = users_of(table[key])
             needs = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
@@ -378,7 +375,7 @@ class RunSettings:
                 why = f"contacts are those of {self.contacts}; leave one of the two out"
             elif needs:
                 why = f"{method.name} with the law {law.name} does not use it; it needs {' and '.join(needs)}"
-            elif (minimises and key in OF_COURSES) or (key == "checkpoint_every" and no_course):
+            elif minimises and key == "initial":
                 why = f"method {self.method} of a packing does not use it"
             elif len(self.shape) not in table[key].dimensions:
                 why = "spins of discs point along z; it needs three sides"

@@ -99,13 +99,14 @@ def _packings_together(settings: RunSettings) -> int:
     """Return how many samples of one packing are sent to a worker at a time: as many as are solved together, or as take
     BLOCK_SECONDS.
     """
-    from taichi_bearings.runs.packing_run import BLOCK_REPLICAS, are_solved_together  # and with it SciPy
+    from taichi_bearings.runs.packing_run import are_solved_together  # and with it SciPy
+    from taichi_bearings.solvers.packings import MOST_SIDE_BY_SIDE
 
     spheres = spheres_of(settings)
     if not are_solved_together(settings, spheres):
         return 1
     alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
-    return min(BLOCK_REPLICAS, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
+    return min(MOST_SIDE_BY_SIDE, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
 
 
 def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = False) -> float:

@@ -84,13 +84,17 @@ def _are_alike_packings(group: Sequence[Sample]) -> bool:
     """Return True if samples of a packing that differ in their seeds can be solved together, with the same bits as
     alone.
 
-    It is False where a file gives the initial spins or all coefficients, which seeds do not change, and where the
-    packing cannot be read: each sample then reports that itself.
+    It is False where a file gives the initial spins or all coefficients, which seeds do not change, where each sample
+    has a limit on its time, and where the packing cannot be read: each sample then reports that itself.
     """
     from taichi_bearings.runs.packing_run import are_solved_together  # and with it SciPy
 
     settings = group[0].settings
-    if len(group) == 1 or not {name for name, _ in files_of(settings)} <= {"packing", "contacts"}:
+    if (
+        len(group) == 1
+        or settings.time_limit is not None
+        or not {name for name, _ in files_of(settings)} <= {"packing", "contacts"}
+    ):
         return False
     try:
         return are_solved_together(settings, spheres_of(settings))

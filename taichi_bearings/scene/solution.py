@@ -136,6 +136,8 @@ class Progress:
         name, (R,) each.
     falls_to : gap down to which each further stretch of time reduces the gap by at least the same factor; 0 if not
         known.
+    gap_of_path : the largest relative gap of all samples on the central path, where nothing is proven on the way: no
+        proof, but it tells how far they are; else None.
     falls_as : exponent k, if the gap falls about as iteration^-k, else 0.
     ended : (R,), iteration at which each sample was done, of a method that steps them one by one, else None.
     """
@@ -165,6 +167,7 @@ class Progress:
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     falls_to: float = 0.0
     falls_as: float = 0.0
+    gap_of_path: float | None = None
     ended: np.ndarray | None = None
 
     def where(self, better: np.ndarray, other: "Progress") -> "Progress":

@@ -1,8 +1,9 @@
 """`Contacts`, through which methods reach the contacts of a scene: their fields, kernels, bounds, and the answer.
 
-There are two kinds. `OnStrides` (solvers/on_strides.py) has the contacts of a lattice, whose neighbours are a constant
-stride apart in memory; `OnLists` (solvers/on_lists.py) has those of any other network, in lists. `contacts_of` in
-solvers/method.py chooses between them; nothing else asks which of the two it has.
+There are three kinds. `OnStrides` (on_strides.py) has the contacts of a lattice, whose neighbours are a constant stride
+apart in memory; `OnLists` (on_lists.py) has those of any other network, in lists, for methods that step them; and
+`OnSystem` (on_system.py) has the linear map from its spins to its slips, for methods that find minima. `contacts_of` in
+solvers/method.py chooses between them; nothing else asks which one it has.
 
 Shapes: R samples, N spheres (the shape of a lattice, or their number), E contacts, C carried spin components.
 *Staggered* spins are those that are carried: on a lattice with signs by which neighbours differ and measured from the
@@ -11,7 +12,8 @@ of tangents of a contact.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,6 +24,8 @@ from taichi_bearings.fields import Fields
 from taichi_bearings.fields.lists import AnySpec
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
+from taichi_bearings.solvers.found import Found
+from taichi_bearings.solvers.part import Part
 from taichi_bearings.solvers.stopping import StopRule
 
 if TYPE_CHECKING:
@@ -47,6 +51,9 @@ class Ended:
     iterations : how many iterations were made.
     stop : the limits and the tolerance that the run was given.
     options : the method and its options.
+    found : function that returns the spins and forces which a method for minima has reached in each sample of a
+        packing.
+    while_wanted : function that returns a context whose work ends with GivenUp by Ctrl-C, or when the time is over.
     """
 
     status: Status
@@ -56,6 +63,8 @@ class Ended:
     iterations: int
     stop: StopRule
     options: "MethodOptions"
+    found: Callable[[], list[Found]]
+    while_wanted: Callable[[], AbstractContextManager[None]]
 
 
 @dataclass(frozen=True)
@@ -73,18 +82,77 @@ class Launch:
 
 
 class Contacts(ABC):
-    """The contacts of a scene as a method steps them: their fields, kernels and bounds.
+    """The contacts of a scene as a method sees them.
 
-    scene : what is stepped; for a packing without the contacts that take no part.
+    scene : what is solved; for methods that step a packing without the contacts that take no part.
     spin_axes : numbers of the axes of the C spin components that are computed.
+    """
+
+    scene: Bearing
+    spin_axes: tuple[int, ...]
+
+    def paths(self, spin: np.ndarray, settle: bool) -> Part:
+        """Return the central paths of all samples, for the interior-point method.
+
+        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+        settle : True to go on along the paths until contact states are settled.
+        """
+        raise NotImplementedError
+
+    def cuts(self, spin: np.ndarray) -> Part:
+        """Return what finds the minimum cuts of all samples.
+
+        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+        """
+        raise NotImplementedError
+
+    def linear_systems(self, spin: np.ndarray) -> Part:
+        """Return what balances the viscous forces of all samples.
+
+        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+        """
+        raise NotImplementedError
+
+    @abstractmethod
+    def proven_by(self, force: Forces) -> np.ndarray:
+        """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
+        checkpoint, prove.
+        """
+
+    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: object) -> Progress:
+        """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
+        left.
+
+        staggered : (C components, R samples, *N spheres), spins as methods carry them (on lattices with alternating
+            signs), 1/time; in a packing radius * spin.
+        force : (C, R, E contacts), contact forces at these spins.
+        proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
+        more : further fields of :class:`Progress`, by name.
+        """
+        raise NotImplementedError
+
+    def answered(self, ended: Ended) -> Solution | None:
+        """Return the solution of a run on a packing that ended; None for a lattice: that is computed in drive.py."""
+        return None
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return by name the arrays that a checkpoint needs of the contacts, beside those of the method."""
+        return {}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call."""
+        assert not self.state()
+
+
+class Stepped(Contacts):
+    """Contacts that a method steps: their fields, kernels and bounds.
+
     points, forces : names of the fields that hold the spins of a gradient descent (on spheres), and its forces (on
         contacts).
     fields : the numbers on the device, once `allocate` was called.
     spec : names and sizes of these fields.
     """
 
-    scene: Bearing
-    spin_axes: tuple[int, ...]
     points: tuple[str, ...]
     forces: tuple[str, ...]
     fields: Fields
@@ -215,33 +283,3 @@ class Contacts(ABC):
         bound : (R,), the present one.
         """
         return bound
-
-    @abstractmethod
-    def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
-        checkpoint, prove.
-        """
-
-    @abstractmethod
-    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: object) -> Progress:
-        """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
-        left.
-
-        staggered : (C components, R samples, *N spheres), spins as methods carry them (on lattices with alternating
-            signs), 1/time; in a packing radius * spin.
-        force : (C, R, E contacts), contact forces at these spins.
-        proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
-        more : further fields of :class:`Progress`, by name.
-        """
-
-    def answered(self, ended: Ended) -> Solution | None:
-        """Return the solution of a run on a packing that ended; None for a lattice: that is computed in drive.py."""
-        return None
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Return by name the arrays that a checkpoint needs of the contacts, beside those of the method."""
-        return {}
-
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call."""
-        assert not self.state()

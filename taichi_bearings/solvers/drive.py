@@ -1,8 +1,8 @@
 """The loop that runs every method: it owns the clock, the history, the monitors, the checkpoints and the stopping.
 
 `solve` prepares the method, follows its *course* (class `Course`: the loop from the start, or from a checkpoint, to the
-end), and has the answer judged. Lattices are solved with all their samples in one course; each sample of a packing has
-a course of its own, and some are stepped side by side.
+end), and has the answer judged. Lattices are solved with all their samples in one course, and so are minima of
+packings; otherwise each sample of a packing has a course of its own, and some are stepped side by side.
 
 Words: a *look* is a point of the course at which the progress of the method is read and judged. Shapes: R samples
 (replicas), N spheres, E contacts, C carried spin components.
@@ -10,7 +10,7 @@ Words: a *look* is a point of the course at which the progress of the method is 
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -116,12 +116,13 @@ def solve(
     Before the first step it raises KeyboardInterrupt. Ctrl-C and the limit on time also end the proof of the contact
     states. Raises InputError for a scene that the method cannot solve, DeviceError for a method that needs the CPU.
     """
-    if reason := method.options.refusal(scene):
+    minimises_packing = not (scene.driving.samples_step_together or method.options.steps_packings)
+    if not minimises_packing and (reason := method.options.refusal(scene)):
         raise InputError(reason)
     if method.options.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
     asked = _Asked(stop or StopRule(), monitors, slip_threshold, recording or Recording())
-    if scene.driving.samples_step_together or scene.replicas == 1:
+    if scene.driving.samples_step_together or scene.replicas == 1 or minimises_packing:
         return _solved([_Sample(scene, method, spin, checkpoints)], asked)[0]
     return _apart(scene, method, spin, checkpoints, asked)
 
@@ -412,6 +413,10 @@ class Course:
         """Return True if Ctrl-C was pressed, or the time is over."""
         return self.interrupt.heard or self._seconds_of_this_call >= self.stop.seconds
 
+    def _while_wanted(self) -> AbstractContextManager[None]:
+        """Return a context whose work ends with GivenUp by Ctrl-C, or when the time is over."""
+        return self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call)
+
     def _write_if_due(self, looked: bool = False) -> None:
         """Write a checkpoint if the last one is old enough.
 
@@ -438,8 +443,10 @@ class Course:
         """
         history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
         best, status, options = self.best, self.status, self.method.options
-        ended = Ended(status, best.progress, best.bound, best.proof, last.iteration, self.stop, options)
-        # the answer to a packing comes judged from its contacts
+        ended = Ended(
+            status, best.progress, best.bound, best.proof, last.iteration, self.stop, options, self.method.found,
+            self._while_wanted,
+        )  # fmt: skip
         of_packing = self.method.contacts.answered(ended)
         findings = self.findings
         if of_packing is not None:
@@ -452,7 +459,7 @@ class Course:
         status = ended_as(status, found, self.stop, isinstance(self.method, Dynamics))
         moves = isinstance(self.method, Dynamics) and not scene.law.flows
         has_ended, known = moves and threshold is None and status is Status.CERTIFIED, None
-        with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
+        with suppress(GivenUp), self._while_wanted():
             known = known_states(scene, final, judgement, has_ended)
         found = named(found, final, known, has_ended, is_present=moves or threshold is not None)
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)

@@ -18,6 +18,7 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Bearing, Energy, Progress
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.contacts import Stepped
 from taichi_bearings.solvers.method import Method
 
 REST_SLIP = 1e-6  # largest slip that is called rest, in units of the slip of a contact with the whole imposed jump
@@ -125,6 +126,7 @@ class Dynamics(Method):
     inertia : moments of inertia, as from `Contacts.inertias`.
     """
 
+    contacts: Stepped
     resumes = True
     state_names: ClassVar[tuple[str, ...]] = ()
     rest_gap: ClassVar = 1e-4

@@ -14,8 +14,11 @@ import numpy as np
 from taichi_bearings.fields import Fields
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.scene import Bearing, Progress
+from taichi_bearings.scene.packing import of_packing
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.contacts import Contacts, Launch
+from taichi_bearings.solvers.contacts import Contacts, Launch, Stepped
+from taichi_bearings.solvers.found import Found
+from taichi_bearings.solvers.part import Part
 
 if TYPE_CHECKING:
     from taichi_bearings.kernels.team import Sweeps, Team
@@ -50,7 +53,7 @@ class Method:
 
         spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         """
-        self.contacts = contacts_of(scene, spin, self.options.is_dynamics)
+        self.contacts = contacts_of(scene, spin, self.options)
         self.scene, self.spin_axes = self.contacts.scene, self.contacts.spin_axes
 
     def next_check(self, iteration: int) -> int:
@@ -71,6 +74,10 @@ class Method:
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Continue from what `state` returned in an earlier call; called after `begin`."""
+        raise NotImplementedError
+
+    def found(self) -> list[Found]:
+        """Return the spins and forces that each sample of a packing has reached; of methods that find minima."""
         raise NotImplementedError
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
@@ -135,16 +142,53 @@ class Method:
         """
         return self.contacts.judged(staggered, force, proof, **more)
 
-    def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
-        """Return values of spheres or contacts on a lattice by plane, as a view (R samples, planes, m, n); the height
-        is the last axis.
 
-        The planes are the layers across the axis of a spin component; a square lattice is one plane.
+class Minimiser(Method):
+    """A method that finds minima by a part which the contacts choose: one for lattices, another one for packings.
 
-        values : (R, ...), one for each sphere, or for each contact along one axis.
-        component : number of the axis of the spin component.
-        """
-        return values[:, None] if self.scene.network.dimension == 2 else np.moveaxis(values, 1 + component, 1)
+    start : laboratory spins at the start, 1/time. part : what makes the iterations.
+    """
+
+    start: np.ndarray
+    part: Part
+
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare to solve a scene. spin : laboratory spins to start from, 1/time; packings have no use for them."""
+        super().begin(scene, spin)
+        self.start = spin
+        self.part = self.part_of()
+
+    def part_of(self) -> Part:
+        """Return the part that fits the contacts of this scene."""
+        raise NotImplementedError
+
+    @property
+    def iteration(self) -> int:  # type: ignore[override]
+        return self.part.iteration
+
+    def next_check(self, iteration: int) -> int:
+        """Return the iteration of the next look. iteration : that of this one."""
+        return self.part.next_check(iteration)
+
+    def advance(self, steps: int) -> None:
+        """Make `steps` iterations."""
+        self.part.advance(steps)
+
+    def progress(self) -> Progress:
+        """Return the state now, with its bounds."""
+        return self.part.progress()
+
+    def found(self) -> list[Found]:
+        """Return the spins and forces that each sample of a packing has reached."""
+        return self.part.found()
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that the further iterations depend on, by name."""
+        return self.part.state()
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call."""
+        self.part.restore(state)
 
 
 class Swept(Method):
@@ -153,6 +197,7 @@ class Swept(Method):
     team, sweeps : the threads and the kernel, which `begin` makes.
     """
 
+    contacts: Stepped
     team: "Team"
     sweeps: "Sweeps"
 
@@ -173,16 +218,21 @@ class Swept(Method):
             self.contacts.run(self.team, self.sweeps, launch)
 
 
-def contacts_of(scene: Bearing, spin: np.ndarray, moves: bool) -> Contacts:
-    """Return the contacts of a scene: with neighbours a stride apart for a lattice, in lists for a packing.
+def contacts_of(scene: Bearing, spin: np.ndarray, options: "MethodOptions") -> Contacts:
+    """Return the contacts of a scene: with neighbours a stride apart for a lattice; of a packing in lists for methods
+    that step it, or as a linear system for methods that find minima.
 
     spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
-    moves : True for a dynamics, which may begin with spin components that no minimum needs.
+    options : the method. A dynamics may begin with spin components that no minimum needs.
     """
     if scene.network.lattice is not None:
         from taichi_bearings.solvers.on_strides import OnStrides
 
-        return OnStrides(scene, spin, moves)
+        return OnStrides(scene, spin, options.is_dynamics)
+    if not options.steps_packings:
+        from taichi_bearings.solvers.on_system import OnSystem
+
+        return OnSystem(of_packing(scene))
     from taichi_bearings.solvers.on_lists import OnLists  # and with it what judges packings
 
     return OnLists(scene, spin)

@@ -19,11 +19,11 @@ from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
-from taichi_bearings.scene import Bearing, Progress, Solution, Status
+from taichi_bearings.scene import Bearing, Progress, Solution
 from taichi_bearings.scene.packing import Packing, of_packing
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
-from taichi_bearings.solvers.contacts import Contacts, Ended, Inertia, Launch
+from taichi_bearings.solvers.contacts import Ended, Inertia, Launch, Stepped
 from taichi_bearings.solvers.found import Found
 from taichi_bearings.solvers.packing_answer import judged
 from taichi_bearings.solvers.packing_bounds import PackingBounds
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 NOTHING = (0.0,)  # passed for constants that all copies of the lists share, as there are none
 
 
-class OnLists(Contacts):
+class OnLists(Stepped):
     """The contacts of one sample of a packing, as methods step them: in lists, on which kernels work.
 
     The field `force` holds the force on each contact as a vector; other fields of contacts hold components along its
@@ -287,7 +287,7 @@ class OnLists(Contacts):
             found = Found(
                 np.zeros(system.unknowns), proof[:, 0, bounds.of_system], row.name, everywhere=last.staggered[:, 0].T
             )
-            (result,) = judged(system, [bounds.packing], [found], stop.tolerance, row.is_dynamics)
+            (result,) = judged(system, [bounds.packing], [found], moves=row.is_dynamics)
         # the values of the last state: forces, and states of contacts that nothing drives or of a dynamics
         force, observed, slip = result.force.copy(), result.state.copy(), result.slip[0]
         force[:, acting] = vector_length(last.force)
@@ -303,7 +303,7 @@ class OnLists(Contacts):
             observed[0, acting[slip[acting] <= apart]] = UNDECIDED
         status = ended_as(ended.status, result, stop, row.is_dynamics)
         moves, known = row.is_dynamics and not scene.law.flows, what_is_proven(result.state, result.proven)
-        state, proven = decided(observed, known, moves, has_ended=moves and result.status is Status.CERTIFIED)
+        state, proven = decided(observed, known, moves, has_ended=moves and bool(result.gap[0] <= stop.tolerance))
         return replace(result, status=status, iterations=ended.iterations, force=force, state=state, proven=proven)
 
 

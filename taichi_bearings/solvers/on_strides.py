@@ -17,8 +17,9 @@ from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.scene.scene import of_lattice
-from taichi_bearings.solvers.contacts import Contacts, Inertia, Launch
+from taichi_bearings.solvers.contacts import Inertia, Launch, Stepped
 from taichi_bearings.solvers.gear import largest_laplacian_eigenvalue, largest_weighted_eigenvalue
+from taichi_bearings.solvers.part import Part
 
 if TYPE_CHECKING:
     from taichi_bearings.conic.proximal import Unknowns
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.table import Motion
 
 
-class OnStrides(Contacts):
+class OnStrides(Stepped):
     """The contacts of all samples of a lattice, as methods step them: neighbours are a constant stride apart in memory.
 
     scene : the lattice, with its R samples.
@@ -51,6 +52,34 @@ class OnStrides(Contacts):
         """
         self.scene = of_lattice(scene)
         self.spin_axes = _moving_axes(self.scene, spin) if moves else scene.minimum_spin_axes
+
+    def paths(self, spin: np.ndarray, settle: bool) -> Part:
+        """Return the central paths of all samples.
+
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+        settle : True to go on along them until contact states are settled.
+        """
+        from taichi_bearings.solvers.lattice_paths import LatticePaths
+
+        return LatticePaths(self.scene, self.spin_axes, spin, settle)
+
+    def cuts(self, spin: np.ndarray) -> Part:
+        """Return what finds the minimum cuts of all planes of the lattice.
+
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which stay until the cut is made.
+        """
+        from taichi_bearings.solvers.grid_cuts import GridCuts
+
+        return GridCuts(self.scene, self.spin_axes, spin)
+
+    def linear_systems(self, spin: np.ndarray) -> Part:
+        """Return what balances the viscous forces in all planes of the lattice.
+
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+        """
+        from taichi_bearings.solvers.grid_bundles import GridBundles
+
+        return GridBundles(self, spin)
 
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> FieldSpec:
         """Return the fields that a method needs, as pairs of name and numbers a sphere.

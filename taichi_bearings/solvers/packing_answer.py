@@ -1,136 +1,42 @@
-"""The answer to a packing: spins of least dissipation, what is proven of them, and which contacts slip.
-
-`solve_packing` chooses a method, has it find spins and forces (`Found`), and has them judged.
+"""The answer to a sample of a packing: spins and forces that were found, what is proven of them, which contacts slip.
 
 Letters: N spheres, E contacts, A contacts of the *system* (those that take part in the motion and lie in parts of the
 packing that touch a driven sphere), d tangents of a contact (1 for discs, 2 for spheres), C components of a spin,
 u = R omega. The *unknowns* are the components of u of the free spheres of the system. A contact *bears* a force.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings import runtime
 from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
-from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.interrupts import GivenUp
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.proof.contact_state import SATURATED, decided
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.scene import Bearing, Solution, Status
+from taichi_bearings.scene import Solution, Status
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, UNDECIDED
-from taichi_bearings.solvers import nested_cuts
 from taichi_bearings.solvers.found import Found
-from taichi_bearings.stages import stage
-from taichi_bearings.words import shown
 
 # at exact minima: relative friction margin above which a contact is surely slipless; slip, in units of the fastest
 # imposed surface, above which it surely slips
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11
 MOST_TIES = 200  # motions between minima that are computed; with more of them every slipping contact is undecided
-ENOUGH_FRICTION = 1e3  # friction beyond which a contact hardly slips, in units of power over fastest driven surface
-MOST_CAPS, LESS_POWER = 12, 0.5  # how often friction is cut off at most; factor by which that has to lower the power
 AT_REST = 1e-9  # slip, in units of the fastest imposed surface, up to which a contact may be slipless
 MOVED = 1e-7  # relative slip above which a motion moves a contact
-
-
-def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
-    """Return the state of least dissipation of every sample of a packing.
-
-    Motions that make no contact slip are left at rest where nothing drives them. Small samples are solved side by side;
-    the bits of each do not depend on the others.
-
-    packing : a `taichi_bearings.Packing`.
-    tolerance : proven relative gap at which the answer counts as certified.
-    method : "auto", or the name of a method that solves this packing:
-
-    * planar-cut, exact minimum cuts: friction of discs, and of spheres where each contact couples one spin component;
-    * linear-solver, one linear system: viscous contacts alone;
-    * interior-point, the central path: all laws with friction.
-
-    Raises InputError for a wrong argument.
-    """
-    if not isinstance(packing, Packing):
-        raise InputError(f"the packing is a {type(packing).__name__}; it must be a taichi_bearings.Packing")
-    if not (isinstance(tolerance, (int, float)) and 0 < tolerance < 1):
-        raise InputError(f"tolerance is {shown(tolerance)}; it must be above 0 and below 1")
-    samples = [packing.sample(number) for number in range(packing.replicas)]
-    found: dict[int, Solution] = {}
-    for numbers in _alike_samples(samples):
-        solved = _solved([samples[number] for number in numbers], tolerance, method)
-        found |= dict(zip(numbers, solved, strict=True))
-    return Solution.joined([found[number] for number in range(len(samples))], packing)
-
-
-def _alike_samples(samples: Sequence[Packing]) -> list[list[int]]:
-    """Return the numbers of the samples in groups, in each of which the same contacts take part."""
-    found: dict[bytes, list[int]] = {}
-    for number, sample in enumerate(samples):
-        found.setdefault(sample.acting.tobytes(), []).append(number)
-    return list(found.values())
-
-
-def _solved(samples: Sequence[Packing], tolerance: float, method: str) -> list[Solution]:
-    """Return the answers to samples in which the same contacts take part; each is given an equal share of the seconds.
-
-    tolerance : relative gap at which an answer counts as certified.
-    method : name of a method, or "auto".
-    """
-    begun = perf_counter()
-    runtime.current()
-    with one_thread():
-        system = _system_of(samples[0])
-        ends = _found(system, samples, method)
-        with stage("proving"):
-            answers = judged(system, samples, ends, tolerance)
-        for number, (sample, found) in enumerate(zip(samples, answers, strict=True)):
-            if found.method == "interior-point" and sample.law.is_rate_independent:
-                answers[number] = _without_contrast(system, sample, found, tolerance)
-    seconds = (perf_counter() - begun) / len(samples)
-    return [replace(found, seconds=seconds) for found in answers]
-
-
-def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, tolerance: float) -> Solution:
-    """Return the answer `found`, or a better one if it is not certified and some contacts have far more friction.
-
-    A contact that can bear far more than the power over the fastest driven surface hardly slips. So its friction is cut
-    off there, which makes the problem better conditioned; a lower bound for less friction is one for the whole. The
-    spins of that solution are then corrected so that these contacts roll, to the rounding of sums of two doubles, and
-    judged with the whole friction. This is repeated with the new power while it pays.
-
-    system : the contacts that take part.
-    packing : one sample.
-    tolerance : relative gap at which an answer counts as certified.
-    """
-    from taichi_bearings.conic.rolling import rolled  # and with it Taichi's kernels
-
-    held, fastest = system.of_contacts(packing)[0], float(np.abs(system.offset).max(initial=0.0))
-    for _ in range(MOST_CAPS):
-        most = ENOUGH_FRICTION * float(found.power[0]) / fastest
-        capped = held > most
-        if found.gap[0] <= tolerance or not capped.any() or not most > 0:
-            break
-        (end,) = _found(system, [packing], "interior-point", [(np.minimum(held, most),)])
-        start = end.spins, np.zeros(system.unknowns) if end.rest is None else np.asarray(end.rest)
-        spins, rounding = rolled(system, packing, start, capped)
-        (other,) = judged(system, [packing], [replace(end, spins=spins, rest=rounding)], tolerance)
-        if not (other.gap[0] < found.gap[0] or other.power[0] < LESS_POWER * found.power[0]):
-            break
-        found = replace(other, iterations=found.iterations + other.iterations)
-    return found
 
 
 _last: tuple[Packing, ContactSystem] | None = None  # last packing that this process solved, and its system
 OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")  # all that a contact system depends on
 
 
-def _system_of(packing: Packing) -> ContactSystem:
+def system_of_sample(packing: Packing) -> ContactSystem:
     """Return the contact system of a packing: that of the last one if only coefficients differ, as between seeds."""
     from taichi_bearings.conic.shared import system_of  # and with it Taichi's kernels
 
@@ -148,91 +54,93 @@ def _alike(one: Packing, other: Packing) -> bool:
     return same and np.array_equal(one.acting, other.acting)
 
 
-def _found(
-    system: ContactSystem,
-    samples: Sequence[Packing],
-    method: str,
-    resisting: Sequence[tuple[np.ndarray, ...]] | None = None,
-) -> list[Found]:
-    """Return the spins and forces that a method finds for each sample.
-
-    system : the contacts that all samples share, A of them.
-    method : name of a method, or "auto".
-    resisting : for each sample the coefficients of the law, (A,) arrays, if these are not those of the samples.
-    """
-    law = samples[0].law
-    exact = law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
-    able = ["planar-cut"] * exact + ["interior-point" if law.holds else "linear-solver"]
-    if method not in ("auto", *able):
-        raise InputError(f"method is {shown(method)}, but this packing is solved by {' or '.join(able)}")
-    if not system.unknowns or not system.offset.any():  # nothing is driven: all at rest
-        still = Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
-        return [still for _ in samples]
-    if exact and method != "interior-point":
-        cuts = [nested_cuts.least_power(system, sample) for sample in samples]
-        return [Found(high, force, "planar-cut", rest=low) for (high, low), force in cuts]
-    from taichi_bearings.solvers.packing_path import Strengths, followed, viscous_spins  # and with it Taichi's kernels
-
-    found: dict[int, Found] = {}
-    ways: dict[int, Strengths] = {}
-    # units in which spins and forces are about 1; contacts without friction need a linear system alone
-    fastest = float(np.abs(system.offset).max())
-    speed = float(np.exp2(np.round(np.log2(fastest))))  # dividing by it rounds nothing
-    for number, of in enumerate(resisting or [system.of_contacts(sample) for sample in samples]):
-        none = np.zeros(len(system.numbers))
-        held, viscosity = (none if v is None else v for v in (law.holding_force(of), law.viscosity(of)))
-        if held.any():
-            force = float(np.exp2(np.round(np.log2(max(held.max(), viscosity.max() * fastest)))))
-            ways[number] = Strengths(held / force, viscosity * speed / force, speed * force, force)
-        else:
-            spins = viscous_spins(system, viscosity)
-            found[number] = Found(spins, viscosity * system.differences(spins), "linear-solver", steps=1)
-    followed_ways = followed(system, speed, list(ways.values())) if ways else []
-    found |= dict(zip(ways, followed_ways, strict=True))
-    return [found[number] for number in range(len(samples))]
-
-
-def judged(
-    system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found], tolerance: float, moves: bool = False
-) -> list[Solution]:
-    """Return what was found of each sample as an answer, with all that is proven of it.
+def as_minima(
+    system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found]
+) -> tuple[Sequence[Found], Judgement]:
+    """Return what was found, and what it proves; samples that have a state without slip get that.
 
     system : the contacts that take part.
-    samples : samples of one network, of which the same contacts take part; they are judged together.
+    samples : samples of one network, of which the same contacts take part.
     found : spins and forces of each sample.
-    tolerance : relative gap at which an answer is certified.
-    moves : True if the spins are those of a motion and are kept. Otherwise they are replaced by the slipless state
-        where one is proven to exist.
     """
     judgement = judgement_of(system, samples, found)
-    if judgement.can_be_judged and not moves and judgement.slipless.any():
+    if judgement.can_be_judged and judgement.slipless.any():
         slips = (judgement.network.slip.most > 0).reshape(len(samples), -1).any(axis=1)
         if (replaced := judgement.slipless & slips).any():
             pairs = zip(samples, found, replaced.tolist(), strict=True)
             found = [_without_slip(system, one, of) if rests else of for one, of, rests in pairs]
             judgement = judgement_of(system, samples, found)
+    return found, judgement
+
+
+def refuse_unjudged(judgement: Judgement) -> None:
+    """Raise InputError for numbers that no arithmetic can judge."""
     if not judgement.can_be_judged:
         raise InputError(
             "the imposed spins are too small or too large for a proof; the largest must be above 1e-100 length/time"
         )
+
+
+def judged(
+    system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found], moves: bool = False
+) -> list[Solution]:
+    """Return what was found of each sample as an answer, with all that is proven of it; its status is left open.
+
+    system : the contacts that take part.
+    samples : samples of one network, of which the same contacts take part; they are judged together.
+    found : spins and forces of each sample.
+    moves : True if the spins are those of a motion and are kept. Otherwise they are replaced by the slipless state
+        where one is proven to exist.
+    """
+    of = system, samples, found
+    found, judgement = (found, judgement_of(*of)) if moves else as_minima(*of)
+    return answers(system, samples, found, judgement)
+
+
+def answers(
+    system: ContactSystem,
+    samples: Sequence[Packing],
+    found: Sequence[Found],
+    judgement: Judgement,
+    while_wanted: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> list[Solution]:
+    """Return the answer of each sample; its status is left open.
+
+    system : the contacts that take part.
+    samples : samples of one network, of which the same contacts take part.
+    found : spins and forces of each sample.
+    judgement : what these prove.
+    while_wanted : function that returns a context inside which the proof of contact states ends with GivenUp where it
+        is no longer wanted; nothing is proven of the states then.
+    """
+    refuse_unjudged(judgement)
     values = {name: getattr(judgement, name) for name in JUDGED}
-    return [
-        _answer(system, sample, of, {name: v[number : number + 1] for name, v in values.items()}, tolerance)
-        for number, (sample, of) in enumerate(zip(samples, found, strict=True))
-    ]
+
+    def all_of(found: Sequence[Found], known: np.ndarray) -> list[Solution]:
+        """Return all answers. known : (R, E), the states that are proven, UNDECIDED where nothing is."""
+        rows = values | {"known": known}
+        return [
+            _answer(system, sample, of, {name: v[number : number + 1] for name, v in rows.items()})
+            for number, (sample, of) in enumerate(zip(samples, found, strict=True))
+        ]
+
+    with suppress(GivenUp), while_wanted():
+        return all_of(found, judgement.known)
+    return all_of([replace(of, slips=None) for of in found], np.full(values["slip"].shape, UNDECIDED))
 
 
 JUDGED = (
-    "spin", "spin_rounding", "slip", "acts", "known", "power", "objective", "lower_bound", "gap", "largest_torque",
+    "spin", "spin_rounding", "slip", "acts", "power", "objective", "lower_bound", "gap", "largest_torque",
     "proof", "driven_power",
 )  # fmt: skip
 """What an answer takes from a judgement: arrays with one row for each sample."""
 
 
-def _answer(
-    system: ContactSystem, packing: Packing, found: Found, of: dict[str, np.ndarray], tolerance: float
-) -> Solution:
-    """Return the answer of one sample. of : the rows of the sample, by the names in JUDGED."""
+def _answer(system: ContactSystem, packing: Packing, found: Found, of: dict[str, np.ndarray]) -> Solution:
+    """Return the answer of one sample.
+
+    of : the rows of the sample, by the names in JUDGED, and `known`, the states that are proven.
+    """
     law, slip = packing.law, of["slip"]
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
     observed = np.where(of["acts"], _states(system, packing, found, slip[0], of["known"][0]), DRIVEN)
@@ -240,7 +148,7 @@ def _answer(
     return Solution(
         scene=packing,
         method=found.method,
-        status=Status.CERTIFIED if of["gap"][0] <= tolerance else Status.STALLED,
+        status=Status.STALLED,
         iterations=found.steps,
         spin=of["spin"],
         spin_rounding=of["spin_rounding"],
@@ -308,8 +216,6 @@ def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndar
     """Return the contact states (E contacts,) that slips and friction margins show, for contacts without a proven
     state.
 
-    slip : (E,), slip speeds. known : (E,), proven states, UNDECIDED where nothing is proven.
-
     A contact slips if it is fast and its friction is at the limit, is slipless if neither, and is undecided otherwise.
     Where the method has settled the states these are taken instead, if slip or margin (1 - force over friction limit)
     is clear (SURE_SLIP, SURE_MARGIN). Slips that are not the same at all minima leave a contact undecided.
@@ -317,7 +223,8 @@ def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndar
     system : the contacts that take part.
     packing : one sample.
     found : spins and forces of the method.
-    judgement : what these prove.
+    slip : (E,), slip speeds.
+    known : (E,), proven states, UNDECIDED where nothing is proven.
     """
     law = packing.law
     fastest = float(np.abs(packing.driven_speed).max(initial=0.0))

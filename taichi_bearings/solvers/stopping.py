@@ -76,22 +76,34 @@ class StopRule:
         return None
 
 
+def is_certified(status: Status, gap: float, tolerance: float, has_duration: bool) -> bool:
+    """Return True if an answer is certified: its proven gap is within the tolerance, however its run ended.
+
+    A dynamics that a limit or an interrupt has ended before the simulated time that was asked for is not certified,
+    whatever its gap.
+
+    status : with which the loop ended.
+    gap : the largest proven gap of the samples.
+    tolerance : the gap that was asked for.
+    has_duration : True if a simulated time was asked for.
+    """
+    cut_short = has_duration and status in (Status.STEP_LIMIT, Status.TIME_LIMIT, Status.INTERRUPTED)
+    return bool(gap <= tolerance) and not cut_short
+
+
 def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool) -> Status:
     """Return the status of an answer, from the status with which its loop ended and from what its proof has shown.
 
-    An answer whose gap is within the tolerance is CERTIFIED, even where the loop knew less; but a run that ended at a
-    limit before its duration, was interrupted, or came to numbers that are not finite keeps its status. Where the loop
-    was certified but the proof shows less, the answer is STALLED; that of a dynamics is STATIONARY if a lower bound is
-    0, as no relative gap to a least power of 0 can be small.
+    An answer may be certified (`is_certified`) even where the loop knew less. Where the loop was certified but the
+    proof shows less, the answer is STALLED; that of a dynamics is STATIONARY if a lower bound is 0, as no relative gap
+    to a least power of 0 can be small.
 
     status : of the loop.
     found : the answer with its proven gap.
     stop : the rule with the tolerance.
     is_dynamics : True if the method is a dynamics.
     """
-    cut_short = stop.duration < float("inf") and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
-    stays = cut_short or status in (Status.INTERRUPTED, Status.NOT_FINITE)
-    if not stays and bool((found.gap <= stop.tolerance).all()):
+    if is_certified(status, float(np.max(found.gap)), stop.tolerance, stop.duration < float("inf")):
         return Status.CERTIFIED
     if status is not Status.CERTIFIED:
         return status

@@ -93,10 +93,10 @@ class MethodOptions:
 
     name : its name, for --method.
     implementation : "module:class" of what does the work; the class is called with the options.
-    steps_packings : True if it also solves packings, step by step.
-    minimises_packings : True if packing_answer.py finds minima of packings by a method of this name.
+    steps_packings : True if it also solves packings, from initial spins.
+    minimises_packings : True if it also finds the minima of packings, without initial spins.
     is_dynamics : True if its iterations are steps in time.
-    keeps_checkpoints : True if it can continue from a checkpoint, unless it minimises a packing.
+    keeps_checkpoints : True if it can continue from a checkpoint.
     needs_taichi : True if it uses kernels or fields.
     cpu_only : True if it works in the memory of the CPU, in double precision whatever is asked.
     alike_in_a_block : number of spheres up to which solving several seeds at once is faster, and gives each seed the
@@ -489,7 +489,7 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
 
 
 def row_of_packing(method: str) -> type[MethodOptions] | None:
-    """Return the row of a method that steps packings, or None for one that finds their minima directly.
+    """Return the row of a method that steps packings, or None for one that finds their minima without initial spins.
 
     method : its name, or "auto".
 

@@ -105,11 +105,7 @@ def test_others_draw_it_and_say_where_they_cannot(folder, tmp_path):
     runs = {entry["path"].split("/")[-1]: entry for entry in json.loads(done.stdout)["entries"]}
     assert runs["bcc"]["spheres"] == 54
     assert runs["bcc"]["status"] == "certified"
-    for words, sentence in (
-        (("plot", "history"), "the history of the run has 0 steps"),
-        (("movie",), "holds no snapshots to film"),
-    ):
-        assert sentence in refused(*words, folder / "bcc")
+    assert "holds no snapshots to film" in refused("movie", folder / "bcc")
 
 
 def test_paraview_gets_every_sphere_and_contact_and_images_over_periodic_sides(folder, tmp_path):

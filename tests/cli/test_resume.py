@@ -71,6 +71,35 @@ def test_a_minimisation_that_is_killed_goes_on_to_the_answer_of_an_undisturbed_o
 
 
 @pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize(("kind", "cells", "replicas"), [("square", (75, 75), 2), ("triangular", (90, 46), 1)])
+def test_a_minimum_of_a_packing_that_is_killed_goes_on_to_the_same_bits(tmp_path, kind, cells, replicas):
+    """Where contact states are settled exactly, and where that is left to springs."""
+    arrays = tb.Packing.lattice(kind, cells).arrays()
+    del arrays["friction"]
+    np.savez(tmp_path / "discs.npz", **arrays)
+    words = ("--packing", tmp_path / "discs.npz", "--method", "interior-point", "--replicas", replicas, "--seed", "3")
+    words = (*words, "--threads", "1", "--figures", "none", "--checkpoint-every", "0.001")
+    assert bearings("run", *words, "--out", tmp_path / "whole").returncode == 0
+    killed, draw = tmp_path / "killed", random.Random(len(kind))
+    call = ["run", *words, "--out", killed]
+    for writings in (draw.randint(4, 9), draw.randint(2, 4)):
+        assert kill_after(call, killed / "checkpoint.h5", writings), "the run ended before it was killed"
+        assert not (killed / "run.h5").exists()
+        call = ["run", "--resume", killed]
+    with h5py.File(killed / "checkpoint.h5") as file:
+        kept = []
+        file.visit(kept.append)
+    assert any(name.endswith("now/spins") for name in kept)
+    done = bearings("run", "--resume", killed, "--json")
+    assert done.returncode == 0, done.stderr
+    assert set(np.ravel(json.loads(done.stdout)["status"])) == {"certified"}
+    one, other = arrays_of(tmp_path / "whole"), arrays_of(killed)
+    assert set(one) == set(other)
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+@pytest.mark.usefixtures("needs_f64")
 @pytest.mark.parametrize("method", ["", "cundall-strack"])
 def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path, method):
     """Of a lattice and of a packing."""

@@ -13,11 +13,11 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import OperatorSplitting
-from taichi_bearings.stages import Stage, Step
+from taichi_bearings.stages import Stage
 from tests.scenes import make_scene
 
 
-def reports(seconds, gap=(), time=None, falls_to=0.0, duration=math.inf, falls_as=0.0):
+def reports(seconds, gap=(), time=None, falls_to=0.0, duration=math.inf, falls_as=0.0, on_path=()):
     """What a monitor hears at each check."""
     stop = SimpleNamespace(tolerance=1e-8, duration=duration, seconds=math.inf)
     for number, now in enumerate(seconds):
@@ -26,6 +26,7 @@ def reports(seconds, gap=(), time=None, falls_to=0.0, duration=math.inf, falls_a
             time=None if time is None else time[number],
             falls_to=falls_to,
             falls_as=falls_as,
+            gap_of_path=on_path[number] if len(on_path) else None,
         )
         worst = np.array([gap[number] if len(gap) else 1.0])
         yield SimpleNamespace(seconds=now, progress=progress, stop=stop, gap=worst, objective=np.ones(1))
@@ -77,12 +78,12 @@ def test_operator_splitting_foretells_its_end_by_the_fall_of_its_gap():
     assert all(1 / 2 < left / (end - now) < 2 for now, left in shown)
 
 
-def test_steps_of_a_packing_tell_power_and_gap_and_the_time_left():
-    stage = Stage("following the central path")
-    for number in range(6):
-        stage.report = Step(number, 12.5, 10.0**-number, 1e-8)
-        stage.done.append((float(number), share_of(stage.report)[0]))
-    assert standing(stage.report) == "5 iterations, P = 12.5, gap 1.0e-05"
+def test_a_path_tells_how_far_it_is_where_nothing_is_proven_on_the_way():
+    seconds = np.arange(6.0)
+    heard = list(reports(seconds, np.ones(6), falls_to=1e-8, on_path=10.0**-seconds))
+    assert standing(heard[-1]) == "6 iterations, P = 1, gap 1.0e-05"
+    stage = Stage("solving", report=heard[-1])
+    stage.done = [(report.seconds, share_of(report)[0]) for report in heard]
     assert forecast(stage) == (pytest.approx(3.0), " to gap 1e-08")
 
 

@@ -21,6 +21,7 @@ from taichi_bearings.scans.histogram import pooled, read_source
 from taichi_bearings.scene import Solution
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.packing import Packing
+from taichi_bearings.solvers import packing_paths
 from tests.cli.commands import bearings
 from tests.packing.twins import pair
 
@@ -218,15 +219,46 @@ def test_a_callback_hears_and_stops_and_many_are_solved():
             assert np.array_equal(answer.spin, solve(packings[number], method, **options).spin)
 
 
+@pytest.mark.parametrize("kind", ["fcc", "cubic"])
+def test_a_minimum_is_heard_of_on_the_way_and_ends_where_it_is_told_to(kind, monkeypatch):
+    """Looked at after every step, as large packings are; what a run that was cut short says is true of the minimum."""
+    monkeypatch.setattr(packing_paths, "is_small", lambda system: False)
+    packing, heard = tb.Packing.lattice(kind, (3, 3, 3), seed=2), []
+    least = solve(packing, "interior-point", callback=lambda check: heard.append(check))
+    assert (least.status, len(heard)) == ("certified", least.iterations + 1)
+    assert heard[-1].gap <= 1e-8 < min(check.gap for check in heard[:-1])
+    assert least.history["power"][-1] == least.power
+    ends = {
+        "step-limit": solve(packing, "interior-point", iterations=4),
+        "time-limit": solve(packing, "interior-point", time_limit=1e-9),
+        "interrupted": solve(packing, "interior-point", callback=lambda check: check.iteration >= 3),
+    }
+    assert [ends["step-limit"].iterations, ends["interrupted"].iterations] == [4, 3]
+    for status, found in ends.items():
+        assert found.status == status
+        assert found.lower_bound <= least.power <= found.power
+        assert found.gap > 1e-8
+        assert (found.state[found.proven] == least.state[found.proven]).all()
+
+
+def test_an_exact_method_of_packings_is_over_at_its_second_look():
+    for packing, method in (
+        (tb.Packing.lattice("triangular", (4, 4), seed=1), "planar-cut"),
+        (tb.Packing.lattice("bcc", (2, 2, 3), seed=1, law="viscous"), "linear-solver"),
+    ):
+        heard = []
+        found = solve(packing, callback=lambda check, heard=heard: heard.append((check.iteration, check.gap)))
+        assert (found.method, found.status, found.iterations) == (method, "certified", 1)
+        assert heard == [(0, 1.0), (1, found.gap)]
+
+
 @pytest.mark.parametrize(("call", "sentence"), [
     (lambda p: solve(p, start="random"), "start is given, but method auto of a packing does not use it"),
-    (lambda p: solve(p, callback=print), "method auto of a packing does not use it"),
     (lambda p: solve(p, "planar-cut"), "this packing is solved by interior-point"),
     (lambda p: solve(p, "operator-splitting"), "of a packing it can be auto, planar-cut"),
     (lambda p: solve(p, "cundall-strack", torque=1.0, duration=1.0), "with the law coulomb does not use it"),
     (lambda p: solve(p, torque="0:1:0.1"), "torque is '0:1:0.1'; it must be 0 or a number"),
     (lambda p: solve(p, "gradient-descent", start="minimum-cut"), "without odd loops"),
-    (lambda p: solve(p).plot("history"), "the history of the run has 0 steps"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(call, sentence):
     with pytest.raises(InputError) as refused:

@@ -25,7 +25,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.packing_answer import solve_packing
+from taichi_bearings.solvers.packings import solve_packing
 from taichi_bearings.solvers.stopping import StopRule
 from tests.packing.twins import random_packing
 from tests.properties import formulas

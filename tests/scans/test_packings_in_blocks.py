@@ -13,6 +13,7 @@ from taichi_bearings.scans.estimate import units_of
 from taichi_bearings.scans.sample import solve_samples, state_path
 from taichi_bearings.scans.scan import scan
 from taichi_bearings.scene.packing import Packing
+from taichi_bearings.solvers import on_system
 from taichi_bearings.solvers import packing_answer as answer
 from tests.scans.scan_faults import Here, die_of_several
 from tests.scans.test_scan import CLOCKS, assert_same_but_for_the_clock
@@ -41,13 +42,13 @@ def one_by_one(samples, *others):
 @pytest.fixture
 def solved(monkeypatch):
     """Numbers of the samples that were solved at a time."""
-    sizes, solve = [], packing_run.solve_packing
+    sizes, solve = [], packing_run.least_power
 
-    def counting(packing, *others):
+    def counting(packing, *others, **more):
         sizes.append(packing.replicas)
-        return solve(packing, *others)
+        return solve(packing, *others, **more)
 
-    monkeypatch.setattr(packing_run, "solve_packing", counting)
+    monkeypatch.setattr(packing_run, "least_power", counting)
     return sizes
 
 
@@ -104,15 +105,15 @@ def test_units_are_blocks_shared_by_the_workers(plan_of, tmp_path):
 
 def test_a_sample_that_fails_fails_alone(plan_of, tmp_path, monkeypatch):
     network(tmp_path)
-    samples, judged = plan_of(SEEDS).samples, answer.judged
+    samples, answers = plan_of(SEEDS).samples, on_system.answers
     expected = one_by_one(samples)
 
     def failing(system, packings, *others):
         if any(packing.seed == 5 for packing in packings):
             raise ArithmeticError("no luck")
-        return judged(system, packings, *others)
+        return answers(system, packings, *others)
 
-    monkeypatch.setattr(answer, "judged", failing)
+    monkeypatch.setattr(on_system, "answers", failing)
     found = [without_clocks(record) for record in solve_samples(samples)]
     assert found[:3] + found[4:] == expected[:3] + expected[4:]
     assert found[3]["scalars"] == {"status": "failed", "error": "ArithmeticError: no luck"}

@@ -7,7 +7,9 @@ import taichi_bearings as tb
 from taichi_bearings.errors import FileError
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers import packing_paths
 from taichi_bearings.solvers.drive import Checkpoints, solve
+from taichi_bearings.solvers.packings import least_power
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import GradientDescent, InteriorPoint, OperatorSplitting
 from tests.scenes import make_scene
@@ -55,6 +57,53 @@ PACKED = [
 def test_a_descent_of_a_packing_that_goes_on_comes_to_the_same_bits(row, law, kind, tolerance, looks):
     cells = (5, 5) if kind == "triangular" else (2, 2, 3)
     goes_on_to_the_same_bits(tb.Packing.lattice(kind, cells, seed=3, law=law, spin_bottom=0.3), row, tolerance, looks)
+
+
+MINIMA = [
+    ("coulomb", "fcc", 3), ("coulomb", "fcc", 9), ("coulomb", "cubic", 5), ("coulomb", "cubic", 19),
+    ("coulomb-viscous", "fcc", 4), ("coulomb-viscous", "cubic", 12),
+]  # fmt: skip
+
+
+@pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+@pytest.mark.parametrize("replicas", [1, 2])
+@pytest.mark.parametrize(("law", "kind", "looks"), MINIMA)
+def test_a_minimum_of_a_packing_that_goes_on_comes_to_the_same_bits(law, kind, looks, replicas, monkeypatch):
+    """Looked at after every step, as large packings are; with oblique normals, and where states are settled exactly."""
+    monkeypatch.setattr(packing_paths, "is_small", lambda system: False)
+    cells = (5, 5, 6) if kind == "cubic" else (2, 3, 3)
+    packings = [tb.Packing.lattice(kind, cells, seed=seed, law=law) for seed in range(replicas)]
+    stop, packing = StopRule(1e-8), tb.Packing.together(packings)
+    whole = least_power(packing, "interior-point", stop)
+    assert whole.status is Status.CERTIFIED
+    assert len(whole.history["iteration"]) > 5
+    kept = []
+
+    def written(arrays):
+        kept.append({name: np.array(values) for name, values in arrays.items()})
+
+    def unwanted(report):
+        return len(kept) >= looks
+
+    least_power(packing, "interior-point", stop, [unwanted], Checkpoints(0.0, written))
+    again = least_power(packing, "interior-point", stop, [], Checkpoints(np.inf, lambda _: None, kept[-1]))
+    for name in ("spin", "spin_rounding", "slip", "force", "friction", "state", "proven", "power", "lower_bound"):
+        assert np.array_equal(getattr(again, name), getattr(whole, name)), name
+    assert (again.status, again.iterations) == (whole.status, whole.iterations)
+    for name in {*whole.history} - {"seconds"}:
+        assert np.array_equal(again.history[name], whole.history[name]), name
+
+
+@pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+def test_a_checkpoint_with_a_settled_minimum_of_another_packing_is_refused():
+    kept, stop = [], StopRule(1e-8)
+    large, small = (tb.Packing.lattice("cubic", (5, 5, height), seed=1) for height in (6, 5))
+    least_power(large, "interior-point", stop, [], Checkpoints(0.0, kept.append))
+    with pytest.raises(FileError, match="of another scene"):
+        least_power(small, "interior-point", stop, [], Checkpoints(0.0, kept.append, kept[-1]))
+    damaged = kept[-1] | {"0/settled/slipping": np.zeros(3, dtype=np.uint8)}
+    with pytest.raises(FileError, match="of a settled minimum has"):
+        least_power(large, "interior-point", stop, [], Checkpoints(0.0, kept.append, damaged))
 
 
 def goes_on_to_the_same_bits(scene, row, tolerance, looks):

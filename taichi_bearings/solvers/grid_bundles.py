@@ -1,0 +1,178 @@
+"""The viscous law on a lattice, solved to round-off: its power is a quadratic form, so the minimum is a linear system.
+
+The system falls apart (equations.md, 2). Spin components decouple; component k is coupled only by the contacts that are
+not along k, so on a cubic lattice each plane k = constant is a two-dimensional weighted grid of its own, and replicas
+are independent anyway. The planes of a bundle are factorised together, as one sparse matrix.
+
+With coefficients over many decades the difference of two spins that a stiff contact ties together drowns in the
+rounding of the spins, and with it the contact's force. So each spin is kept as a sum of two numbers, spin + rest, and
+the leftover torques of that sum are solved for again until they no longer fall (iterative refinement): torques then
+balance to the rounding of the forces, however large the contrast.
+
+Letters: a *plane* is the two-dimensional grid of one layer and sample, with m x n spheres, the height last; a *bundle*
+has B planes. R samples, N spheres, C carried spin components. Spins are *staggered*: with signs by which neighbours
+differ, measured from the bottom plane, so that slips are differences.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import csc_array
+
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.incidence import add_pull, difference
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.double_double import two_sum
+from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
+from taichi_bearings.scene import Progress
+from taichi_bearings.solvers.part import Part
+
+if TYPE_CHECKING:
+    from taichi_bearings.solvers.on_strides import OnStrides
+
+BUNDLE_SITES = 250_000  # spheres of a bundle: about 0.1 GB in planes of 64 x 64
+MOST_CHECKS = 4  # how often the progress is read in a run of many bundles
+MOST_SOLUTION_REFINEMENTS = 50  # two or three do, unless the contrast is near the end of float64
+
+Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a bundle
+
+
+class GridBundles(Part):
+    """The linear solver on a lattice: viscous contacts, by factorisations. An iteration solves one bundle of planes, to
+    round-off.
+
+    A plane is the two-dimensional grid of one layer and sample; a bundle has so many planes that memory suffices.
+
+    spin, rest : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, as sums of
+        two doubles.
+    bundles : for each bundle the place of its spin component among those computed, and its planes.
+    """
+
+    def __init__(self, contacts: "OnStrides", spin: np.ndarray) -> None:
+        """Prepare to solve: split the planes of each spin component into bundles.
+
+        contacts : those of the lattice.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which give those of the driven
+            planes.
+        """
+        self.contacts, self.scene, self.spin_axes = contacts, contacts.scene, contacts.spin_axes
+        scene = self.scene
+        self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
+        self.rest = np.zeros_like(self.spin)
+        self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]
+        self.iteration = 0
+
+    def _planes(self, slot: int) -> list[Planes]:
+        """Return the planes of a spin component in bundles: for each, the numbers of the samples and of the layers.
+
+        slot : place of the spin component among those that are computed.
+        """
+        replicas, layers, *sides = self.scene.lattice.by_plane(self.spin[slot], self.spin_axes[slot]).shape
+        replica, layer = (index.ravel() for index in np.indices((replicas, layers)))
+        step = max(1, BUNDLE_SITES // int(np.prod(sides)))
+        return [(replica[i : i + step], layer[i : i + step]) for i in range(0, replicas * layers, step)]
+
+    def next_check(self, iteration: int) -> int:
+        """Return the iteration at which to read the progress next, so that it is read at most MOST_CHECKS times in a
+        run.
+
+        iteration : the one at which it is read now.
+        """
+        return iteration + -(-len(self.bundles) // MOST_CHECKS)
+
+    def advance(self, steps: int) -> None:
+        """Solve the next `steps` bundles."""
+        with one_thread():
+            for slot, planes in self.bundles[self.iteration : self.iteration + steps]:
+                self._solve(slot, planes)
+        self.iteration = min(self.iteration + steps, len(self.bundles))
+
+    def _solve(self, slot: int, planes: Planes) -> None:
+        """Solve for the free spins of a bundle, then refine them as long as the leftover torques fall.
+
+        slot : place of the spin component among those that are computed.
+        planes : numbers of the samples and of the layers of the planes.
+        """
+        scene, component = self.scene, self.spin_axes[slot]
+        plane = scene.lattice.across(component)
+        first, second = (
+            self.scene.lattice.by_plane(values, component)[planes]
+            for axis, values in enumerate(scene.lattice.by_axis(scene.positive_coefficient))
+            if axis != component
+        )
+        try:
+            factor = factorised(_laplacian(plane, first, second))
+        except RuntimeError:  # a contrast beyond float64: these spins stay as they are
+            return
+        spins, rests = (scene.lattice.by_plane(of[slot], component) for of in (self.spin, self.rest))
+        spin, rest = spins[planes], rests[planes]
+        # each refinement solves for the torques that are left, and is kept in the planes where these fall
+        load = _free_torques(plane, first, second, spin, rest)
+        size = _total(load)
+        for _ in range(MOST_SOLUTION_REFINEMENTS):
+            new_spin, new_rest = spin.copy(), rest.copy()
+            new_spin[..., 1:-1], new_rest[..., 1:-1] = two_sum(
+                spin[..., 1:-1], rest[..., 1:-1] + factor.solve(load.ravel()).reshape(load.shape)
+            )
+            new_load = _free_torques(plane, first, second, new_spin, new_rest)
+            new_size = _total(new_load)
+            better = new_size < size  # False for NaN
+            halved = new_size < 0.5 * size
+            spin[better], rest[better], load[better] = new_spin[better], new_rest[better], new_load[better]
+            size = np.where(better, new_size, size)
+            if not halved.any():
+                break
+        spins[planes], rests[planes] = spin, rest
+
+    def progress(self) -> Progress:
+        """Return spins, forces and bounds now; no further step helps when all bundles are solved."""
+        scene = self.scene
+        staggered = scene.clip_to_box(self.spin, self.spin_axes)
+        difference = scene.differences(self.spin, self.spin_axes) + scene.differences(self.rest, self.spin_axes)
+        force = scene.lattice.radius * scene.acting_coefficient * difference
+        return self.contacts.judged(
+            staggered,
+            force,
+            None,
+            iteration=self.iteration,
+            rest=np.where(staggered == self.spin, self.rest, 0.0),  # none where clipping has moved a spin
+            resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * scene.fastest,
+            exhausted=self.iteration == len(self.bundles),
+        )
+
+
+def _laplacian(plane: Lattice, first: np.ndarray, second: np.ndarray) -> csc_array:
+    """Return the weighted Laplacian of the free nodes of B planes, one block for each.
+
+    plane : grid of m x n nodes; the first and last of each row along the height are held.
+    first, second : (B, ...), weights of its contacts along either axis.
+    """
+    shape = (len(first), *plane.shape)
+    node, held = np.arange(np.prod(shape)).reshape(shape), np.ones(shape, dtype=bool)
+    held[..., 1:-1] = False
+    pairs = zip((plane.along(axis) for axis in range(2)), (first, second), strict=True)
+    edges = ((node[low].ravel(), node[high].ravel(), weight.ravel()) for (low, high), weight in pairs)
+    return graph_laplacian(edges, node.size, held.ravel())
+
+
+def _free_torques(
+    plane: Lattice, first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray
+) -> np.ndarray:
+    """Return the torque on each free node of B planes, (B, m, n - 2), for spheres of radius 1.
+
+    plane : grid of m x n nodes.
+    first, second : (B, ...), viscosities of its contacts along either axis.
+    spin, rest : (B, m, n), spins as sums of two doubles.
+    """
+    pull = np.zeros_like(spin)
+    for axis, coefficient in enumerate((first, second)):
+        add_pull(pull, coefficient * (difference(spin, axis, plane) + difference(rest, axis, plane)), axis, plane)
+    return pull[..., 1:-1]
+
+
+def _total(load: np.ndarray) -> np.ndarray:
+    """Return the sum (B,) of the absolute torques in each of B planes, by which the lower bound is reduced.
+
+    load : (B, m, n), torques.
+    """
+    return np.abs(load).sum(axis=(1, 2))

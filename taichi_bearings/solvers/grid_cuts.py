@@ -1,0 +1,118 @@
+"""The Coulomb law with a single spin component, solved exactly: its least power is a minimum cut of planar grids.
+
+A component k is coupled only by the contacts that are not along k, so that a square lattice, or each plane k = constant
+of a cubic one, is a grid of its own. With one component the power is a sum of weighted |differences|, and some
+minimiser takes no other values than the two driven ones (equations.md, 5). So all slip is at the interface between the
+spheres that rotate with the bottom and those that rotate with the top, and that is the minimum cut of the grid. The
+maximum flow proves it and is the friction (planar/cuts.py). Every minimum is a mixture of minimum cuts, grid by grid: a
+contact slips at all minima if it is in all of these cuts, and at some if it is in some; then it is *tied*. On a
+periodic grid the cut is the lightest ring around it, and a general maximum flow finds it.
+
+Letters: R samples; a *plane* is the grid of one layer across the axis k.
+"""
+
+import numpy as np
+
+from taichi_bearings.numerics.planar import minimum_cuts
+from taichi_bearings.numerics.rings import ring_cuts
+from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
+from taichi_bearings.proof.contact_state import ContactState, all_slipless
+from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.part import Part
+
+
+class GridCuts(Part):
+    """The planar cut of a lattice: the only iteration finds the minimum cut of each plane, a grid of contacts that
+    couple one spin component.
+
+    component : number of the axis of that spin component; the planes are the layers across it.
+    top : (planes,), imposed spin of the top less that of the bottom in each plane, 1/time.
+    staggered, force, states : (1, R samples, *N spheres) spins with alternating signs as methods carry them, (1, R, E
+        contacts) contact forces and (R, E) contact states.
+    tied : (R, planes), number of contacts that are in some but not in all minimum cuts.
+    next_over_minimum : (R, planes), weight of the lightest other cut over that of the minimum cut.
+    """
+
+    def __init__(self, scene: Scene, spin_axes: tuple[int, ...], spin: np.ndarray) -> None:
+        """Prepare to cut: find the imposed spin difference of each plane.
+
+        spin_axes : number of the axis of the one spin component that is computed.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which stay until the cut is made.
+        """
+        self.scene, self.spin_axes = scene, spin_axes
+        (self.component,) = spin_axes
+        self.staggered = scene.staggered_spin(spin, self.spin_axes)
+        self.force, self.states = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
+        self.top = self.scene.lattice.by_plane(scene.top_spin(self.spin_axes)[..., None], self.component)[0, :, 0, 0]
+        planes = len(self.top)
+        self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
+        self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
+        self.iteration = 0
+
+    def advance(self, steps: int) -> None:
+        """Cut every plane, or let all its spheres rotate alike where top and bottom have the same spin."""
+        self.iteration += 1
+        spins = self.scene.lattice.by_plane(self.staggered[0], self.component)
+        spins[:, self.top == 0] = 0.0  # no jump: all rotate with the bottom
+        height = self.scene.lattice.height_axis
+        (sideways,) = (axis for axis in range(height) if axis != self.component)
+        coefficient = self.scene.lattice.by_axis(self.scene.coefficient)
+        replica, plane = (index.ravel() for index in np.indices((self.scene.replicas, len(self.top))))
+        replica, plane = replica[self.top[plane] != 0], plane[self.top[plane] != 0]
+        of_axes = (self.scene.lattice.by_plane(coefficient[axis], self.component) for axis in (sideways, height))
+        weights = [of[replica, plane] for of in of_axes]
+        grid = self.scene.lattice.across(self.component)
+        cuts_of = ring_cuts if grid.periodic else minimum_cuts
+        for part, cuts in cuts_of(*weights) if len(plane) else ():
+            where = replica[part], plane[part]
+            spins[where] = np.where(cuts.above, self.top[plane[part], None, None], 0.0)
+            # contacts along the rows and along the height whose ends are on different sides of the cut
+            along, upward = (cuts.above[low] != cuts.above[high] for low, high in map(grid.along, range(2)))
+            along, upward = (cut & (of[part] > 0) for cut, of in zip((along, upward), weights, strict=True))
+            self._store(sideways, where, along, cuts.sideways_flow, cuts.sideways_tied)
+            self._store(height, where, upward, cuts.upward_flow, cuts.upward_tied)
+            self.tied[where] = cuts.tied
+            joined = cuts.weight > 0
+            self.next_over_minimum[where] = np.divide(
+                cuts.next_weight, cuts.weight, out=np.full(len(joined), np.inf), where=joined
+            )
+
+    def _store(
+        self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
+    ) -> None:
+        """Store friction and states of the contacts along a lattice axis in some planes.
+
+        axis : number of the lattice axis.
+        where : numbers of the samples and of the planes, a pair of arrays (planes,).
+        cut, tied : (planes, ...), masks of the contacts that are in the cut that was found, and of those that are in
+            some minimum cuts only.
+        flow : (planes, ...), maximum flow in the contacts, in units of the normal force.
+        """
+        friction = flow * (np.sign(self.top[where[1], None, None]) * self.scene.normal_force)
+        self.scene.lattice.by_plane(self.scene.lattice.by_axis(self.force[0])[axis], self.component)[where] = friction
+        states = self.scene.lattice.by_plane(self.scene.lattice.by_axis(self.states)[axis], self.component)
+        states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
+
+    def progress(self) -> Progress:
+        """Return spins, friction and states, which are the minimum once the planes are cut."""
+        scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
+        unique = self.tied.sum(axis=1) == 0
+        findings = {
+            "cut_is_unique": unique,
+            "next_cut_over_minimum": self.next_over_minimum.min(axis=1),
+        }
+        return Progress(
+            iteration=self.iteration,
+            staggered=self.staggered.copy(),
+            spin_axes=axes,
+            force=self.force.copy(),
+            objective=scene.objective(self.staggered, axes),
+            lower_bound=work_and_bound(scene, self.force, axes)[1] if cut else np.zeros(scene.replicas),
+            resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * scene.fastest,
+            largest_balance_residual=largest_unbalanced_torque(scene, self.force, axes),
+            exhausted=cut,
+            state=self.states.copy() if cut else None,
+            settled=np.full(scene.replicas, cut),  # also where the start has the least power, less a rounding
+            states_believed=unique if cut else None,
+            findings=findings if cut and self.top.any() else {},
+        )

@@ -1,0 +1,251 @@
+"""The central paths of the samples of a lattice, for the interior-point method: where they begin and what they lead to.
+
+Letters: R samples, E contacts of the lattice, n contacts among them that a free sphere has, C carried spin components.
+*Staggered* spins have signs by which neighbours differ, and are measured from the bottom plane.
+"""
+
+import threading
+from contextlib import suppress
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.conic.central_path import flowing
+from taichi_bearings.conic.cones import length
+from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.conic.descent import DISTANT_GAP, Sample
+from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
+from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
+from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
+from taichi_bearings.conic.rows import compile_passes
+from taichi_bearings.conic.strong_contacts import weakened
+from taichi_bearings.kernels.elimination import LANES
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, dissect
+from taichi_bearings.numerics.double_double import Pair, exactly, multiply
+from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
+from taichi_bearings.proof.contact_state import ContactState, all_slipless
+from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.paths import Paths
+from taichi_bearings.solvers.table import InteriorPoint
+
+BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
+KEPT_SITES = 10_000  # spheres up to which the parts that all samples of a lattice share are kept for later runs
+
+
+def _states(sample: Sample) -> np.ndarray:
+    """Return the contact states (n,) of a sample; n contacts have a free sphere.
+
+    If the method has settled them, these are returned. Else a contact slips if its slip is above DECIDED_RATIO times
+    its friction margin (friction limit minus force), is slipless if the margin is as much greater than the slip, and is
+    undecided otherwise; both are in the units of the path, in which they are about 1.
+    """
+    slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
+    if (of := sample.resolved) is not None:
+        return np.select([of.ties, of.at_limit, of.slipping], [ContactState.TIED, undecided, slipping], slipless)
+    point, slip, margin = sample.iterate, length(sample.iterate.difference), sample.iterate.margin
+    if point.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
+        slip = slip * (1 + point.viscosity / point.friction)
+    return np.select([slip > DECIDED_RATIO * margin, margin > DECIDED_RATIO * slip], [slipping, slipless], undecided)
+
+
+_Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where nothing is to be solved
+
+
+def _skeleton(*alike: Any) -> _Skeleton:
+    """Return what all samples of a lattice have in common: contact system, order of elimination and Newton matrix.
+
+    For small lattices, of which many are solved, it is kept for the next call. Each thread has its own, as the matrix
+    holds the numbers of its factorisation.
+
+    alike : the arguments of `_made` after the first.
+    """
+    if alike[0].sites < KEPT_SITES:
+        return _made(threading.get_ident(), *alike)
+    _made.cache_clear()
+    return _made.__wrapped__(0, *alike)
+
+
+@lru_cache(maxsize=1)
+def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
+    """Return the contact system, the order of elimination and the Newton matrix of a lattice; None for the matrix if
+    nothing has to be solved.
+
+    thread : number of the thread that uses them, as a key of the cache.
+    spin_axes : numbers of the axes of the spin components that are computed.
+    jump : imposed spins of the top plane less those of the bottom, (C, *plane), in units, as the bytes of an array.
+    """
+    top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
+    system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
+    if not top.any():  # the planes have the same spins: nothing has to be solved
+        return system, order, None
+    return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < BATCHED_SITES else None)
+
+
+class LatticePaths(Paths):
+    """The central paths of all samples of a lattice.
+
+    unit : unit of spins on the paths, 1/time.
+    frustrated : True if the driven planes have different spins, so that something has to be solved.
+    system : the contacts with a free sphere, as the path sees them.
+    samples : the state of each sample on its path.
+    """
+
+    def __init__(self, scene: Scene, spin_axes: tuple[int, ...], spin: np.ndarray, settle: bool) -> None:
+        """Build the contact system and its matrix, and put all samples at their starts.
+
+        spin_axes : numbers of the axes of the C spin components that are computed.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to
+            the interval between the driven spins.
+        settle : True to go on along the paths until contact states are settled.
+        """
+        self.scene, self.spin_axes = scene, spin_axes
+        top, self.unit = scene.driving.top_in_units(spin_axes), float(scene.driving.unit[0][0])
+        self.frustrated = bool(top[0].any())
+        self.system, order, matrix = _skeleton(scene.lattice, spin_axes, top[0].tobytes())
+        sphere = (len(spin_axes), 1, *scene.lattice.shape)
+        # spin of the top above each free sphere, as a pair of doubles
+        high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)
+        shared = Surroundings(self.system, order, matrix, (high, low))
+        small = scene.lattice.sites < BATCHED_SITES
+        super().__init__(shared, scene.lattice.sites, small, True, settle)
+        if self.frustrated:
+            compile_passes()  # all before the clock starts
+            matrix.compile()  # the last sample may be alone
+            if small and scene.replicas > 1:
+                matrix.compile(LANES)
+        inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
+        start = free_spins(inside / (self.unit or 1.0))
+        self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
+
+    def _sample(self, replica: int, spins: np.ndarray) -> Sample:
+        """Return the start of the central path of a sample.
+
+        Forces are measured in a unit near the mean coefficient. Without viscosity, contacts that are so strong that
+        they are slipless at every minimum get less friction, as wide contrasts cost precision; with it, the path starts
+        at the spins that balance the viscous forces.
+
+        replica : number of the sample.
+        spins : (unknowns,), free spins in units of `unit`.
+        """
+        scene = self.scene
+        friction, viscosity = scene.positive_coefficient[replica, self.system.contact], None
+        strength = friction
+        beside = scene.viscosity_beside_friction
+        if beside is not None:
+            flow = scene.lattice.radius * self.unit / scene.normal_force * beside[replica, self.system.contact]
+            strength = friction + flow
+        elif self.frustrated:
+            strength = weakened(self.system, friction)
+        firm, friction = (strength < friction) if beside is None else None, strength if beside is None else friction
+        unit = float(np.exp2(np.round(np.log2(np.mean(strength)))))  # dividing by it rounds nothing
+        if beside is not None and self.frustrated:
+            viscosity = flow / unit
+            with suppress(NotPositiveDefinite), one_thread():
+                spins = flowing(self.system, viscosity, self.shared.matrix, spins)
+        slack = 1.0 / (scene.lattice.shape[-1] - 1)
+        start = Iterate.start(self.system, spins, friction / unit, slack, viscosity)
+        return Sample(start, unit, firm=firm if firm is not None and firm.any() else None)
+
+    def next_check(self, iteration: int) -> int:
+        """Return the iteration at which to read the progress next, which does not depend on the other samples solved at
+        a time.
+
+        The progress of small samples is read once, when they mostly have ended. That of others is read every second
+        step far from the end, as reading costs half a step at 10^3 spheres, and every step near it.
+
+        iteration : the one at which it is read now.
+        """
+        if self.small and self.asked:
+            return iteration + MOST_NEWTON_STEPS  # mostly all they need
+        far = self.frustrated and max(sample.gap for sample in self.samples) > DISTANT_GAP
+        return iteration + (2 if far else 1)
+
+    def progress(self) -> Progress:
+        """Return the progress of all samples: with the settled contact states where they are, else the point on the
+        path.
+
+        Slips and states come from the path itself, as they are more precise than those of the rounded spins.
+        """
+        scene = self.scene
+        (staggered, rest), speed = self._spins(), scene.lattice.radius * self.unit
+        state, slip = all_slipless(scene), np.zeros(scene.coefficient.shape)
+        force = np.zeros((len(self.spin_axes), *slip.shape))
+        # slips, states and forces of the n contacts with a free sphere, then of all
+        answers = [sample.resolved or sample.iterate for sample in self.samples]
+        slips = np.stack([length(answer.difference) for answer in answers])
+        states = np.stack([_states(sample) for sample in self.samples])
+        forces = np.stack(
+            [
+                -answer.whole_dual * (of.unit * scene.normal_force)
+                for answer, of in zip(answers, self.samples, strict=True)
+            ]
+        )
+        slip[:, self.system.contact], state[:, self.system.contact] = speed * slips, states
+        self.system.scatter_vectors(forces, force, slice(None))
+        objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
+        # how far the path is: what is settled, and the largest slip of a contact that seems slipless
+        settled = np.array([sample.resolved is not None for sample in self.samples])
+        creep = slips.max(axis=1, initial=0.0, where=states == ContactState.SLIPLESS)
+        settles_more = self.asked and self.frustrated and not all(sample.done for sample in self.samples)
+        return Progress(
+            iteration=self.iteration,
+            staggered=staggered,
+            rest=rest,
+            spin_axes=self.spin_axes,
+            force=force,
+            objective=objective,
+            lower_bound=self._lower_bound(force, objective),
+            resolution=speed * np.where(settled, 0.0, creep),
+            largest_balance_residual=largest_unbalanced_torque(scene, force, self.spin_axes),
+            exhausted=not self.frustrated or all(sample.done for sample in self.samples),
+            state=state if self.frustrated else None,
+            slip=slip if self.frustrated else None,
+            settled=settled,
+            states_believed=np.array(
+                [sample.resolved is not None and sample.resolved.borne for sample in self.samples]
+            ),
+            settles_more=settles_more,
+            falls_to=self.settles_at if settles_more else np.inf,
+            ended=np.array([sample.steps for sample in self.samples]),
+        )
+
+    def _spins(self) -> Pair:
+        """Return the spins as sums of two doubles: a pair of arrays (C components, R samples, *N spheres), 1/time.
+
+        Spins have alternating signs, as methods carry them; those of driven planes are 0 here.
+        """
+        high, low = np.zeros((2, len(self.samples), self.system.unknowns))
+        for number, sample in enumerate(self.samples):
+            high[number] = sample.iterate.spins if sample.resolved is None else sample.resolved.spins
+            # contacts whose friction was reduced must not slip at all, or their whole friction would dissipate
+            if sample.resolved is None and sample.firm is not None:
+                tied = Contraction(self.system, self.shared.order, sample.firm)
+                high[number] = tied.expanded(tied.contracted(exactly(high[number])))[0]
+            if sample.resolved is not None and sample.resolved.rest is not None:
+                low[number] = sample.resolved.rest
+        found = np.zeros((2, len(self.spin_axes), len(high), *self.scene.lattice.shape))
+        for whole, free in zip(found, multiply(self.scene.driving.unit, (high, low)), strict=True):
+            place_free_spins(whole, slice(None), free)
+        return found[0], found[1]
+
+    def _lower_bound(self, force: np.ndarray, objective: np.ndarray) -> np.ndarray:
+        """Return lower bounds (R samples,) on the objective.
+
+        A sample has the quick bound until it has ended, and also then if the gap to that is small enough. Otherwise the
+        slower bound of the certificate is computed.
+
+        force : (C components, R, E contacts), contact forces.
+        objective : (R,), at the spins of now.
+        """
+        ended = np.array([sample.done or not self.frustrated for sample in self.samples])
+        if not self.scene.law.is_rate_independent:
+            return lower_bound(self.scene, force, self.spin_axes)
+        if self.iteration == 0 and not ended.any():  # no forces yet
+            return np.zeros(self.scene.replicas)
+        quick = work_and_bound(self.scene, force, self.spin_axes)[1]
+        rough = ended & ~(quick >= objective * (1 - LEAST_GAP))
+        return np.where(rough, lower_bound(self.scene, force, self.spin_axes), quick) if rough.any() else quick

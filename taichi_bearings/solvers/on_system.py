@@ -1,0 +1,240 @@
+"""The contacts of a packing as methods see them that find its minimum: one linear map from spins to slips.
+
+Letters: R samples, N spheres, C components of a spin, E contacts, A contacts of the system (those that take part, in
+parts of the packing that touch a driven sphere), d tangents of a contact; u = R omega, with the radius R.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.conic.rolling import rolled
+from taichi_bearings.interrupts import GivenUp, look_up
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.proof.certificate import Forces
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.scene import Progress, Solution
+from taichi_bearings.scene.packing import Packing
+from taichi_bearings.solvers import nested_cuts
+from taichi_bearings.solvers.contacts import Contacts, Ended
+from taichi_bearings.solvers.found import Found
+from taichi_bearings.solvers.packing_answer import answers, as_minima, judged, refuse_unjudged, system_of_sample
+from taichi_bearings.solvers.packing_paths import MOST_STEPS, PackingPaths, viscous_spins
+from taichi_bearings.solvers.part import Part
+from taichi_bearings.solvers.stopping import ended_as
+
+ENOUGH_FRICTION = 1e3  # friction beyond which a contact hardly slips, in units of power over fastest driven surface
+MOST_CAPS, LESS_POWER = 12, 0.5  # how often friction is cut off at most; factor by which that has to lower the power
+
+
+class OnSystem(Contacts):
+    """The contacts of samples of a packing in which the same contacts take part.
+
+    scene : the packing with these R samples.
+    samples : each sample alone.
+    system : the contacts that all of them share.
+    """
+
+    scene: Packing
+
+    def __init__(self, packing: Packing) -> None:
+        """Take the samples of a packing, and find the system of their contacts."""
+        runtime.current()
+        self.scene, self.spin_axes = packing, packing.minimum_spin_axes
+        self.samples = [packing.sample(number) for number in range(packing.replicas)]
+        with one_thread():
+            self.system = system_of_sample(self.samples[0])
+        self._judged: tuple[Sequence[Found], Sequence[Found], Judgement] | None = None
+
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing is driven, so that all spheres of the system are at rest."""
+        return not self.system.unknowns or not self.system.offset.any()
+
+    def at_rest(self, method: str = "linear-solver", steps: int = 0) -> Found:
+        """Return spins and forces that are all 0.
+
+        method : name of the method.
+        steps : number of factorisations that it has made.
+        """
+        return Found(np.zeros(self.system.unknowns), np.zeros_like(self.system.offset), method, steps=steps)
+
+    def paths(self, spin: np.ndarray, settle: bool) -> Part:
+        """Return the central paths of all samples, which start where they like and always settle contact states.
+
+        spin, settle : not used.
+        """
+        with one_thread():
+            return PackingPaths(self)
+
+    def cuts(self, spin: np.ndarray) -> Part:
+        """Return what finds the nested minimum cuts of the samples, one after the other.
+
+        spin : not used.
+        """
+
+        def cut(number: int) -> Found:
+            """Return the exact minimum of a sample."""
+            (high, low), force = nested_cuts.least_power(self.system, self.samples[number])
+            return Found(high, force, "planar-cut", rest=low, steps=1)
+
+        return OneByOne(self, cut, "planar-cut")
+
+    def linear_systems(self, spin: np.ndarray) -> Part:
+        """Return what balances the viscous forces of the samples, one after the other.
+
+        spin : not used.
+        """
+        return OneByOne(self, self.flowing, "linear-solver")
+
+    def flowing(self, number: int) -> Found:
+        """Return the spins and forces of a sample at which viscous forces alone are in balance.
+
+        number : of the sample.
+        """
+        system, law = self.system, self.scene.law
+        viscosity = law.viscosity(system.of_contacts(self.samples[number]))
+        viscosity = np.zeros(len(system.numbers)) if viscosity is None else viscosity
+        spins = viscous_spins(system, viscosity)
+        return Found(spins, viscosity * system.differences(spins), "linear-solver", steps=1)
+
+    def on_the_way(self, ends: Sequence[Found], iteration: int) -> Progress:
+        """Return the progress of all samples before they are at their minima, where nothing is proven.
+
+        ends : spins and forces of each sample now.
+        iteration : number of iterations that were made.
+        """
+        staggered, force = self._stacked(ends)
+        left = np.abs(self.scene.pulls(force, self.spin_axes))[..., ~self.scene.is_driven]
+        return Progress(
+            iteration=iteration, staggered=staggered, spin_axes=self.spin_axes, force=force, resolution=0.0,
+            objective=self.scene.objective(staggered, self.spin_axes), lower_bound=np.zeros(len(ends)),
+            largest_balance_residual=left.max(axis=(0, 2), initial=0.0), settles_more=True,
+        )  # fmt: skip
+
+    def at_the_end(self, ends: Sequence[Found], iteration: int) -> Progress:
+        """Return the progress of all samples at their minima, with what these prove.
+
+        ends : spins and forces of each sample.
+        iteration : number of iterations that were made.
+        """
+        staggered, force = self._stacked(ends)
+        with one_thread():
+            judgement = self.judgement(ends)[1]
+            return Progress(
+                iteration=iteration, staggered=staggered, spin_axes=self.spin_axes, force=force, resolution=0.0,
+                objective=judgement.objective, lower_bound=judgement.lower_bound,
+                largest_balance_residual=judgement.largest_torque, exhausted=True,
+            )  # fmt: skip
+
+    def _stacked(self, ends: Sequence[Found]) -> tuple[np.ndarray, np.ndarray]:
+        """Return u = radius * spin (C components, R samples, N spheres) and forces (d tangents, R, E contacts).
+
+        ends : spins and forces of each sample.
+        """
+        system = self.system
+        spins = np.stack([system.all_spins(end.spins).T for end in ends], axis=1)
+        force = np.zeros((len(system.offset), len(ends), system.network.contacts))
+        for number, end in enumerate(ends):
+            force[:, number, system.numbers] = end.force
+        return np.nan_to_num(spins), np.nan_to_num(force)
+
+    def judgement(self, ends: Sequence[Found]) -> tuple[Sequence[Found], Judgement]:
+        """Return the minima of all samples, and what they prove: states without slip where such exist.
+
+        Raises InputError if no arithmetic can judge the numbers.
+
+        ends : spins and forces that were found of each sample. The same ones are judged once.
+        """
+        known = self._judged
+        if known is None or any(one is not other for one, other in zip(known[0], ends, strict=True)):
+            found, judgement = as_minima(self.system, self.samples, ends)
+            refuse_unjudged(judgement)
+            known = self._judged = ends, found, judgement
+        return known[1:]
+
+    def proven_by(self, force: Forces) -> np.ndarray:
+        """Return 0 (R samples,): what forces prove is found at the end, from forces and spins.
+
+        force : (d tangents, R, E contacts), contact forces of a checkpoint.
+        """
+        return np.zeros(self.scene.replicas)
+
+    def answered(self, ended: Ended) -> Solution:
+        """Return the answer to all samples, judged together."""
+        stop = ended.stop
+        with one_thread():
+            found = answers(self.system, self.samples, *self.judgement(ended.found()), ended.while_wanted)
+            for number, one in enumerate(found):
+                if one.method == "interior-point" and one.scene.law.is_rate_independent:
+                    one = self._without_contrast(number, one, ended)
+                found[number] = replace(one, status=ended_as(ended.status, one, stop, is_dynamics=False))
+        return Solution.joined(found, self.scene)
+
+    def _without_contrast(self, number: int, found: Solution, ended: Ended) -> Solution:
+        """Return the answer `found`, or a better one if it is not certified and some contacts have far more friction.
+
+        A contact that can bear far more than the power over the fastest driven surface hardly slips. So its friction is
+        cut off there, which makes the problem better conditioned; a lower bound for less friction is one for the whole.
+        The spins of that solution are then corrected so that these contacts roll, to the rounding of sums of two
+        doubles, and judged with the whole friction. This is repeated with the new power while it pays.
+
+        number : of the sample.
+        ended : how the run ended.
+        """
+        system, sample, tolerance = self.system, self.samples[number], ended.stop.tolerance
+        held, fastest = system.of_contacts(sample)[0], float(np.abs(system.offset).max(initial=0.0))
+        with suppress(GivenUp), ended.while_wanted():
+            for _ in range(MOST_CAPS):
+                most = ENOUGH_FRICTION * float(found.power[0]) / fastest
+                capped = held > most
+                if found.gap[0] <= tolerance or not capped.any() or not most > 0:
+                    break
+                paths = PackingPaths(self, {number: (np.minimum(held, most),)})
+                paths.advance(MOST_STEPS)
+                (end,) = paths.found()
+                start = end.spins, np.zeros(system.unknowns) if end.rest is None else end.rest
+                spins, rounding = rolled(system, sample, start, capped)
+                (other,) = judged(system, [sample], [replace(end, spins=spins, rest=rounding)])
+                if not (other.gap[0] < found.gap[0] or other.power[0] < LESS_POWER * found.power[0]):
+                    break
+                found = replace(other, iterations=found.iterations + other.iterations)
+        return found
+
+
+class OneByOne(Part):
+    """Samples of a packing that are solved exactly, one after the other. The only iteration solves all of them.
+
+    ends : spins and forces of each sample. solved : number of the samples that are solved.
+    """
+
+    def __init__(self, contacts: OnSystem, solve: Callable[[int], Found], method: str) -> None:
+        """Begin with all samples at rest.
+
+        contacts : those of the samples.
+        solve : function that returns the minimum of the sample with a given number.
+        method : name of the method.
+        """
+        self.contacts, self.solve, self.iteration, self.solved = contacts, solve, 0, 0
+        self.ends = [contacts.at_rest() if contacts.is_still else contacts.at_rest(method) for _ in contacts.samples]
+
+    def advance(self, steps: int) -> None:
+        """Solve all samples that are not solved yet."""
+        with one_thread():
+            while self.solved < len(self.ends):
+                look_up()
+                if not self.contacts.is_still:
+                    self.ends[self.solved] = self.solve(self.solved)
+                self.solved += 1
+        self.iteration = 1
+
+    def progress(self) -> Progress:
+        """Return spins and forces of all samples; their bounds once all of them are solved."""
+        return (self.contacts.at_the_end if self.iteration else self.contacts.on_the_way)(self.ends, self.iteration)
+
+    def found(self) -> list[Found]:
+        """Return the spins and forces of each sample."""
+        return self.ends

@@ -1,0 +1,237 @@
+"""The central paths of the samples of a packing, for the interior-point method: where they begin, what they lead to.
+
+A contact along an axis couples only the two spin components across it. If the contacts that couple a component form no
+odd loop, signs by which neighbours differ turn the sums u_i + u_j into differences, as on a lattice. Networks of such
+contacts alone have their contact states settled in the same way as lattices, others by conic/multipliers.py.
+
+Letters: R samples; A contacts of the system of the packing; n contacts of the system on the path (those with a coupled
+component); d tangents of a contact; the unknowns are components of u = R omega. The *dual* is minus the contact force.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taichi_bearings.conic.central_path import flowing
+from taichi_bearings.conic.cones import length
+from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.contraction import order_by_place
+from taichi_bearings.conic.descent import Sample
+from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
+from taichi_bearings.conic.multipliers import settled_by_springs
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.resolution import Surroundings
+from taichi_bearings.conic.shared import is_small, surroundings_of
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.scene import Progress
+from taichi_bearings.solvers.found import Found
+from taichi_bearings.solvers.paths import Paths
+from taichi_bearings.stages import stage
+
+if TYPE_CHECKING:
+    from taichi_bearings.solvers.on_system import OnSystem
+
+MOST_STEPS, SLACK = 80, 0.3  # steps of the path; slack of the bounds over the slips at its start, in mean slips
+
+
+def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
+    """Return the spins (unknowns,) at which viscous forces are in balance.
+
+    Each tangent of a contact is treated as a contact of its own, as viscosity does not couple them.
+
+    system : the A contacts that take part.
+    viscosity : (A,), of these contacts.
+    """
+    offset = system.offset.reshape(1, -1)
+    rows = ContactSystem(system.unknowns, offset, np.ones(offset.shape, dtype=bool), None, system.operator)
+    matrix = NewtonMatrix(rows, order_by_place(rows, system.place))
+    return flowing(rows, np.tile(viscosity, len(system.offset)), matrix, np.zeros(system.unknowns))
+
+
+@dataclass(frozen=True)
+class Strengths:
+    """Friction and viscosity of the A contacts of one sample, in units in which the largest of both is about 1.
+
+    The unit of spins is such that the fastest imposed one is about 1.
+
+    friction, viscosity : (A,), in units of force, and of force over spin.
+    force_unit : the unit of forces.
+    """
+
+    friction: np.ndarray
+    viscosity: np.ndarray
+    force_unit: float
+
+
+class PackingPaths(Paths):
+    """The central paths of samples of a packing that share a contact system.
+
+    strengths : of the samples that have a path, by their numbers. Samples without friction have none: they are solved
+    by one linear system. ends : what was found at the ends of the paths, by the number of the sample. fastest : unit of
+    the spins, near the fastest imposed one.
+    """
+
+    def __init__(self, contacts: "OnSystem", resisting: Mapping[int, tuple[np.ndarray, ...]] | None = None) -> None:
+        """Put the samples at the starts of their paths, unless nothing is driven.
+
+        contacts : of the samples. resisting : numbers of the samples that are solved, and for each the coefficients of
+        the law, (A,) arrays; None for all samples with their own.
+        """
+        self.contacts, system = contacts, contacts.system
+        if resisting is None:
+            resisting = {number: system.of_contacts(sample) for number, sample in enumerate(contacts.samples)}
+        self.numbers, self.ends = list(resisting), dict[int, Found]()
+        self.strengths: dict[int, Strengths] = {}
+        if contacts.is_still:
+            self.ends = {number: contacts.at_rest() for number in self.numbers}
+        else:
+            self.fastest = float(np.exp2(np.round(np.log2(np.abs(system.offset).max()))))  # dividing rounds nothing
+            given = {number: self._strengths(of) for number, of in resisting.items()}
+            self.strengths = {number: of for number, of in given.items() if of is not None}
+        if self.strengths:
+            shared = surroundings_of(system)
+            path = shared.system.in_units(self.fastest)
+        else:
+            shared, path = Surroundings(system, np.zeros(0, dtype=int), None, None), system  # type: ignore[arg-type]
+        settles, spheres = path.sign is not None, len(np.unique(system.sphere))
+        super().__init__(replace(shared, system=path), spheres, is_small(path), settles)
+        self.samples = [_begun(system, path, of, shared.matrix) for of in self.strengths.values()]
+
+    def _strengths(self, of: tuple[np.ndarray, ...]) -> "Strengths | None":
+        """Return friction and viscosity of a sample in units in which both are about 1; None without friction.
+
+        of : coefficients of the law, (A,) each.
+        """
+        law, none = self.contacts.scene.law, np.zeros(len(self.contacts.system.numbers))
+        held, viscosity = (none if v is None else v for v in (law.holding_force(of), law.viscosity(of)))
+        if not held.any():
+            return None
+        speed = self.fastest
+        fastest = float(np.abs(self.contacts.system.offset).max())
+        force = float(np.exp2(np.round(np.log2(max(held.max(), viscosity.max() * fastest)))))
+        return Strengths(held / force, viscosity * speed / force, force)
+
+    def next_check(self, iteration: int) -> int:
+        """Return the iteration of the next look: after every step, but for small samples at the end alone."""
+        return iteration + (MOST_STEPS if self.small else 1)
+
+    def advance(self, steps: int) -> None:
+        """Take steps along the paths of all samples; where all paths have ended, settle what they lead to."""
+        going = [sample for sample in self.samples if not sample.done]
+        left = MOST_STEPS - max((sample.steps for sample in going), default=0)
+        super().advance(min(steps, left))
+        if all(sample.done or sample.steps >= MOST_STEPS for sample in self.samples):
+            with one_thread():
+                for number in self.numbers:
+                    if number not in self.ends:
+                        self.ends[number] = self._end(number)
+
+    def _end(self, number: int) -> Found:
+        """Return what the path of a sample leads to, or the balance of its viscous forces if it has no path."""
+        if number not in self.strengths:
+            return self.contacts.flowing(number)
+        way = self.samples[list(self.strengths).index(number)]
+        return _ended(self.contacts.system, way, self.strengths[number], self.shared.matrix, self.fastest)
+
+    def found(self) -> list[Found]:
+        """Return spins and forces of each sample: at the end of its path, or where it is now."""
+        return [self.ends.get(number) or self._now(number) for number in self.numbers]
+
+    def _now(self, number: int) -> Found:
+        """Return the spins and forces of the point of the path where a sample is now."""
+        if number not in self.strengths:
+            return self.contacts.at_rest()
+        way = self.samples[list(self.strengths).index(number)]
+        if way.resolved is not None:
+            return self._end(number)
+        path, of, sign = way.iterate.system, self.strengths[number], way.iterate.system.sign
+        spins = way.iterate.spins if sign is None else sign[self.contacts.system.moved >= 0] * way.iterate.spins
+        force = along_tangents(self.contacts.system, path, -way.unit * way.iterate.whole_dual) * of.force_unit
+        return Found(spins * self.fastest, force, "interior-point", steps=way.steps)
+
+    def progress(self) -> Progress:
+        """Return the state of all samples: at the ends of their paths, or where they are now."""
+        if len(self.ends) == len(self.numbers):
+            return self.contacts.at_the_end(self.found(), self.iteration)
+        found = self.contacts.on_the_way(self.found(), self.iteration)
+        gap = max((sample.gap for sample in self.samples), default=np.inf)
+        return replace(found, gap_of_path=gap, falls_to=self.settles_at if self.settles else LEAST_GAP)
+
+
+def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix: NewtonMatrix) -> Sample:
+    """Return the start of the path of one sample: the spins that would balance if friction were viscous.
+
+    system, contacts : the contacts of the packing, and those of the path.
+    of : friction and viscosity.
+    matrix : Newton matrix of the path.
+    """
+    own = np.searchsorted(system.numbers, contacts.numbers)
+    unit = float(np.exp2(np.round(np.log2((of.friction + of.viscosity).mean()))))  # dividing by it rounds nothing
+    strength, viscous = of.friction[own] / unit, of.viscosity[own] / unit
+    spins = np.zeros(contacts.unknowns)
+    with suppress(NotPositiveDefinite):
+        spins = flowing(contacts, strength + viscous, matrix, spins)
+    slack = SLACK * float(length(contacts.differences(spins)).mean())
+    start = Iterate.start(contacts, spins, strength, slack, viscous if of.viscosity.any() else None)
+    return Sample(start if (of.friction > 0).all() else replace(start, smooth=strength == 0), unit)
+
+
+def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
+    """Return what a path has found: with the contact states that it has settled, or else settled by multipliers.
+
+    system : the contacts of the packing.
+    way : the sample at the end of the path.
+    of : friction and viscosity.
+    matrix : Newton matrix of the path.
+    fastest : unit of the spins, length/time.
+    """
+    contacts, settled, ties, open_ = way.iterate.system, way.resolved, None, None
+    if settled is None:
+        with stage("settling contact states"):
+            spins, dual, slipping, open_ = settled_by_springs(way.iterate, matrix)
+    else:
+        spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
+        ties = settled.ties | settled.at_limit
+    rest = None if settled is None else settled.rest
+    if contacts.sign is not None:
+        sign = contacts.sign[system.moved >= 0]
+        spins, rest = sign * spins, None if rest is None else sign * rest
+    # from the contacts of the path to all A, and from its units to those of the packing
+    own = np.searchsorted(system.numbers, contacts.numbers)
+    slips, opens, tie = (
+        None if kind is None else _everywhere(own, kind, len(of.friction)) for kind in (slipping, open_, ties)
+    )
+    force = along_tangents(system, contacts, -way.unit * dual) * of.force_unit
+    rest = None if rest is None else rest * fastest
+    return Found(spins * fastest, force, "interior-point", slips, tie, way.steps, open=opens, rest=rest)
+
+
+def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:
+    """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those of the central
+    path.
+
+    On a path with signs of the spins its contacts have other components than along the tangents; otherwise the forces
+    are returned as they are.
+
+    system, contacts : the A contacts of the packing, and those of the path.
+    forces : forces as the path has them, one row for each component.
+    """
+    if contacts is system or contacts.sign is None:
+        return forces
+    return np.einsum("tek,ek->te", system.across, contacts.on_contacts(forces)[system.contact])
+
+
+def _everywhere(own: np.ndarray, of: np.ndarray, count: int) -> np.ndarray:
+    """Return values (A,) of all contacts from those of some; False or 0 for contacts that couple no unknown.
+
+    own : (n,), numbers of the n contacts among the A.
+    of : (n,), their values.
+    count : A.
+    """
+    whole = np.zeros(count, dtype=of.dtype)
+    whole[own] = of
+    return whole

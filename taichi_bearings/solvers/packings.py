@@ -1,0 +1,95 @@
+"""Minima of packings: the method for each, and the samples that are solved side by side."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from taichi_bearings import runtime
+from taichi_bearings.errors import InputError
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.scene import Bearing, Solution
+from taichi_bearings.scene.packing import Packing
+from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve, uninterrupted
+from taichi_bearings.solvers.packing_answer import system_of_sample
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import METHODS, InteriorPoint
+from taichi_bearings.words import shown
+
+MOST_SIDE_BY_SIDE = 16  # samples that are solved side by side
+
+
+def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
+    """Return the state of least dissipation of every sample of a packing.
+
+    Motions that make no contact slip are left at rest where nothing drives them. Small samples are solved side by side;
+    the bits of each do not depend on the others.
+
+    packing : a `taichi_bearings.Packing`.
+    tolerance : proven relative gap at which the answer counts as certified.
+    method : "auto", or the name of a method that solves this packing:
+
+    * planar-cut, exact minimum cuts: friction of discs, and of spheres where each contact couples one spin component;
+    * linear-solver, one linear system: viscous contacts alone;
+    * interior-point, the central path: all laws with friction.
+
+    Raises InputError for a wrong argument.
+    """
+    if not isinstance(packing, Packing):
+        raise InputError(f"the packing is a {type(packing).__name__}; it must be a taichi_bearings.Packing")
+    if not (isinstance(tolerance, (int, float)) and 0 < tolerance < 1):
+        raise InputError(f"tolerance is {shown(tolerance)}; it must be above 0 and below 1")
+    found = list[Solution]()
+    for begin, end in side_by_side(packing):
+        solved = uninterrupted(least_power(some_of(packing, begin, end), method, StopRule(tolerance)))
+        found += [solved.sample(number) for number in range(end - begin)]
+    return Solution.joined(found, packing)
+
+
+def side_by_side(scene: Bearing) -> Iterator[tuple[int, int]]:
+    """Yield the samples of a packing whose minima are found together: the first number, and the one after the last.
+
+    In these samples, which are small ones, the same contacts take part.
+    """
+    most = MOST_SIDE_BY_SIDE if scene.network.spheres < InteriorPoint.alike_in_a_block else 1
+    acting = [scene.sample(number).acting.tobytes() for number in range(scene.replicas)]
+    begin = 0
+    for number in range(1, scene.replicas + 1):
+        if number == scene.replicas or number - begin == most or acting[number] != acting[begin]:
+            yield begin, number
+            begin = number
+
+
+def some_of(scene: Bearing, begin: int, end: int) -> Bearing:
+    """Return a scene with the samples from number `begin` to the one before `end`."""
+    return scene.sample(begin) if end == begin + 1 else scene.some(slice(begin, end))
+
+
+def least_power(
+    scene: Bearing,
+    method: str,
+    stop: StopRule,
+    monitors: Sequence[Monitor] = (),
+    checkpoints: Checkpoints | None = None,
+) -> Solution:
+    """Return the minima of samples of a packing in which the same contacts take part.
+
+    method : "auto", or the name of a method; InputError is raised if it does not solve this packing. stop, monitors,
+    checkpoints : as of `solvers.drive.solve`.
+    """
+    row = METHODS[_able(scene, method)]
+    return solve(scene, row().build(), scene.imposed_spins()[0][None], stop, monitors, None, None, checkpoints)
+
+
+def _able(scene: Bearing, method: str) -> str:
+    """Return the name of the method that solves a packing. method : its name, or "auto" for the quickest one.
+
+    Exact cuts need a law with friction alone and contacts that each couple one spin component.
+    """
+    packing: Any = scene.sample(0)
+    runtime.current()
+    with one_thread():
+        system = system_of_sample(packing)
+    exact = scene.law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
+    able = ["planar-cut"] * exact + ["interior-point" if scene.law.holds else "linear-solver"]
+    if method not in ("auto", *able):
+        raise InputError(f"method is {shown(method)}, but this packing is solved by {' or '.join(able)}")
+    return able[0] if method == "auto" else method

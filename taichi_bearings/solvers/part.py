@@ -1,0 +1,39 @@
+"""`Part`, the part of a method that differs between a lattice and a packing; the contacts of a scene choose it."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import numpy as np
+
+from taichi_bearings.scene import Progress
+from taichi_bearings.solvers.found import Found
+
+
+class Part(ABC):
+    """The part of a method that solves a network of one kind. iteration : how many iterations were made."""
+
+    iteration: int
+
+    def next_check(self, iteration: int) -> int:
+        """Return the iteration at which to read the progress next. iteration : the one at which it was read now."""
+        return iteration + 1
+
+    @abstractmethod
+    def advance(self, steps: int) -> None:
+        """Make `steps` iterations."""
+
+    @abstractmethod
+    def progress(self) -> Progress:
+        """Return the state now, with its bounds."""
+
+    def found(self) -> list[Found]:
+        """Return the spins and forces that each sample of a packing has reached."""
+        raise NotImplementedError
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that the further iterations depend on, by name; for a method that `resumes`."""
+        raise NotImplementedError
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call; raise ValueError if it does not fit the scene."""
+        raise NotImplementedError

@@ -1,0 +1,71 @@
+"""`Paths`, the central paths of all samples of a scene, with what a checkpoint keeps of them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.conic.descent import Descent
+from taichi_bearings.conic.iterate import Iterate
+from taichi_bearings.conic.resolution import Resolved
+from taichi_bearings.solvers.part import Part
+
+OF_A_POINT = ("spins", "bound", "difference", "dual")  # fields of an iterate that change along the path
+OF_A_MINIMUM = ("spins", "difference", "dual", "slipping", "at_limit", "heads", "rest", "tied")
+"""Fields of a settled minimum that are arrays, or None."""
+
+
+class Paths(Descent, Part):
+    """Samples on their central paths. A Newton step of every sample that is not yet done is an iteration."""
+
+    @property
+    def iteration(self) -> int:  # type: ignore[override]
+        return max((sample.steps for sample in self.samples), default=0)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return the points of all samples on their paths, and the minima that were settled, by name."""
+        found = {"iteration": np.array(self.iteration)}
+        for number, sample in enumerate(self.samples):
+            for place, point in (("now", sample.iterate), ("before", sample.before or sample.iterate)):
+                found |= {f"{number}/{place}/{name}": getattr(point, name) for name in OF_A_POINT}
+            has = sample.before is not None, sample.resolved is not None
+            flags = (sample.steps, sample.gap, sample.done, sample.at_end, sample.tried, *has)
+            found[f"{number}/path"] = np.array(flags, dtype=float)
+            if (settled := sample.resolved) is not None:
+                arrays = {name: of for name in OF_A_MINIMUM if (of := getattr(settled, name)) is not None}
+                arrays["borne"] = np.array(settled.borne)
+                for name, of in arrays.items():
+                    found[f"{number}/settled/{name}"] = of.astype(np.uint8) if of.dtype == bool else of
+        return found
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call; raise ValueError where it is none of these paths."""
+        for number, sample in enumerate(self.samples):
+            points: list[Any] = [
+                {name: np.array(state[f"{number}/{place}/{name}"]) for name in OF_A_POINT}
+                for place in ("now", "before")
+            ]
+            now, before = (replace(sample.iterate, **point) for point in points)
+            steps, gap, done, at_end, tried, has_before, is_settled = state[f"{number}/path"].tolist()
+            sample.iterate, sample.before = now, before if has_before else None
+            sample.steps, sample.gap, sample.tried = int(steps), gap, tried
+            sample.done, sample.at_end = bool(done), bool(at_end)
+            sample.resolved = _settled(state, number, now) if is_settled else None
+
+
+def _settled(state: Mapping[str, np.ndarray], number: int, now: Iterate) -> Resolved:
+    """Return the settled minimum of a sample from the arrays of a checkpoint; raise ValueError if they do not fit it.
+
+    number : of the sample. now : its point on the path.
+    """
+    begin = f"{number}/settled/"
+    given: dict[str, Any] = {n: np.array(state[begin + n]) for n in OF_A_MINIMUM if begin + n in state}
+    likes = {"spins": now.spins, "rest": now.spins, "difference": now.difference, "dual": now.dual}
+    for name, values in given.items():
+        is_mask = name not in likes
+        like = now.friction if name in ("slipping", "at_limit", "tied") else likes.get(name, now.spins)
+        if values.shape != like.shape or values.dtype.kind != ("u" if is_mask else "f"):
+            raise ValueError(f"{name} of a settled minimum has {values.dtype} of shape {values.shape}")
+        given[name] = values.astype(bool) if is_mask else values
+    return Resolved(**given, borne=bool(state[begin + "borne"]), viscosity=now.viscosity)
