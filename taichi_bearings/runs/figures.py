@@ -51,7 +51,9 @@ def draw_figure(
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):
-        raise InputError(f"replica is {sample}; the run has {len(solution.state)} replicas, counted from 0")
+        raise InputError(
+            f"replica is {sample}; the number of replicas in the run is {len(solution.state)}, counted from 0"
+        )
     _check_page(kind, solution.scene.network.shape, page)
     if time is not None:
         return draw_snapshot(solution, sample, time, slip_threshold, page)

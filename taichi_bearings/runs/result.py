@@ -253,7 +253,7 @@ class Result:
         ((2,), 'certified')
         """
         if not 0 <= number < len(self):
-            raise InputError(f"replica is {number}; the run has {len(self)} replicas, counted from 0")
+            raise InputError(f"replica is {number}; the number of replicas in the run is {len(self)}, counted from 0")
         solution, spin = self.solution.sample(number), self.started_from
         asked = self.asked.of_replica(solution.scene.seeds[0])
         one = spin if spin is None or self.scene.network.lattice is None else spin[[number]]
