@@ -134,7 +134,7 @@ def solve_many(
     tolerance: float = 1e-8,
     start: str | np.ndarray = "linear",
     workers: int = 0,
-    **options: Any,
+    **options: object,
 ) -> Iterator[Result]:
     """Solve scenes or packings in several processes, and yield each answer when it is there, in any order.
 
@@ -249,7 +249,7 @@ def load(path: str | Path) -> Result:
 
 
 def _job(
-    scene: Scene | Packing, method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray
+    scene: Scene | Packing, method: str | MethodOptions, options: Mapping[str, object], start: str | np.ndarray
 ) -> runs.Job:
     """Return the job that solves a scene or a packing, with the settings of `bearings run`.
 
@@ -277,7 +277,7 @@ def _job(
     return runs.job_of(settings, scene, initial_spin(scene, start, "start"))
 
 
-def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray) -> Json:
+def _asked(method: str | MethodOptions, options: Mapping[str, object], start: str | np.ndarray) -> Json:
     """Return the settings of a run that the arguments of :func:`solve` amount to, by key, without those of the scene.
 
     Raises InputError for an option that does not exist.

@@ -87,7 +87,7 @@ def other_contacts(tied: int, undecided: int) -> list[str]:
     return [f"{number:,} {kind}" for number, kind in ((tied, "tied"), (undecided, "undecided")) if number]
 
 
-def driving_words(values: Mapping[str, Any]) -> str:
+def driving_words(values: Mapping[str, object]) -> str:
     """Return periodic axes and driving of a run as the end of a list, named as its options; "" where none was given.
 
     values : options of the run by name.

@@ -160,7 +160,7 @@ class Finding:
     description: str
 
 
-def put(group: h5py.Group, name: str, values: Any, unit: str, text: str, **packing: object) -> None:
+def put(group: h5py.Group, name: str, values: object, unit: str, text: str, **packing: object) -> None:
     """Write a data set into a group, with its unit and a description.
 
     name, values : of the data set. unit, text : attributes `units` and `description`. packing : arguments of h5py on

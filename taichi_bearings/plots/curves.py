@@ -169,7 +169,7 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
 
 
 @style.in_our_style
-def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str, page: Page = PAGE) -> Figure:
+def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Page = PAGE) -> Figure:
     """Draw the share of slipping contacts per decade of their power, one curve for each histogram, with bands of one
     standard error.
 

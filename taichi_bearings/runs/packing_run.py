@@ -60,7 +60,7 @@ def solve_packings(
     start: np.ndarray | None,
     monitors: "Sequence[Monitor]" = (),
     checkpoints: "Checkpoints | None" = None,
-    **others: Any,
+    **others: object,
 ) -> Result:
     """Solve all samples of a packing, each as if it were alone, and return the result.
 

@@ -217,7 +217,7 @@ class Result:
         kept = self.solution.snapshots
         return None if kept is None else Snapshots(kept.time.T, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
 
-    def _of_samples(self, values: Any) -> Any:
+    def _of_samples(self, values: object) -> Any:
         """Return values of all samples as users see them: without the axis of samples if there is a single one.
 
         values : an array or list whose first axis has the R samples; anything else is the same for all samples and

@@ -145,7 +145,7 @@ class Job:
     method: "Method | None" = None
 
     def solve(
-        self, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkpoints | None" = None, **others: Any
+        self, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkpoints | None" = None, **others: object
     ) -> Result:
         """Solve the run on the device that the settings name, and return its result.
 

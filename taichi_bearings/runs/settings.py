@@ -43,6 +43,7 @@ from taichi_bearings.plain_files import Json, read_whole
 from taichi_bearings.runtime import ARCHITECTURES, PRECISIONS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
+from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions, row_of_packing
@@ -94,6 +95,9 @@ NAMED_FILES = ("coefficients", "packing", "contacts", "initial")  # keys that na
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))  # declares an option of dynamics alone
+
+
+FORMS = Distribution.forms()  # how each distribution is written
 
 
 @dataclass(frozen=True, init=False)
@@ -188,8 +192,7 @@ class RunSettings:
     distribution: str = option(
         "uniform:0.1,1.0",
         TEXT,
-        "Distribution of the coefficients: uniform:low,high, lognormal:median,sigma, "
-        "power-law:low,high,exponent, bimodal:low,high,fraction or constant:value.",
+        f"Distribution of the coefficients: {', '.join(FORMS[:-1])} or {FORMS[-1]}.",
     )
     viscosity: str = option(
         "uniform:0.1,1.0",
@@ -444,7 +447,7 @@ def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
     return found
 
 
-def toml_text(values: Mapping[str, Any]) -> str:
+def toml_text(values: Mapping[str, object]) -> str:
     """Return keys and values as TOML, one line for each key."""
     return "".join(f"{key} = {toml_value(value)}\n" for key, value in values.items())
 

@@ -9,7 +9,6 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from taichi_bearings.runs.cost import MOST_TOGETHER, OBLIQUE_BYTES, OBLIQUE_FACTOR, PROCESS_BYTES, bytes_of_lattice
 from taichi_bearings.runs.run import row_of
@@ -64,7 +63,7 @@ def bytes_of(settings: RunSettings) -> float:
     return bytes_of_lattice(row_of(settings), settings.shape, periodic, together)
 
 
-def kind_of(settings: RunSettings) -> tuple[Any, ...]:
+def kind_of(settings: RunSettings) -> tuple[object, ...]:
     """Return a key that is equal for settings whose samples take about the same time."""
     return tuple(getattr(settings, name, None) for name in KIND_KEYS)
 
@@ -161,7 +160,7 @@ class WorkLeft:
 
         samples : those without a result yet. structure : True if the structure of each is analysed as well.
         """
-        self.structure, self.kinds = structure, dict[tuple[Any, ...], Kind]()
+        self.structure, self.kinds = structure, dict[tuple[object, ...], Kind]()
         for group in groups_of(samples):
             settings = group[0].settings
             seconds = seconds_of(settings, structure)

@@ -138,7 +138,7 @@ def _values_of_scan(path: Path) -> Json:
     return {**shared, "scanned": list(scanned), **samples, "statuses": dict(states)}
 
 
-def _words_of_run(values: Mapping[str, Any]) -> str:
+def _words_of_run(values: Mapping[str, object]) -> str:
     """Return one line that says what a run holds. values : from its summary."""
     if "power" not in values:
         return "unfinished; `bearings run --resume` goes on from its checkpoint"

@@ -98,7 +98,7 @@ class ScanPlan:
 
 def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
     """Return the samples in groups whose settings differ in the seed only, otherwise in their order."""
-    groups: dict[tuple[Any, ...], list[Sample]] = {}
+    groups: dict[tuple[object, ...], list[Sample]] = {}
     for sample in samples:
         alike = tuple(value for name, value in vars(sample.settings).items() if name != "seed")
         groups.setdefault(alike, []).append(sample)

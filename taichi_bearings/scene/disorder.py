@@ -15,6 +15,38 @@ from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.words import meant, shown
 
 
+def _power_law(
+    rng: np.random.Generator, shape: tuple[int, ...], low: float, high: float, exponent: float
+) -> np.ndarray:
+    """Return numbers from `low` to `high` with a density proportional to a power, by inverting its cumulative
+    distribution. shape : of the array.
+    """
+    level = rng.uniform(0.0, 1.0, shape)
+    if abs(exponent + 1) < 1e-12:
+        return low * (high / low) ** level
+    a, b = low ** (exponent + 1), high ** (exponent + 1)
+    return (a + (b - a) * level) ** (1 / (exponent + 1))
+
+
+def _bimodal(rng: np.random.Generator, shape: tuple[int, ...], low: float, high: float, fraction: float) -> np.ndarray:
+    """Return an array of numbers that are `high` with probability `fraction`, else `low`. shape : of the array."""
+    return np.where(rng.uniform(0.0, 1.0, shape) < fraction, high, low)
+
+
+DISTRIBUTIONS: dict[str, tuple[tuple[str, ...], Callable[..., np.ndarray]]] = {
+    "uniform": (("low", "high"), lambda rng, shape, low, high: rng.uniform(low, high, shape)),
+    "lognormal": (
+        ("median", "sigma"),
+        lambda rng, shape, median, sigma: median * np.exp(sigma * rng.standard_normal(shape)),
+    ),
+    "power-law": (("low", "high", "exponent"), _power_law),
+    "bimodal": (("low", "high", "fraction"), _bimodal),
+    "constant": (("value",), lambda rng, shape, value: np.full(shape, value)),
+}
+"""The distributions by name: the names of the parameters, and a function (rng, shape, *parameters) that draws an array.
+A new distribution is a row here; help texts and messages follow from it."""
+
+
 @dataclass(frozen=True)
 class Distribution:
     """A distribution of positive coefficients, written ``name:parameter,parameter``.
@@ -31,13 +63,7 @@ class Distribution:
     name: str
     parameters: tuple[float, ...]
 
-    PARAMETERS: ClassVar[dict[str, tuple[str, ...]]] = {
-        "uniform": ("low", "high"),
-        "lognormal": ("median", "sigma"),
-        "power-law": ("low", "high", "exponent"),
-        "bimodal": ("low", "high", "fraction"),
-        "constant": ("value",),
-    }
+    PARAMETERS: ClassVar[dict[str, tuple[str, ...]]] = {name: words for name, (words, _) in DISTRIBUTIONS.items()}
 
     @classmethod
     def parse(cls, text: str) -> "Distribution":
@@ -91,24 +117,9 @@ class Distribution:
             return self._draw(rng, shape)
 
     def _draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-        """Return an array of this shape with numbers drawn from the distribution; power laws are drawn by inverting
-        their cumulative distribution.
-        """
-        p = self.parameters
-        if self.name == "uniform":
-            return rng.uniform(p[0], p[1], shape)
-        if self.name == "lognormal":
-            return p[0] * np.exp(p[1] * rng.standard_normal(shape))
-        if self.name == "power-law":
-            low, high, exponent = p
-            level = rng.uniform(0.0, 1.0, shape)
-            if abs(exponent + 1) < 1e-12:
-                return low * (high / low) ** level
-            a, b = low ** (exponent + 1), high ** (exponent + 1)
-            return (a + (b - a) * level) ** (1 / (exponent + 1))
-        if self.name == "bimodal":
-            return np.where(rng.uniform(0.0, 1.0, shape) < p[2], p[1], p[0])
-        return np.full(shape, p[0])
+        """Return an array of this shape with numbers drawn from the distribution."""
+        _, drawn = DISTRIBUTIONS[self.name]
+        return drawn(rng, shape, *self.parameters)
 
 
 Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]

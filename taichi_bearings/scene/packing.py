@@ -445,7 +445,7 @@ class Packing(Bearing):
     @classmethod
     def random(
         cls, spheres: int, dimension: int = 3, ratio: float = 1.4, large: float = 0.5, width: float | None = None,
-        seed: int = 0, **others: Any,
+        seed: int = 0, **others: object,
     ) -> "Packing":  # fmt: skip
         """Return spheres of two sizes that were put one by one into the lowest pocket on a floor of spheres.
 
@@ -491,7 +491,7 @@ class Packing(Bearing):
 
     @classmethod
     def space_filling(
-        cls, m: int = 0, n: int = 0, least_radius: float = 0.01, periods: int = 1, seed: int = 0, **others: Any
+        cls, m: int = 0, n: int = 0, least_radius: float = 0.01, periods: int = 1, seed: int = 0, **others: object
     ) -> "Packing":
         """Return discs that fill a strip of height 1: the first family of Herrmann, Mantica and Bessis (1990).
 

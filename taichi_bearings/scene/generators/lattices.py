@@ -6,7 +6,6 @@ Letters: N spheres, E contacts, D = 2 or 3 dimensions. step : (D,), whole number
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -50,7 +49,7 @@ Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def built(
-    kind: str, cells: tuple[int, ...], periodic: Any
+    kind: str, cells: tuple[int, ...], periodic: object
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, set[int]]:
     """Return places (spheres N, dimensions D), contacts (contacts E, 2), normals (E, D), signs of the sublattice (N,),
     and the periodic axes.

@@ -113,7 +113,7 @@ def contact_summary(contact: np.ndarray, spheres: int, tolerance: float) -> tupl
     return f"{of}; {none}", alone
 
 
-def _lengths(periodic: Any, dimension: int, largest: float) -> np.ndarray:
+def _lengths(periodic: object, dimension: int, largest: float) -> np.ndarray:
     """Return the lengths (dimensions D,) of the periodic sides, 0 along other axes; raise InputError for anything else.
 
     periodic : what the user has passed, or None. dimension : D. largest : the largest radius; sides must be longer than
