@@ -10,7 +10,8 @@ from scipy import sparse
 from taichi_bearings import dissection
 from taichi_bearings.dissection import dissected, restricted
 from taichi_bearings.proof import rounded_elimination as elimination
-from taichi_bearings.proof.rounded_elimination import Elimination
+from taichi_bearings.proof.curvature import proven_floor
+from taichi_bearings.proof.rounded_elimination import Elimination, Samples
 
 
 def neighbours(shape: tuple[int, ...]) -> tuple[sparse.csc_array, np.ndarray]:
@@ -116,6 +117,33 @@ def test_the_factor_is_that_of_the_shifted_matrix(seed):
     root = np.sqrt(((whole != 0).sum(axis=1) + 1) * 2.0**-53)[:, None]  # Higham's bound
     allowed = np.linalg.norm((root * abs(whole)) @ (root * abs(whole)).T, 2)
     assert 1e-17 < missed < allowed < elimination.distance_from_positive(0.05) < 50 * allowed
+
+
+@pytest.mark.parametrize("sharp", [False, True])
+def test_floors_of_samples_are_below_their_least_eigenvalues(sharp):
+    """Matrices of four samples in one elimination, one of them singular: each has the floor that it has alone."""
+    rows, of = [], []
+    for seed in range(4):
+        count = 20 + 7 * seed
+        dense = np.random.default_rng(seed).standard_normal((2 * count, count)) / np.sqrt(2 * count)
+        dense[:, 3] = dense[:, 4] if seed == 2 else dense[:, 3]
+        rows.append(sparse.csr_array(dense))
+        of += [seed] * count
+    whole = sparse.csr_array(sparse.block_diag(rows, format="csr"))
+    place = np.random.default_rng(9).random((3, len(of)))
+
+    def floors(part, samples, at):
+        doubt = sparse.csr_array((1e-16 * abs(part.data), part.indices, part.indptr), shape=part.shape)
+        return proven_floor(part, doubt, Elimination.of((part.T @ part).tocsc(), at, None, samples), sharp)
+
+    together = floors(whole, Samples(np.array(of), 4), place)
+    for seed, part in enumerate(rows):
+        alone = floors(part, None, place[:, np.array(of) == seed])
+        least = np.linalg.eigvalsh((part.T @ part).toarray())[0]
+        assert together[seed] == pytest.approx(alone[0], rel=1e-6)
+        assert (together[seed] == 0) == (seed == 2)
+        assert together[seed] <= max(least, 0.0)
+        assert seed == 2 or not sharp or together[seed] > least / 20
 
 
 def test_a_matrix_that_is_not_positive_is_refused():

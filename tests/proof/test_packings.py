@@ -54,6 +54,26 @@ def test_honest_runs_are_not_refuted(seed, tmp_path):
     assert sum(report["states_proven"].values()) == (found.state != 3).sum()
 
 
+@pytest.mark.parametrize("seed", some_of(90, 15))
+def test_samples_judged_together_prove_what_each_proves_alone(seed):
+    """Random packings of all laws with three draws of coefficients, the second of them hardly any friction, in spins
+    and friction of their minima."""
+    packing = drawn(seed)
+    draw = np.random.default_rng([5, seed])
+    names = [name for name in ("friction", "viscosity") if getattr(packing, name) is not None]
+    samples = [packing]
+    for size in (1e-9, 1.0):
+        changed = {name: getattr(packing, name) * size * draw.uniform(0.5, 2.0, packing.contacts) for name in names}
+        samples.append(packing._with(**changed))
+    found = [tb.solve(one).solution for one in samples]
+    given = [[getattr(one, name)[0] for one in found] for name in ("spin", "spin_rounding", "friction")]
+    together = Judgement(tb.Packing.together(samples), *map(np.stack, given))
+    for number, (one, *arrays) in enumerate(zip(samples, *given, strict=True)):
+        alone = Judgement(one, *arrays)
+        for name in ("power", "lower_bound", "slip", "known", "largest_torque", "proof", "slipless", "driven_power"):
+            assert np.array_equal(getattr(together, name)[number], getattr(alone, name)[0]), name
+
+
 def small_discs(seed):
     """Whole frictions and driven values, so that all minima can be listed; ties abound."""
     rng = np.random.default_rng([7, seed])
