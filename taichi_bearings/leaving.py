@@ -67,6 +67,11 @@ def heard() -> bool:
     return _heard.is_set()
 
 
+def note_heard() -> None:
+    """Note, in a handler, that this process has been told to end; the thread that hears of signals may be later."""
+    _heard.set()
+
+
 def disregard_next() -> None:
     """Mark the next signal as one that this process is about to send to itself, not the wish of a person."""
     global _own_signals

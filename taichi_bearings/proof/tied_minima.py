@@ -72,7 +72,8 @@ from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 # has up to (2 MISSED_LIMIT) ** 0.5 = 1.4e-3 across it. Wrong choices only make the proof fail.
 MISSED_LIMIT = 1e-6
 MISSED_DIRECTION = 2e-3
-PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of sums along a path, of up to some thousand slips
+EPS = np.finfo(np.float64).eps  # distance from 1 to the next double
+PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of a few products, and of sums along a path of 1000 slips
 
 
 @dataclass(frozen=True)
@@ -204,7 +205,10 @@ class Line:
             dijkstra(_graph_of_shortest(tail, head, low)),
             dijkstra(_graph_of_shortest(tail, head, high)),
         )
-        always = longest[tail, head] * PATH_ROUNDING < low
+        # A path visits each node once, so that its length is a sum of fewer slips than nodes, none of them negative:
+        # its relative rounding is below nodes * EPS / 2. Twice EPS for a node also covers that of the products here.
+        rounding = max(PATH_ROUNDING, 1 + 2 * EPS * len(shortest))
+        always = longest[tail, head] * rounding < low
         some = (low > 0) | (shortest[head, tail] > 0)
         rests = high == 0
         # A contact of S rests at some minimum if no path without its twins is shorter. Paths through one of them are as
@@ -213,7 +217,7 @@ class Line:
             own = np.flatnonzero(twins == one)
             left, starts = twins != one, np.unique(tail[own])
             around = dijkstra(_graph_of_shortest(tail[left], head[left], low[left], len(shortest)), indices=starts)
-            rests[own] = high[own] * PATH_ROUNDING <= around[np.searchsorted(starts, tail[own]), head[own]]
+            rests[own] = high[own] * rounding <= around[np.searchsorted(starts, tail[own]), head[own]]
         return rests, always, some
 
 

@@ -189,3 +189,22 @@ print("answered")
 """
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "answered\n", "")
+
+
+def test_an_error_that_a_library_makes_of_an_interrupt_is_an_interrupt(tmp_path):
+    """Compiled code may turn what a handler raises into another exception, before the thread that listens has run."""
+    program = """
+import signal, sys
+sys.setswitchinterval(30)  # no other thread runs meanwhile
+from taichi_bearings_cli import __main__, main
+def command(**more):
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    except KeyboardInterrupt:
+        raise SystemError("returned a result with an exception set") from None
+main.bearings.main = command
+__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "bearings: interrupted; nothing is kept but what was complete\n"
