@@ -4,8 +4,7 @@ The problem is to minimise the sum over contacts of mu b + eta |v|^2 / 2 over sp
 v0 is the slip, linear in the spins u. Its dual is to find contact forces f in balance, K^T f = 0, with |f| <= mu (plus
 a viscous force eta v where there is a viscosity eta). The pair (b, v) and the pair (mu, -f) of each contact are points
 of second-order cones: head not smaller than the length of the tail. Interior-point steps (central_path.py, iterate.py)
-follow the central path, on which the product, bound times what is left of the friction, is the same for all contacts,
-down to 0. Near its end resolution.py decides which contacts slip; its head explains how, with an example.
+follow the central path, on which the product mu b - v . f is the same for all contacts, down to 0. Near its end resolution.py decides which contacts slip; its head explains how, with an example.
 
 Where to find what: contact_system.py and contraction.py the map from spins to slips, whole and with contacts tied;
 newton_matrix.py and rows.py the linear systems of a step; central_path.py the steps; descent.py many samples on their
@@ -32,7 +31,7 @@ friction            mu F_n (n,), largest friction force, in units of its mean
 dual                minus the friction force, (d, n)
 viscosity           eta (n,), viscous force over slip speed
 margin              1 - |dual| / friction, the share of its friction that a contact has left
-product             bound times what is left of the friction, the same for all contacts on the path
+product             friction times bound less slip times force, the same for all contacts on the path
 excess, gap         cost less what the forces prove; the same over the cost
 stick, slip         margin stays and slip vanishes at the end of the path, or the other way round
 decided             it is clear whether a contact sticks or slips

@@ -2,9 +2,10 @@
 
 What is decided. The power of the contacts, the sum of mu |v| over all contacts, is to be least. At a minimum each
 contact either slips (v is not 0) or does not (v = 0). The central path (central_path.py) comes near the minimum, but at
-each of its points all contacts slip a little: slip speed times friction margin is the same number for all, the product.
-A slip of 1e-9 can therefore be seen only where margins of 1e-9 can, and double precision ends before. This module
-decides for every contact, and returns spins, slips and forces of the minimum (:class:`Resolved`).
+each of its points all contacts slip a little: slip speed times friction margin is about the same for all (exactly the
+product mu b - v . f, with a bound b of the slip speed). A slip of 1e-9 can therefore be seen only where margins of 1e-9
+can, and double precision ends before. This module decides for every contact, and returns spins, slips and forces of the
+minimum (:class:`Resolved`).
 
 Symbols (all words are in conic/__init__.py).
 
