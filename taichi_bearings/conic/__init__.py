@@ -4,7 +4,8 @@ The problem is to minimise the sum over contacts of mu b + eta |v|^2 / 2 over sp
 v0 is the slip, linear in the spins u. Its dual is to find contact forces f in balance, K^T f = 0, with |f| <= mu (plus
 a viscous force eta v where there is a viscosity eta). The pair (b, v) and the pair (mu, -f) of each contact are points
 of second-order cones: head not smaller than the length of the tail. Interior-point steps (central_path.py, iterate.py)
-follow the central path, on which the product mu b - v . f is the same for all contacts, down to 0. Near its end resolution.py decides which contacts slip; its head explains how, with an example.
+follow the central path, on which the product mu b - v . f is the same for all contacts, down to 0.
+Near its end resolution.py decides which contacts slip; its head explains how, with an example.
 
 Where to find what: contact_system.py and contraction.py the map from spins to slips, whole and with contacts tied;
 newton_matrix.py and rows.py the linear systems of a step; central_path.py the steps; descent.py many samples on their
