@@ -14,7 +14,6 @@ import numpy as np
 from taichi_bearings.fields import Fields
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.scene import Bearing, Progress
-from taichi_bearings.scene.packing import of_packing
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.contacts import Contacts, Launch, Stepped
 from taichi_bearings.solvers.found import Found
@@ -230,6 +229,7 @@ def contacts_of(scene: Bearing, spin: np.ndarray, options: "MethodOptions") -> C
 
         return OnStrides(scene, spin, options.is_dynamics)
     if not options.steps_packings:
+        from taichi_bearings.scene.packing import of_packing  # and with it much of SciPy
         from taichi_bearings.solvers.on_system import OnSystem
 
         return OnSystem(of_packing(scene))

@@ -17,7 +17,7 @@ from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, LaunchedFactor
 from taichi_bearings.proof import judged_network, listed
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import METHODS, linear_solver, operator_splitting, planar_cut
+from taichi_bearings.solvers import METHODS, grid_bundles, grid_cuts, operator_splitting
 from taichi_bearings.solvers.answer import judged
 from tests.scenes import make_scene
 
@@ -59,8 +59,8 @@ def counting(monkeypatch):
         for kind in (CalledFactor, DenseFactor, LaunchedFactor):
             watch(kind, "factorise", "factorisations")
             watch(kind, "substitute", "solves")
-        watch(linear_solver, "factorised", "factorisations")
-        watch(planar_cut, "minimum_cuts", "cuts")
+        watch(grid_bundles, "factorised", "factorisations")
+        watch(grid_cuts, "minimum_cuts", "cuts")
         watch(operator_splitting, "_to_modes", "products with sines")
         watch(operator_splitting, "_from_modes", "products with sines")
         watch(central_path.Path, "step", "Newton steps")
@@ -110,10 +110,10 @@ def test_samples_of_a_lattice_are_factorised_together(monkeypatch):
 def test_exact_methods_factorise_or_cut_once(seeds, monkeypatch):
     linear, cut = begun("linear-solver", seeds=seeds), begun("planar-cut", seeds=seeds)
     with counting(monkeypatch) as seen:
-        linear.advance(len(linear.bundles))
+        linear.advance(len(linear.part.bundles))
         cut.advance(1)
-    assert len(linear.bundles) == len(linear.spin_axes)  # each component on its own, of all samples together
-    assert (seen["factorisations"], seen["cuts"]) == (len(linear.bundles), 1)
+    assert len(linear.part.bundles) == len(linear.spin_axes)  # each component on its own, of all samples together
+    assert (seen["factorisations"], seen["cuts"]) == (len(linear.part.bundles), 1)
 
 
 def test_a_step_of_the_rigid_limit_factorises_once_a_newton_step(monkeypatch):
