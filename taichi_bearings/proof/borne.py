@@ -59,11 +59,15 @@ YIELDING, CARRYING_STEPS = -1e-13, 3  # minus what is added to the diagonal, to 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """Return the mask (E,) of contacts that are proven to rest at every minimum, in a packing with oblique normals.
+    """Return the mask (E,) of the contacts that are proven to rest at every minimum, in a packing with E contacts whose
+    normals have any direction.
 
-    bounds : the network, its friction balanced by springs, and which components of spins these hold.
-    far : (E,), bound on |slip at any minimum - given slip|; infinite where none is known.
-    """
+    A contact rests if a bound on its optimal friction is below its limit mu F_n (contacts in loops), or if friction
+    below all limits can replace the optimal one on all contacts that can roll exactly at once.
+
+    bounds : the network, its friction after springs have balanced it, and the mask of the spin components that these
+        springs hold. Nothing is proven without springs.
+    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known."""
     network, unknown = bounds.network, bounds.unknown
     found = np.zeros(len(network.acts), dtype=bool)
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # normals are taken for units
@@ -90,14 +94,13 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ExactlyRolling:
-    """The contacts that can all roll exactly at once (called X), and what the other contacts may load on them.
+    """The q contacts that can all roll exactly at once (called X, on spheres with n unknown spin components), and what
+    the other contacts may load on them.
 
-    Let f be the change of friction from the one at hand to an optimal one, and c the friction that circulates along
-    loops.
-
-    friction_bounds : bounds on |f| and on optimal friction, for all contacts of the packing.
-    pieces_of_q : loops of contacts that touch other spheres than X does, with an interval for each c.
-    """
+    friction_bounds : for all contacts of the packing, bounds on the size of their optimal friction, and on that of its
+        change f from the friction at hand.
+    pieces_of_q : groups of contacts beside X that form loops. Of the friction c that circulates along each loop each
+        group has an interval that contains it."""
 
     friction_bounds: FrictionBounds
     pieces_of_q: list[Piece]
@@ -131,8 +134,8 @@ class ExactlyRolling:
 
     @cached_property
     def part(self) -> np.ndarray:
-        """(n,), for each unknown the number of its part. The exactly rolling contacts fall into parts that share no
-        free sphere."""
+        """(n,), for each unknown the number of the part that it belongs to. The exactly rolling contacts fall into
+        parts that share no free sphere."""
         network = self.friction_bounds.network
         first, second = network.graph.contact[:, self.contacts]
         inner = network.free[first] & network.free[second]
@@ -140,8 +143,8 @@ class ExactlyRolling:
 
     @cached_property
     def others(self) -> np.ndarray:
-        """(k,), indices of the contacts of whose change of friction only a bound is known: those that can dissipate,
-        except the exactly rolling ones and those in pieces of loops."""
+        """(k,), indices of the contacts of whose change of friction only a bound on the size is known: those that can
+        dissipate, except the exactly rolling ones and those in loops (`pieces_of_q`), which have intervals."""
         found = self.friction_bounds.network.counts & ~self.friction_bounds.exact.contacts
         for piece in self.pieces_of_q:
             found[piece.contacts] = False
@@ -149,9 +152,12 @@ class ExactlyRolling:
 
     @cached_property
     def loads(self) -> tuple[sparse.csc_array, sparse.csc_array]:
-        """Torques on the n unknowns of the exactly rolling contacts, as two matrices: (n, 2 k) by a unit of both
-        tangential components of friction on each of the k other contacts, together with the change of friction that it
-        causes in pieces of loops; and (n, m) by a unit of the friction along each of the m loops."""
+        """Return the torques on the n unknowns of the exactly rolling contacts by a unit of what the other contacts may
+        change, as two matrices.
+
+        The first, (n, 2 k), is for either tangential component of friction on each of the k contacts `others`, together
+        with the change of friction on loops that it brings about. The second, (n, m), is for friction that circulates
+        along each of the m loops."""
         rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.others)
         place = np.full(rows.shape[0], -1)
         place[own] = np.arange(len(own))
@@ -173,8 +179,8 @@ class ExactlyRolling:
 
     @cached_property
     def unknown_torques(self) -> np.ndarray:
-        """(n,), bound on the torques on each unknown that `loads` do not describe: what the friction at hand leaves
-        over, and rounding."""
+        """(n,), bound on the size of the torque on each unknown that is not a multiple of a column of `loads`: what the
+        friction at hand leaves over, and rounding."""
         more = self.rounding * self.friction_bounds.most_change
         for piece in self.pieces_of_q:
             more[piece.contacts] += piece.by_rounding + self.rounding * piece.most_off_loops
@@ -193,8 +199,11 @@ class ExactlyRolling:
         return np.asarray(holding - np.linalg.norm(force, axis=1))
 
     def rests(self) -> np.ndarray:
-        """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum, by steps 2 to
-        5 at the head of the file."""
+        """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum.
+
+        Springs at these contacts find friction that bears each load of the other contacts. The friction at hand plus
+        all loads, at their largest, must stay below the limit at every contact of a part; then the part rests. Springs
+        are made weaker where contacts bear too much, and tried again, up to MOST_TRIALS times."""
         margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
         springs, most_change = SpringsOfX.of(self, margin**2), self.friction_bounds.most_change[self.others]
         found = np.zeros(len(margin), dtype=bool)
@@ -234,12 +243,13 @@ class ExactlyRolling:
         return found
 
     def _bears(self, largest: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Return the mask (q,) of the exactly rolling contacts in parts all of whose contacts stay below their friction
-        limits.
+        """Return the mask (q,) of the exactly rolling contacts that are in parts all of whose contacts stay below their
+        friction limits. (Parts share no free sphere.)
 
-        largest : (q,), bound on the size of the friction of each contact, before it is corrected for `residual`.
-        residual : (n,), bound on the torques that the correction has to take away.
-        """
+        largest : (q,), bound on the size of the friction of each contact, before a correction that takes `residual`
+            away.
+        residual : (n,), bound on the torque on each unknown that this correction has to take away. It is no larger than
+            the norm of these over the least singular value, other than 0, of the matrix of slips."""
         network, part = self.friction_bounds.network, self.part
         corrected = np.sqrt(np.bincount(part, residual**2)) / self.friction_bounds.exact.floor[0] * UP
         of_sphere = np.zeros(len(network.free), dtype=np.intp)
@@ -252,13 +262,13 @@ class ExactlyRolling:
 
 @dataclass(frozen=True)
 class SpringsOfX:
-    """Springs at the exactly rolling contacts, which find friction there that bears a load, a torque on each unknown.
+    """Springs at the q exactly rolling contacts. They find friction there that bears a load, which is a torque on each
+    of the n unknown spin components.
 
-    loaded : these contacts and their matrix K of slips, (3 q, n).
+    loaded : these contacts, with their matrix K of slips, (3 q, n).
     weight : (q,), stiffness of the spring at each contact.
     scale : (n,), factors that give the factorised matrix a diagonal of 1.
-    factor : Cholesky factor of the scaled matrix K^T weight K.
-    """
+    factor : Cholesky factor of the scaled matrix K^T weight K."""
 
     loaded: ExactlyRolling
     weight: np.ndarray
@@ -279,9 +289,14 @@ class SpringsOfX:
         return None if factor is None else cls(loaded, weight, scale, factor)
 
     def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return friction (3 q, m) at the q contacts that bears each of m loads (n, m). The second result is a bound
-        (n,) on the torques that are left over if each load is multiplied by a number whose size is at most `most` (m,).
-        Torques along motions without slip are left out, as they are 0 but for rounding."""
+        """Return friction on the q contacts that bears each of m loads, and a bound on the torques that it leaves over.
+
+        load : (n, m), torques on the n unknowns. Their part along motions without slip is left out, as it is 0 but for
+            rounding.
+        most : (m,), the largest size of the number by which each load will be multiplied.
+
+        Returns friction (3 q, m) for a unit of each load, three components of a contact after each other; and a bound
+        (n,) on the torques that are left over for all loads together, each multiplied by its largest number."""
         rows, weight, scale = self.loaded.rows, np.repeat(self.weight, 3)[:, None], self.scale[:, None]
         force, (left, amounts) = np.zeros((rows.shape[0], load.shape[1])), self._without_motions(load)
         for _ in range(CARRYING_STEPS):  # each step bears what the one before has left over

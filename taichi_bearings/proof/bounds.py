@@ -79,7 +79,7 @@ class Bounds:
         return cls(network, size=size, unknown=None, friction=[], alone=tuple(samples), **found)
 
     def sample(self, number: int) -> Bounds:
-        """Return the bounds of the sample with this number alone."""
+        """Return the bounds of the single sample with this number, 0 to R - 1."""
         pick, count = slice(number, number + 1), self.network.count
         own = {name: getattr(self, name)[pick] for name in BOUNDS_OF_SAMPLES}
         sizes = len(self.network.free) // count, len(self.network.acts) // count
@@ -90,7 +90,12 @@ class Bounds:
 
     @classmethod
     def of(cls, network: JudgedNetwork) -> Bounds:
-        """Compute the bounds of a network by theorem 1."""
+        """Compute the bounds of all samples of a network.
+
+        Upper bound: the potential of the stored spins. Lower bound: the work of the driven spheres against the
+        friction, less what its unbalanced torques on free spheres may cost at the spins of a minimum; all of it divided
+        by the largest ratio of friction to its limit, and less what friction beyond the limit costs where damping
+        allows that. Where samples need different proofs each is computed alone."""
         potential, layered, count = network.dissipated(0.5), network.graph.layered, network.count
         # Upper bound: any spins have a potential that is not below the least, but spins that cannot exist prove
         # nothing.
@@ -142,15 +147,19 @@ class Bounds:
 def _held_by_springs(
     network: JudgedNetwork, upper: np.ndarray
 ) -> tuple[list[Enclosure], list[Enclosure], np.ndarray | None, np.ndarray, Enclosure] | None:
-    """Where components mix no box holds spins, and springs take the torques away. What rounding leaves is paid for at
-    the largest spins of some minimum, or, where these are not known to be small, at the fastest that are compared.
+    """Balance the friction by springs, where a component of a slip depends on several components of the spins. What
+    rounding leaves of the torques is paid for at the largest spins of some minimum, or, where these are not known to be
+    small, at FASTEST_COMPARED times the fastest imposed speed.
 
-    upper : (R,), potentials of the given spins.
+    network : R samples with n spheres and m contacts in all. upper : (R,), potentials of the given spins.
 
-    Returns the friction and the torques after springs have balanced it, the mask (n, 3) of the components of spins that
-    springs hold, None without springs, the words for which spins the bound is proven, (R,), and the price (R,) of the
-    torques. None for several samples of which some has no springs.
-    """
+    Returns a tuple, or None for several samples if some spin of one has no spring at all:
+
+    1. friction after springs have balanced it, 3 components, enclosures (m,);
+    2. torques that it leaves over, 3 components, enclosures (n,);
+    3. mask (n, 3) of the components of spins that springs hold, None without springs;
+    4. (R,), the words for which spins the bound is proven;
+    5. (R,), the price of the torques, which the lower bound loses."""
     count, springs = network.count, Springs.of(network, np.maximum(upper, LEAST_POWER * natural(network)))
     if springs is None and count > 1:
         return None
@@ -176,8 +185,10 @@ def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
 
 
 def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
-    """Return a bound (R,) on how much torques on free spheres may reduce the work, at spins within the box. torques :
-    by component, C enclosures (n,)."""
+    """Return a bound (R,) on how much leftover torques on free spheres may reduce the work at some minimum: the sum of
+    their size times the largest spin (times radius) that the sphere may have there.
+
+    torques : torque over radius on each of the n spheres by spin component, C enclosures (n,)."""
     total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken_between if network.graph.layered else _taken
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
         if size and (torque.high.any() or torque.error.any()):
@@ -188,22 +199,32 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
 
 @in_cache
 def _taken(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return the size of a torque times the largest spin `reach`, (n,), for the spheres of the mask `some` (n,), 0 for
-    others: what it may take from the work at spins between reach and its negative."""
+    """Return for each of n spheres what a torque on it may take from the work, if its spin may be anything between
+    `reach` and its negative: |torque| |reach|, (n,).
+
+    torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for others.
+    """
     return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
 
 
 @in_cache
 def _taken_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return what a torque may take from the work at spins between 0 and reach, (n,): nothing where spin and torque
-    surely have the same sign. some : (n,) mask of the spheres that are charged, 0 for others."""
+    """Return for each of n spheres what a torque on it may take from the work, (n,), if its spin may be anything
+    between 0 and `reach`: |torque| |reach|, but 0 where spin and torque surely have the same sign.
+
+    torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for others.
+    """
     gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
     return _taken(torque, reach, some & ~gives)
 
 
 def _worst(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:
-    """Return the largest ratio (R,) of size / friction limit over the contacts `hard` (indices), at least 1, rounded
-    up. Only contacts whose ratio in doubles is about the largest are computed with enclosures. size : (m,), |F|."""
+    """Return for each of R samples the largest ratio |F| / (mu F_n) over the contacts `hard`, at least 1, (R,), rounded
+    up.
+
+    Only contacts whose ratio in doubles is about the largest are computed with enclosures.
+
+    size : (m,), |F| of all m contacts. hard : indices of the contacts without viscosity, whose friction has a limit."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
     about[hard] = size.high[hard] / network.holding.high[hard]
     most = about.reshape(network.count, -1).max(axis=1, initial=1.0)

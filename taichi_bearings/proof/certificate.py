@@ -42,15 +42,23 @@ CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # for certifying_forces: relativ
 
 
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return a proven lower bound (R,) on the least objective of each replica, energy/time; never below 0. force : (C,
-    R, E), any values; those that are not finite prove nothing. spin_axes : the axes of the C components."""
+    """Return a proven lower bound (R,) on the least objective of each of R samples (power, or potential with
+    viscosity), energy/time; never below 0.
+
+    force : (C, R, E), friction of the E contacts in C spin components, any values; those that are not finite prove
+        nothing.
+    spin_axes : the axes of the C components."""
     candidates = _candidates(scene, _finite(scene, force), spin_axes)
     best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
     return np.maximum(best, 0.0)
 
 
 def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list[Forces]:
-    """Return admissible forces (C, R, E) made from the given ones; any of them may prove the most."""
+    """Return a list of forces made from the given ones, (C, R, E) each, that the contact law allows; any of them may
+    prove the most. They are the forces as given, balanced, capped at the friction limit, or scaled to be within it, as
+    the law needs.
+
+    force : (C components, R samples, E contacts), finite. spin_axes : the axes of the C components."""
     balanced = balance(scene, force, spin_axes)
     found = [force, balanced] if scene.law.flows else []  # every force is admissible
     if scene.law.holds:
@@ -62,13 +70,12 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list
 def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
     """Return True if the gap of every sample is so wide that no contact state can follow from it.
 
-    At any minimum a contact with the friction limit w that bears |f| slips by no more than excess / (w - |f|). No spin
-    of a minimum leaves the interval between the spins of both planes, so no contact slips faster than the radius times
-    the jump. If the excess is at least the largest w times that, the first bound is no better for any contact, whatever
-    f is.
+    At any minimum a contact with the friction limit w and the friction f slips by no more than excess / (w - |f|).
+    Besides, no contact slips faster than the radius times the jump, as no spin of a minimum leaves the interval between
+    the spins of both planes. If the excess is at least the largest w times that speed, the first bound says no more
+    than the second for any contact, whatever f is.
 
-    excess : (R,) for R samples, power less its proven lower bound, energy/time.
-    """
+    excess : (R,) for R samples, power less its proven lower bound, energy/time."""
     if scene.law.flows or not scene.law.holds:
         return False
     strongest = scene.strength * scene.acting_coefficient.max(axis=1, initial=0.0)
@@ -78,21 +85,22 @@ def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
 def certifying_forces(
     scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray, excess: np.ndarray | None = None
 ) -> Forces:
-    """Return forces (C, R, E) near the given ones that prove a bound by themselves.
+    """Return forces (C, R, E) near the given ones that prove a bound by themselves: C spin components, R samples, E
+    contacts.
 
-    They leave no torque on any free sphere but rounding, and with Coulomb friction none is above its limit: the bound
-    is the work of the driven planes against them less the conjugates. Where such forces prove less than `bound`, forces
-    that pay for leftover torques are returned.
+    They leave no torque on any free sphere but rounding, and with Coulomb friction none is above its limit. The bound
+    is then the work of the driven planes, less the potential that is dual to each force. Where such forces prove less
+    than `bound`, forces are returned that leave torques over, whose price is subtracted.
 
-    bound : (R,), lower bound on the objective that these forces should prove.
-    excess : (R,), objective less bound, if known: where it can prove no contact state, forces that pay for leftover
-        torques are good enough, and are found at once.
+    force : (C, R, E), friction to begin with. spin_axes : the axes of the C components.
+    bound : (R,), energy/time, lower bound on the objective that the forces should prove.
+    excess : (R,), objective less bound, if known: where no contact state can follow from it, forces that leave torques
+        over are good enough, and are found at once.
 
     Forces are projected in turn on those in balance and, with an over-relaxation of 1.5, on the friction discs. Zero
     forces are in balance and inside all discs, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996).
-    It ends once the balanced forces, divided by their worst saturation, prove `bound` or need no division, or after
-    MOST_PROJECTIONS.
-    """
+    It ends once the balanced forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or
+    after MOST_PROJECTIONS."""
     given = force = _finite(scene, force)
     if excess is not None and can_prove_no_state(scene, excess):
         return _most_proving(scene, given, np.full(scene.replicas, -np.inf), given, spin_axes, bound)
@@ -130,8 +138,10 @@ def certifying_forces(
 
 
 def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the work (R,) of the driven planes against balanced forces, for laws with friction alone; no rounding is
-    allowed for."""
+    """Return the work (R,), energy/time, that the driven planes do against friction forces which balance on every free
+    sphere. For laws of friction alone; the result is in plain doubles, with no allowance for rounding.
+
+    force : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
     top, work = scene.top_spin(spin_axes), np.zeros(scene.replicas)
     upward = scene.lattice.by_axis(force)[-1]
     for slot in tangential(scene.lattice.height_axis, spin_axes):
@@ -143,8 +153,11 @@ def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 def _as_a_whole(
     scene: Scene, force: Forces, worst: np.ndarray, spin_axes: tuple[int, ...]
 ) -> tuple[Forces, np.ndarray]:
-    """Return the forces divided by their worst saturation `worst` (R,), largest |f| / (mu F_n), and the bound (R,) that
-    they prove."""
+    """Return all forces of a sample divided by one number, so that none exceeds its limit, (C, R, E); and the lower
+    bound (R,) that they prove, energy/time.
+
+    force : (C components, R samples, E contacts). worst : (R,), the largest |f| / (mu F_n) of each sample; only numbers
+        above 1 divide."""
     whole = _divided(force, worst)
     return whole, dual_value(scene, whole, spin_axes)
 
@@ -152,8 +165,12 @@ def _as_a_whole(
 def _most_proving(
     scene: Scene, best: Forces, reached: np.ndarray, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray
 ) -> Forces:
-    """Return the forces `best`, which prove `reached` (R,); in replicas where that misses `bound` (R,), the candidate
-    that :func:`lower_bound` makes of `force`, if it proves more."""
+    """Return the forces `best` (C, R, E), replaced by better ones in the samples where they miss the bound.
+
+    best, reached : (C components, R samples, E contacts) forces, and the lower bounds (R,) that they prove.
+    force : (C, R, E), from which other candidates are made, as :func:`lower_bound` does. A candidate is taken where it
+        proves more.
+    spin_axes : the axes of the C components. bound : (R,), what the forces should prove, energy/time."""
     if (reached >= bound * (1 - CERTIFIED_ERROR)).all():
         return best
     for candidate in _candidates(scene, force, spin_axes):
@@ -171,7 +188,8 @@ def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
 
 
 def _finite(scene: Scene, force: Forces) -> Forces:
-    """Return the forces in float64, 0 between driven spheres, all 0 in a replica that has one that is not finite."""
+    """Return the forces (C components, R samples, E contacts) in float64: 0 at contacts that take no part, and all 0 in
+    a sample that has one that is not finite."""
     force = _without_driven_contacts(scene, np.asarray(force, dtype=np.float64))
     finite = np.isfinite(force).all(axis=(0, 2))
     return force if finite.all() else np.where(finite[:, None], force, 0.0)
@@ -179,11 +197,13 @@ def _finite(scene: Scene, force: Forces) -> Forces:
 
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the work (R,) of the driven planes against Coulomb forces as they are, and the lower bound (R,) that the
-    forces prove when they are capped or scaled.
+    forces prove once they are capped at, or scaled to, the friction limits; both energy/time.
 
-    For forces that leave practically no torque, and methods that check often: the Poisson solve of :func:`lower_bound`
-    is left out, and roundings are allowed for in the bound alone, which holds for any finite forces.
-    """
+    This is for methods that check often, with forces that leave practically no torque: unlike :func:`lower_bound` it
+    does not balance them by a Poisson solve. Roundings are allowed for in the bound alone, which holds for any finite
+    forces.
+
+    balanced : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
     ratio = saturation(scene, balanced)
     work = _work_of_planes(scene, balanced, spin_axes)
     bound, as_a_whole = dual_value(scene, capped(balanced, ratio), spin_axes), work / np.maximum(ratio.max(axis=1), 1.0)
@@ -211,14 +231,19 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
 
 
 def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the largest torque (R,) that the forces leave on a free sphere, force * length."""
+    """Return the largest torque (R,) that forces (C components, R samples, E contacts) leave on a free sphere, force *
+    length. spin_axes : the axes of the C components."""
     pull = np.abs(torques(force, scene.lattice, spin_axes)[..., 1:-1])
     return scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
 
 
 def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the lower bound (R,) that admissible forces (C, R, E) prove, balanced or not, energy/time: the dual
-    objective minus an allowance for rounding."""
+    """Return the lower bound (R,) on the objective that forces prove, balanced or not, energy/time: the work of the
+    driven planes, less the price of torques left on free spheres, less the potential that is dual to each force, less
+    an allowance for rounding.
+
+    force : (C components, R samples, E contacts), within their friction limits. spin_axes : the axes of the C
+        components."""
     pull = precise_torques(scene, force, spin_axes)
     work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
     for slot, half_width in enumerate(scene.top_spin(spin_axes) / 2):
@@ -242,7 +267,9 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
     Forces in balance cancel, so a plain sum has an error as large as the torque itself. Here each addition keeps what
     it rounds away (Knuth's two-sum): the relative error is that of one rounding, plus about 1e-32 of the forces.
-    """
+
+    force : (C components, R samples, E contacts). spin_axes : the axes of the C components. *N : the shape of the
+        lattice."""
     total = np.zeros((len(spin_axes), scene.replicas, *scene.lattice.shape))
     lost = np.zeros_like(total)
     for axis, vectors in enumerate(scene.lattice.by_axis(force)):
@@ -261,7 +288,8 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
 
 def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
-    """Return pairs of slices that cut arrays (R, n, ...) into parts which fit the caches of a processor."""
+    """Return pairs of slices that cut the first two axes of arrays with the shape of `values`, (R, n, ...), into parts
+    which fit the caches of a processor."""
     several = max(1, CACHED_PULLS // max(values[0].size, 1))
     size = max(1, CACHED_PULLS * values.shape[1] // max(values[0].size, 1))
     return [
@@ -297,20 +325,22 @@ def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.
 
 
 def scaled(scene: Scene, force: Forces) -> Forces:
-    """Return all forces of a replica divided by the worst saturation, which keeps their torque balance."""
+    """Return the forces (C components, R samples, E contacts), those of a sample divided by the largest |f| / (mu F_n)
+    of it where that exceeds 1. So all are within their limits, and forces in balance stay so."""
     return _divided(force, saturation(scene, force).max(axis=1))
 
 
 def _divided(force: Forces, worst: np.ndarray) -> Forces:
-    """Return the forces divided by the worst saturation `worst` (R,) of each replica, where that exceeds 1."""
+    """Return the forces (C, R, E), those of each of the R samples divided by its number in `worst` (R,) where that
+    exceeds 1."""
     if (worst <= 1.0).all():
         return force
     return force * (1.0 / np.maximum(worst, 1.0))[:, None]
 
 
 def saturation(scene: Bearing, force: Forces) -> np.ndarray:
-    """Return |f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at an
-    absent contact."""
+    """Return |f| / (mu F_n) of every contact, (R, E), rounded up: 0 at contacts that take no part, infinite for a force
+    at an absent contact. force : (C components, R samples, E contacts), 0 at contacts that take no part."""
     size, absent = vector_length(force), scene.coefficient == 0
     ratio = size * (1 + 4 * np.finfo(np.float64).eps)
     ratio *= scene.inverse_limit
@@ -326,7 +356,8 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
     The correction is the gradient of a potential u with -Laplace u = leftover torque on the free spheres and u = 0 on
     the driven ones: one constant-coefficient Poisson problem for each component, solved by cosine and sine transforms.
     Component k is coupled only by the contacts that are not along k.
-    """
+
+    force : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
     lattice = scene.lattice
     pull = torques(force, lattice, spin_axes)
     potential = np.zeros_like(pull)
@@ -339,5 +370,6 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
 
 
 def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
-    """Return the forces, 0 at contacts that take no part."""
+    """Return the forces (C, R, E), set to 0 at contacts that take no part: those without a coefficient or without a
+    free sphere."""
     return np.where(scene.idle, 0.0, force)

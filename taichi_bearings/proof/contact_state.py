@@ -20,17 +20,18 @@ from taichi_bearings.scene.solution import Solution
 def decided(
     indicated: np.ndarray, known: np.ndarray, is_present: bool = False, has_ended: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state of every contact, (R, E) uint8, and the mask (R, E) of those that are proven.
+    """Return the state of every contact, (R, E) uint8, and the mask (R, E) of those that are proven, for R samples of E
+    contacts.
 
-    indicated : (R, E), states that slip and friction indicate. Contacts that are DRIVEN there take no part and count as
+    indicated : (R, E), states read from slip and friction. Contacts that are DRIVEN there take no part and count as
         proven.
     known : (R, E), states proven of all minima, UNDECIDED where nothing is proven.
-    is_present : the states shall describe a motion on its way, or follow from a slip threshold that the user chose,
-        rather than describe the minima: then they stay as slip and friction indicate.
-    has_ended : such a motion is proven to have come to a minimum. There no contact slips that rests at every minimum,
-        nor the other way round. So where `indicated` contradicts `known` the contact becomes UNDECIDED, and one that
-        `indicated` leaves UNDECIDED gets the known state.
-    """
+    is_present : True if the states shall describe a motion on its way, or follow from a slip threshold that the user
+        chose: then `indicated` is returned. False if they shall describe the minima: then `known` replaces it where a
+        state is proven.
+    has_ended : True if `is_present`, and the motion is proven to have come to a minimum. There no contact slips that
+        rests at every minimum, nor the other way round. So where `indicated` contradicts `known` the contact becomes
+        UNDECIDED, and one that `indicated` leaves UNDECIDED gets the known state."""
     indicated = np.where(indicated == ContactState.TIED, ContactState.UNDECIDED, indicated)
     acts, is_known = indicated != ContactState.DRIVEN, known != ContactState.UNDECIDED
     state = indicated if is_present else np.where(acts & is_known, known, indicated)
@@ -48,8 +49,8 @@ def are_proven(state: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def all_slipless(scene: Bearing) -> np.ndarray:
-    """Return states (R, E) uint8 in which all contacts rest, DRIVEN where they take no part, for a method to
-    overwrite."""
+    """Return new states (R, E) uint8, a value that a method can overwrite: SLIPLESS at all contacts, but DRIVEN where
+    they take no part."""
     return np.where(scene.idle, ContactState.DRIVEN, ContactState.SLIPLESS).astype(np.uint8)
 
 
@@ -90,7 +91,9 @@ class Separation:
 
 
 def separate(scene: Bearing, slip: np.ndarray, state: np.ndarray) -> Separation:
-    """Compare the slips of slipless with those of slipping contacts. slip, state : (R, E)."""
+    """Compare the slips of slipless with those of slipping contacts, sample by sample.
+
+    slip : (R, E), slip speeds of the E contacts of R samples, length/time. state : (R, E), their states."""
     still, moving = state == ContactState.SLIPLESS, state == ContactState.SLIPPING
     largest = np.where(still.any(axis=1), np.where(still, slip, 0.0).max(axis=1), np.nan)
     smallest = np.where(moving.any(axis=1), np.where(moving, slip, np.inf).min(axis=1), np.nan)
@@ -101,18 +104,19 @@ def separate(scene: Bearing, slip: np.ndarray, state: np.ndarray) -> Separation:
 
 
 def unresolved(solution: Solution, times: float = 1.0) -> np.ndarray:
-    """Return the mask (R, E) of contacts whose friction times slip is at most `times` the difference between the
-    objective and its lower bound, so that nothing follows from it."""
+    """Return the mask (R, E) of the contacts whose friction limit times slip is at most `times` the difference between
+    the objective and its proven lower bound: a gap of that size says nothing about whether they slip."""
     scene, left = solution.scene, times * (solution.objective - solution.lower_bound)
     return scene.strength * scene.coefficient * solution.slip <= left[:, None]
 
 
 def too_uneven(solution: Solution) -> np.ndarray:
-    """Return the mask (R,) of samples whose contacts are so uneven that their slips cannot be trusted.
+    """Return the mask (R,) of the samples whose contacts are so uneven that their slips cannot be trusted.
 
-    A contact is lost if its power at a slip by the smallest jump component, times smallest component / whole jump, is
-    within the gap between objective and lower bound, or if that power is at most LOST_POWER of the sample's power. Then
-    its slip is whatever rounding makes it. A sample is too uneven if more than LOST_CONTACTS of its contacts are lost.
+    A contact is lost if the power that it could dissipate is too small to fix its slip. That power is taken at a slip
+    as fast as the smallest imposed component. The contact is lost if it is at most LOST_POWER of the power of its
+    sample, or if it is, times smallest component / whole jump, within the gap between objective and lower bound. Its
+    slip is then whatever rounding makes it. A sample is too uneven if more than LOST_CONTACTS of its contacts are lost.
     """
     scene, acting = solution.scene, ~solution.scene.idle
     at_jump = scene.strength * scene.coefficient * scene.slip_radius * scene.smallest_jump  # power of a slip by it
@@ -125,8 +129,8 @@ def too_uneven(solution: Solution) -> np.ndarray:
 
 
 def what_is_proven(state: np.ndarray, proven: np.ndarray) -> np.ndarray:
-    """Return the states (R, E) that are proven, UNDECIDED for all other contacts: the argument `known` of
-    :func:`decided`."""
+    """Return the states (R, E) that are proven, and UNDECIDED for all other contacts. state : (R, E). proven : (R, E)
+    mask."""
     return np.where(proven, state, ContactState.UNDECIDED)
 
 

@@ -93,12 +93,12 @@ class Slipping:
 
     @classmethod
     def of(cls, motion: Motion, domain: dict[int, np.ndarray] | None = None) -> Slipping:
-        """Collect the contacts that can dissipate and do not rest in a motion.
+        """Collect the contacts that can dissipate and do not rest in a motion, and number the domains (spheres that
+        resting contacts join, so that they turn as one) that can change their slips.
 
         motion : the network, and which contacts rest.
         domain : by component, the label (N,) of the domain of each sphere; spheres that shall not move have the label
-            of a driven sphere. If None, the domains that the resting contacts of `motion` make.
-        """
+            of a driven sphere. If None, the domains that the resting contacts of `motion` make."""
         network, unknowns, number = motion.network, 0, {}
         some = np.flatnonzero(network.counts & ~motion.rests)
         ends, felt = network.graph.contact[:, some], _slipping_components(network, some)
@@ -167,7 +167,8 @@ class Slipping:
         return sparse.csr_array((signs, ends[kept], begin), shape=(len(ends), self.unknowns))
 
     def moved(self, step: np.ndarray) -> Slipping:
-        """Return a copy with the slips after the unknowns have changed by `step` (unknowns,)."""
+        """Return a copy whose slips are those after the unknowns, spins of free domains, have changed by `step`
+        (unknowns,)."""
         by = np.append(step, 0.0)
         difference = tuple(
             part + (Enclosure.exact(by[upper]) - Enclosure.exact(by[lower]))
@@ -176,8 +177,8 @@ class Slipping:
         return replace(self, difference=(difference[0], difference[1]))
 
     def slope(self) -> Enclosure:
-        """Return the slope (unknowns,) of the power: the torque that the slipping contacts exert on each free
-        domain."""
+        """Return the slope (unknowns,) of the power: for each unknown, the spin of a free domain (spheres that turn as
+        one), the torque over radius that the slipping contacts exert on it."""
         owner, pulls = [], []
         for slot in range(2):
             for pull, end in ((self.pulls[slot], self.upper[slot]), (-self.pulls[slot], self.lower[slot])):
@@ -187,8 +188,8 @@ class Slipping:
         return grouped_sum(joined(pulls), np.concatenate(owner), self.unknowns)
 
     def blocks(self) -> np.ndarray:
-        """Return for each unknown the number (unknowns,) of its block. A contact changes with unknowns of one block
-        only, so the proof holds for each block by itself."""
+        """Return for each unknown the number (unknowns,) of its block. Blocks are the smallest groups of unknowns such
+        that the slip of each contact depends on unknowns of one block only; so each block can be proven by itself."""
         ends = np.concatenate([self.lower, self.upper])
         some = ends.max(axis=0)  # an unknown of the contact if it has any
         pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
@@ -197,9 +198,11 @@ class Slipping:
 
 
 def _slipping_components(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
-    """Return the spin components that make contacts slip, (2, k): the one or two components that the problem needs, or,
-    if it needs all three, the two that are not along the normal. -1 where there is none. some : (k,), indices of the
-    contacts."""
+    """Return the numbers of the spin components that make contacts slip, (2, k), -1 where there is no second one: the
+    one or two components along which some minimum may slip, or, if these are all three, the two that are not along the
+    normal of the contact.
+
+    some : (k,), indices of the contacts."""
     if len(network.needed) == 3:
         axis = np.argmax(np.abs(network.graph.normal[some]), axis=1)
         return np.stack([(axis + 1) % 3, (axis + 2) % 3])
@@ -209,12 +212,14 @@ def _slipping_components(network: JudgedNetwork, some: np.ndarray) -> np.ndarray
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
-    """Prove that one minimum is near, and return the slipping contacts at spins close to it, and for each slip the
-    share (n,) of its size by which it differs at most from the slip at the minimum. None if that is not proven.
+    """Prove that one minimum is near the given spins.
 
-    contacts : the n slipping contacts at the given spins. The returned ones may have been moved by up to
-        CURVATURE_TRIALS - 1 steps of Newton's method.
-    """
+    contacts : the n slipping contacts at the given spins, and the unknowns, spins of free domains, that change their
+        slips.
+
+    Returns None if it is not proven. Else the contacts at spins close to the minimum, which are the given ones or those
+    after up to CURVATURE_TRIALS - 1 steps of Newton's method; and (n,), for each contact a bound on |slip at the
+    minimum - slip of the returned contact| / |slip|."""
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.place[0]))
     for number in range(CURVATURE_TRIALS):
@@ -234,19 +239,23 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
 
 
 def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
-    """Return a bound (n,) on |slip at the minimum - slip| / |slip| for each contact, by steps 2 and 3 at the head of
-    the file; None if it is not proven.
+    """Return a bound (n,) on |slip at the minimum - slip| / |slip| for each of n slipping contacts; None if it is not
+    proven, or if there might be several minima within it.
+
+    Let h be the diagonal of the curvature, and tau a number such that the curvature is at least tau h. Then a slope g
+    of the power, measured by 1 / h, can be undone within the radius rho = |g| / (0.72 tau), in which a slip resists by
+    at least 0.72 of its curvature as long as it changes by no more than a quarter.
 
     contacts : slips at the spins that are tried. curvature : of the power at these spins.
-    last : whether no further trial follows. Else the floor of the curvature, which costs an elimination, is computed
-        only if the bound would be small enough with the usual floor.
-    """
+    last : True if no further trial follows. If False, tau is computed, which costs an elimination, only where the bound
+        would be small enough with the usual tau."""
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
     # Step 2: rho = 1.5 |g| / tau, as 1.5 > 1 / 0.72 = 1.39. Each block has a radius of its own.
     def turn(tau: float) -> np.ndarray:
-        """Return the bound (n,) on the change of each slip over its size that would follow from the floor `tau`."""
+        """Return the bound (n,) on the change of each slip over its size that follows if the curvature is at least
+        `tau` times its diagonal."""
         radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
         reach = radius[block] / root  # largest |v| of each variable, as h v^2 <= rho^2
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
@@ -259,21 +268,22 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
 
 @np.errstate(all="ignore")
 def rises(contacts: Slipping, turn: np.ndarray) -> bool:
-    """Return True if the power is proven to have positive curvature along every motion of the unknowns, wherever each
-    slip differs from that of `contacts` by no more than the share `turn` (n,) of its size."""
+    """Return True if the power is proven to have positive curvature along every motion of the unknowns (spins of free
+    domains, in `contacts`), wherever each of the n slips differs from that of `contacts` by no more than the share
+    `turn` (n,) of its size."""
     curvature = Curvature.of(contacts) if contacts.unknowns else None
     return contacts.unknowns == 0 or (curvature is not None and curvature.remains(contacts, turn))
 
 
 def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[int, np.ndarray] | None = None) -> bool:
-    """Return True if some friction of the resting contacts balances all torques and stays below every friction limit.
+    """Return True if some friction of the resting contacts balances all torques at the minimum and stays below every
+    friction limit.
 
-    motion : the network, and which contacts rest.
-    contacts, turn : the slipping contacts, and the share (n,) of its size by which each slip differs at the minimum at
-        most.
-    unsure : by component, (N,), how far the friction that other contacts exert on each sphere may be from what is
-        required of them, in units of force; None for nowhere.
-    """
+    motion : the network of N spheres, and which contacts rest.
+    contacts : the n slipping contacts close to the minimum. turn : (n,), bound on |slip at the minimum - slip| /
+        |slip|.
+    unsure : by component k, (N,), how far the sum of the friction that further contacts exert on each sphere may be
+        from what is required of them, in units of force; None for nowhere."""
     network, added_by_domain = motion.network, {}
     moment, torques = network.own_moment, network.own_torques
     off = _change_of_friction(motion, contacts, turn)
@@ -302,9 +312,12 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
 
 
 def _change_of_friction(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
-    """Return a bound (2, n) on the size of the difference between the stored friction of each slipping contact and its
-    friction at the minimum, for either component in `contacts.felt`. motion, contacts, turn : arguments of
-    :func:`bearable`."""
+    """Return a bound (2, n) on how far the stored friction of each of n slipping contacts may be from its friction at
+    the minimum, along the one or two spin components that make it slip (`contacts.felt`; 0 for none).
+
+    motion : the network, whose friction is stored as moments.
+    contacts : the slipping contacts close to the minimum. turn : (n,), bound on |slip at the minimum - slip| / |slip|.
+    """
     network, found = motion.network, np.zeros(contacts.felt.shape)
     for slot in range(2):
         stored = Enclosure.exact(np.zeros(len(contacts.own)))
@@ -345,14 +358,14 @@ class Form:
         parts: list[Part] | None = None,
         samples: Samples | None = None,
     ) -> Form | None:
-        """Scale the columns of `rows` and of `doubt`, and order the elimination; None where a column is 0 or not
-        finite.
+        """Make the form |A x|^2 from a matrix: scale its columns to length 1, and order the elimination of A^T A.
+        Return None where a column is 0 or not finite.
 
-        place : (d, n), positions of the unknowns. If `of_rows` is True: positions of the rows, and each unknown is put
-            at the mean of its rows.
-        parts : the parts in which unknowns are eliminated; None to find them.
-        samples : the samples of the unknowns; None for a single one.
-        """
+        rows : (m, n), the matrix A before its columns are scaled. doubt : (m, n), bounds on the errors of its entries.
+        place : (d, n), positions of the n unknowns in d dimensions. If `of_rows` is True: (d, m), positions of the
+            rows, and each unknown is put at the mean of its rows, weighted by the squares of their entries.
+        parts : the groups in which unknowns are eliminated; None to find them.
+        samples : which sample each unknown belongs to; None if there is only one sample."""
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         if not ((squares > 0) & (squares < np.inf)).all():
             return None
@@ -368,20 +381,22 @@ class Form:
         return 1 / np.sqrt(self.squares)
 
     def floor(self, sharp: bool = False) -> np.ndarray:
-        """Return a proven lower bound tau of the eigenvalues of the scaled form; None if none is found. sharp : spend
-        more time to find a large bound, see :func:`proven_floor`."""
+        """Return for each of R samples a proven lower bound tau (R,) of the eigenvalues of the scaled form, for all
+        matrices A within the bounds of errors; 0 where none is found.
+
+        sharp : True to spend more time on a bound that is as large as possible; False to try CURVATURE_SHARE first,
+            which is enough for most networks."""
         return proven_floor(self.rows, self.doubt, self.elimination, sharp)
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """The curvature of the power, a quadratic form of changes v of the spins of free domains, and a proven floor: it is
-    at least tau times its diagonal h.
+    """The curvature of the power at given slips, a quadratic form in variables v, and tau, for which it is proven that
+    the form is at least tau times its diagonal h: sum of tau h v^2.
 
-    clusters : (unknowns, unknowns), entries 0 and 1: the changes of the spins of domains are clusters v.
-    form : the curvature in unknowns scaled to a diagonal of 1; its `squares` are h.
-    changes : two matrices (contacts, unknowns): both components of the changes of slips, from v.
-    """
+    clusters : (unknowns, unknowns), entries 0 and 1: changes of the spins of domains = clusters @ v.
+    form : the curvature in unknowns that are scaled to a diagonal of 1; its `squares` are h.
+    changes : two matrices (contacts, unknowns): either component of the changes of slips = changes[slot] @ v."""
 
     clusters: sparse.csr_array
     form: Form
@@ -389,8 +404,8 @@ class Curvature:
 
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
-        """Compute the curvature at the slips of `contacts`; None if some v changes no slip across its direction and no
-        damped slip."""
+        """Compute the curvature of the power at the slips of `contacts`; None if some variable v turns no slip and
+        changes no damped slip, so that the power has no curvature along it."""
         clusters = _clusters(contacts)
         changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exact; what both ends share cancels
         rows, doubt, owner = _curvature_rows(contacts, changes)
@@ -408,14 +423,14 @@ class Curvature:
         return [_with_values(change, np.abs(change.data)) for change in self.changes]
 
     def remains(self, contacts: Slipping, turn: np.ndarray) -> bool:
-        """Prove step 3 at the head of the file: return True if there is only one minimum where each slip differs from
-        that of `contacts` by no more than the share `turn` (n,) of its size, at most a quarter.
+        """Return True if it is proven that there is at most one minimum where each of the n slips differs from that of
+        `contacts` by no more than the share `turn` (n,) of its size, at most a quarter.
 
         Two minima would differ by a motion that changes each slip by some w along its direction. Unit vectors along
         slips differ by 2 turn at most, so the part of w across the slip of `contacts` is at most 2 turn |w|. The
         curvature of this motion is at most the sum of (mu F_n / slip) (2 turn |w|)^2, computed here as a diagonal form.
-        It has to be below half of the proven floor; below all of it would be enough.
-        """
+        It has to be below half of tau h, with h the diagonal of the curvature and tau h a proven lower bound of it;
+        below all of it would be enough."""
         # For either component of w, a row of `changes` with entries of sizes e (0 or 1), Cauchy and Schwarz give
         # w^2 <= (sum of e) (sum of e v^2).
         loss = np.zeros_like(turn)
@@ -424,21 +439,22 @@ class Curvature:
         return bool((turn <= MOST_SLIP_TURN).all() and (given_up * UP < self.tau * self.form.squares / 2).all())
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
-        """Return the change (unknowns,) of the unknowns u that makes a slope (unknowns,) vanish to first order; None if
-        rounding hides the curvature. Nothing about it is proven."""
+        """Return the change (unknowns,) of the spins of free domains that makes the slope vanish to first order; None
+        if rounding hides the curvature. Nothing about it is proven. slope : (unknowns,), derivatives of the power by
+        these spins."""
         root, factor = np.sqrt(self.form.squares), self.form.elimination.factorised()
         return None if factor is None else -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
 
 def _clusters(contacts: Slipping) -> sparse.csr_array:
-    """Return the matrix (unknowns, unknowns) with entries 0 and 1 that gives the unknowns, changes of the spins of free
-    domains, as sums of other variables. Any choice is valid; with this one the floor of the curvature is not tiny.
+    """Return a matrix B (unknowns, unknowns) of 0 and 1, by which the unknowns, changes of the spins of free domains,
+    follow from other variables v: changes = B @ v. Any regular B is valid; with this one the smallest eigenvalue of the
+    curvature in the variables v is not tiny, although some contacts are very stiff.
 
-    Domains between which slips are tiny, and so resist changes most, form a cluster. The new variables are the change
-    of one domain of a cluster, its head, and for every other one the change from its neighbour on the way to the head,
-    along a tree of the stiffest contacts. Then a motion of the whole cluster is one variable and strains no stiff
-    contact.
-    """
+    Domains joined by contacts with tiny slips, which resist changes most, form a cluster. The new variables are the
+    change of one domain of a cluster, its head, and for every other one the change from its neighbour on the way to the
+    head, along a tree of the stiffest contacts. Then a motion of the whole cluster is one variable, and strains no
+    stiff contact."""
     # Graph of the stiff contacts between unknowns, all driven domains being one node and a source another.
     driven, source = contacts.unknowns, contacts.unknowns + 1
     stiffness = contacts.stiffness.value
@@ -483,7 +499,7 @@ def _with_values(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array
 def _row_scaled(
     values: np.ndarray, matrix: sparse.csr_array, of: Callable[[np.ndarray], np.ndarray] = np.asarray
 ) -> sparse.csr_array:
-    """Return the matrix (k, n) with each row multiplied by its number in `values` (k,). of : function applied to the
+    """Return the sparse matrix (k, n) with row i multiplied by values[i]. values : (k,). of : function applied to the
     entries first, for instance np.abs."""
     return _with_values(matrix, np.repeat(values, np.diff(matrix.indptr)) * of(matrix.data))
 
@@ -531,13 +547,13 @@ def proven_floor(
     every matrix A whose entries differ from those of `rows` by no more than those of `doubt`. 0 where none is found,
     and infinite for samples without unknowns.
 
-    elimination : of rows^T rows, as doubles have formed it.
-    sharp : True to estimate the least eigenvalue at once, for a floor that is as large as possible. Else
-        CURVATURE_SHARE is tried first, which needs no estimate.
+    rows, doubt : (m, n) for n unknowns.
+    elimination : how to eliminate the matrix rows^T rows, as doubles have formed it.
+    sharp : True to estimate the least eigenvalue at once, for a tau that is as large as possible. False to try
+        CURVATURE_SHARE first, which needs no estimate.
 
-    A guess is shifted off the diagonal and the rest eliminated. If all pivots are positive, the rest is positive but
-    for the errors that are bounded here, and half of the guess is proven if these take less than the other half.
-    """
+    A guess is subtracted from the diagonal and the rest eliminated. If all pivots are positive, the rest is positive
+    but for the errors that are bounded here, and half of the guess is proven if these take less than the other half."""
     samples, found = elimination.samples, np.zeros(elimination.samples.count)
     found[np.bincount(samples.of, minlength=samples.count) == 0] = np.inf
     terms = samples.largest(np.bincount(rows.indices, minlength=rows.shape[1])) + 4
@@ -576,9 +592,11 @@ def _least_eigenvalue(elimination: Elimination) -> np.ndarray:
 
 
 def _largest_eigenvalue(rows: sparse.csr_array, steps: int, samples: Samples) -> np.ndarray:
-    """Return an upper bound (R,) of the largest eigenvalue of W^T W for a matrix W without negative entries, for each
-    sample: the largest of (W^T W x) / x, entry by entry, for any positive vector x (Collatz and Wielandt). rows : W.
-    steps : number of power iterations that improve x, from ones."""
+    """Return for each of R samples an upper bound (R,) of the largest eigenvalue of W^T W, for a matrix W without
+    negative entries: the largest of (W^T W x) / x, entry by entry, for any positive vector x (Collatz and Wielandt).
+
+    rows : W, (m, n). steps : number of power iterations that improve x, from ones. samples : the sample of each of the
+        n unknowns."""
     columns, vector = rows.T, np.ones(rows.shape[1])
     for _ in range(steps):
         vector = columns @ (rows @ vector)

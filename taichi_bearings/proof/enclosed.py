@@ -25,13 +25,12 @@ ONE_SPEED = 4
 def judged_network(
     scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
 ) -> JudgedNetwork | None:
-    """Return the network to be judged; None for numbers that are not finite, or whose scales are so large or small that
-    products might overflow or underflow.
+    """Return the network to be judged, with numbers enclosed in sums of two doubles; None for numbers that are not
+    finite, or whose scales are so large or small that products might overflow or underflow.
 
-    scene : R samples of a lattice or of a packing.
-    spin, spin_rounding, friction : the spins, as the sum of both, and the friction on the second sphere of each
-        contact, with the shapes of :class:`Judgement`.
-    """
+    scene : R samples of a lattice or of a packing, with N spheres (on lattices *N, its shape) and E contacts each.
+    spin, spin_rounding : (R, *N, 3), of discs (R, *N), 1/time; the spin is the sum of the two.
+    friction : (R, E, 3), of discs (R, E), force on the second sphere of each contact."""
     samples = samples_of_lattice(scene, spin, spin_rounding, friction)
     if samples is None:
         return _in_lists(scene, spin, spin_rounding, friction)
@@ -60,8 +59,12 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
 
 
 def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray) -> JudgedNetwork | None:
-    """Return the network of samples of a bearing whose contacts are in lists, side by side; None where their scales are
-    not allowed. spin, rounding, friction : with the shapes of :class:`Judgement`."""
+    """Return the network of R samples of a bearing whose contacts are in lists, side by side; None where their scales
+    are not allowed.
+
+    packing : the bearing, with N spheres and E contacts.
+    spin, rounding : (R, N, 3), of discs (R, N), 1/time; the spin is the sum of the two.
+    friction : (R, E, 3), of discs (R, E), force on the second sphere of each contact."""
     contacts, law, count = packing.network, packing.law, packing.replicas
     free, radius, spheres = contacts.free, contacts.radius, contacts.spheres
     imposed = packing.imposed_spins()[0].reshape(spheres, -1)

@@ -40,8 +40,8 @@ Made = TypeVar("Made", bound=Callable[..., Any])
 
 def in_cache(made: Made) -> Made:
     """Decorate a function of enclosures, arrays and numbers that works element by element, so that it handles large
-    arrays in parts that fit the caches of a processor. Only arguments and result then pass through memory; the results
-    are the same bits."""
+    arrays in parts of about IN_CACHE numbers, which fit the caches of a processor. Only arguments and result then pass
+    through memory; the results are the same bits."""
 
     @wraps(made)
     def in_parts(*given: Any) -> Any:
@@ -76,10 +76,10 @@ def _parts_of(shape: tuple[int, ...]) -> Iterator[tuple[int | slice, ...]]:
 
 @dataclass(frozen=True)
 class Enclosure:
-    """Enclosed numbers, |exact - (high + low)| <= error.
+    """Real numbers of which each is known but for a small error: |exact - (high + low)| <= error, element by element.
 
-    high, low, error : three arrays of one shape. error is 0 where the sum is exact.
-    """
+    high, low : arrays of doubles of one shape; their sum has twice the digits of a double.
+    error : bound on what this sum misses, of the same shape; 0 where it is exact."""
 
     high: np.ndarray
     low: np.ndarray
@@ -153,7 +153,8 @@ class Enclosure:
 
     @in_cache
     def __truediv__(self, other: Enclosure) -> Enclosure:
-        """Return the quotient, element by element. Where a divisor encloses 0 the error is infinite or NaN."""
+        """Return the quotient, element by element. Where a divisor may be 0 the error is infinite or NaN, and proves
+        nothing."""
         first = self.high / other.high
         left = self - other.times(first)
         second = left.high / other.high
@@ -164,8 +165,8 @@ class Enclosure:
 
     @in_cache
     def sqrt(self) -> Enclosure:
-        """Return the square root of numbers that are not negative. Where the value is 0, only the numbers >= 0 that it
-        encloses are meant."""
+        """Return the square root, element by element, of numbers of which none is negative. An enclosure around 0 (with
+        `high` = 0) may reach below it: the root then encloses the roots of its numbers >= 0."""
         zero = self.high == 0
         root = np.sqrt(np.where(zero, 1.0, self.high))
         about = Enclosure.exact(root)
@@ -183,8 +184,8 @@ class Enclosure:
         return Enclosure(np.abs(self.high), np.where(self.high < 0, -self.low, self.low), self.error)
 
     def signed(self, sign: np.ndarray | float) -> Enclosure:
-        """Return the product with an array of numbers that are +1, -1, 0 or a power of two, by which nothing is
-        rounded."""
+        """Return the product with `sign`, an array whose numbers are +1, -1, 0 or a power of two, with either sign:
+        none of these rounds anything."""
         return Enclosure(sign * self.high, sign * self.low, np.abs(sign) * self.error)
 
     def __getitem__(self, where: Any) -> Enclosure:
@@ -313,12 +314,12 @@ def _length_of_several(parts: list[Enclosure]) -> Enclosure:
 
 
 def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]) -> Enclosure:
-    """Return the enclosure of a product that is about `product` + `rest`.
+    """Return the enclosure of a product of enclosures.
 
+    product, rest : about its value, product + rest, as two arrays of doubles.
     error : how far the errors of its factors may move it.
-    counts : function that returns the mask of elements without an exact factor of 0: only these may have lost something
-        by underflow.
-    """
+    counts : function that returns the mask of the elements neither of whose factors is exactly 0: only these may have
+        lost something by underflow. It is called for tiny products alone."""
     high, low = _fast_two_sum(product, rest)
     size = np.abs(high)
     error = error + PAIR_ROUNDING * size

@@ -73,11 +73,12 @@ class ExactMotions:
 
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Find exact motions of as many spheres as possible.
+        """Find exact motions of as many spheres as possible: try all, and as long as that fails leave some spheres out,
+        up to MOST_ROUNDS times.
 
+        network : N spheres and E contacts of R samples of a packing.
         number : (N, 3), which unknown each component of a spin is, -1 where it is none.
-        rests : (E,) mask of the contacts that shall roll.
-        """
+        rests : (E,) mask of the contacts that shall roll."""
         spheres, (first, second) = network.reached, network.graph.contact
         for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES * network.count else 0):
             whole = spheres | ~network.free
@@ -95,21 +96,26 @@ class ExactMotions:
         return cls(np.zeros_like(spheres), np.zeros_like(rests), np.full(network.count, np.inf))
 
     def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """Return spins by component, 3 enclosures (N,), at which all these contacts roll exactly. spin : given spins,
-        sums of two doubles; the few spins from which the others follow, and those of all other spheres, are kept."""
+        """Return spins times radius by component, 3 enclosures (N,), at which all contacts of the mask `contacts` roll
+        exactly.
+
+        spin : given spins times radius by component, 3 enclosures (N,), sums of two doubles. A few of them are kept,
+            and so are those of spheres that these contacts do not join; the others follow from these few and from the
+            imposed spins."""
         return spin if self.motions is None else self.motions.spin(spin)
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """A contacts, and the parts into which they join free spheres with n unknown spin components; driven spheres join
-    no parts.
+    """A contacts that shall roll, and the parts into which they join free spheres with n unknown spin components;
+    driven spheres join no parts.
 
+    network : all N spheres and E contacts.
     free : (N, 3) mask of the unknowns among the spin components of all N spheres.
     ends : (2, A), indices of the spheres of the contacts. normal : (A, 3), their normals.
     rows : (3 A, n), slips from the unknowns: x components of all slips, then y, then z.
     of_unknown, of_contact : (n,) and (A,), the number of the part of each, 0 to count - 1.
-    """
+    count : number of parts."""
 
     network: JudgedNetwork
     free: np.ndarray
@@ -134,8 +140,11 @@ class _Parts:
         return cls(network, free, ends, network.graph.normal[contacts], rows, of_unknown, of_contact, len(parts))
 
     def floor_and_motions(self) -> tuple[np.ndarray, _Motions] | np.ndarray:
-        """Prove that all contacts can roll exactly, and return the floor of singular values and the motions; else
-        return a mask (N,) of at least one sphere that is to be left out before the next try."""
+        """Try to prove that all A contacts can roll exactly at once.
+
+        Returns, if that is proven, a pair: a proven lower bound (R,) of the singular values, other than 0, of the
+        matrix that gives their slips from the spins, for each of R samples; and the motions. Else a mask (N,) of at
+        least one sphere that is to be left out before the next try."""
         everything, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
         network, place = self.network, self.network.graph.place[sphere].T
         samples = network.samples_of(sphere)
@@ -180,16 +189,15 @@ class _Parts:
 
 @dataclass(frozen=True)
 class _Choices:
-    """The q numbers from which all other spins follow: a few chosen unknowns, then each distinct size of imposed spins
-    in each part.
+    """The q numbers from which all other spins follow: some chosen unknowns, then for each part of contacts that free
+    spheres join every size (absolute value) of imposed spin components that occurs in it.
 
-    chosen : indices of the chosen unknowns (called J).
-    imposed : the imposed sizes, as enclosures.
+    chosen : indices of the chosen unknowns.
+    imposed : the imposed sizes, one enclosure with an entry for each pair of a part and a size.
     owner : (q,), the part to which each number belongs.
     slot : (q,), its place, from 0, among the numbers of this part.
     sums : (3 A, q), what a unit of each number contributes to u_i + u_j, the sum of the spins of both spheres (times
-        radius), for the A contacts, by component.
-    """
+        radius), for the A contacts, x components first, then y, then z."""
 
     chosen: np.ndarray
     imposed: Enclosure
@@ -199,8 +207,10 @@ class _Choices:
 
     @classmethod
     def of(cls, parts: _Parts, chosen: np.ndarray) -> _Choices | None:
-        """List the numbers from which spins follow; None if some imposed spin is too small for exact products. parts :
-        the contacts and unknowns. chosen : indices of the chosen unknowns."""
+        """List the numbers from which spins follow; None if some imposed spin is too small for exact products.
+
+        parts : the contacts, their unknowns, and the parts into which they fall. chosen : indices of the chosen
+            unknowns."""
         network, contacts = parts.network, len(parts.of_contact)
         high, low, error = (
             np.stack(values, axis=1) for values in zip(*(p.parts for p in network.imposed), strict=True)
@@ -231,13 +241,13 @@ class _Choices:
 
 @dataclass(frozen=True)
 class _Motions:
-    """How the n unknown spin components follow from q numbers, the chosen ones and the imposed spins: a unit of number
-    c moves them by motion[:, c] / unit[c], and no contact slips.
+    """How the n unknown spin components follow from q numbers, the chosen ones and the imposed sizes of spins, so that
+    no contact slips: a unit of number c adds motion[:, c] / unit[c] to them.
 
-    parts : contacts and unknowns. choices : the q numbers.
+    parts : A contacts, their n unknowns, and the parts into which they fall.
+    choices : the q numbers.
     motion : (n, q), integers as doubles.
-    unit : (q,), common denominators, integers as doubles.
-    """
+    unit : (q,), common denominators, integers as doubles."""
 
     parts: _Parts
     choices: _Choices
@@ -248,12 +258,12 @@ class _Motions:
     def of(
         cls, parts: _Parts, choices: _Choices, follow: np.ndarray, rows: sparse.csr_array, factor: Factor
     ) -> tuple[_Motions, np.ndarray]:
-        """Guess the motions that follow from each of the q numbers, and return them with a mask (n,) of unknowns at
-        which some motion is no fraction.
+        """Guess the motions that follow from each of the q numbers in `choices`, as fractions, and return them with a
+        mask (n,) of the unknowns at which some motion is no fraction. Whether no contact slips is not checked here.
 
-        follow : indices of the unknowns that are not chosen. rows : their columns of the matrix of slips. factor :
-            Cholesky factor of rows^T rows.
-        """
+        parts : A contacts and their n unknowns. choices : the q numbers.
+        follow : (f,), indices of the unknowns that are not chosen. rows : (3 A, f), their columns of the matrix of
+            slips. factor : Cholesky factor of rows^T rows."""
         normal, owner, count = parts.normal.T[..., None], parts.of_unknown[follow], len(choices.slot)
         unit, no_fraction = np.ones(count), np.zeros(len(parts.of_unknown), dtype=bool)
         entries = [np.zeros((3, 0))]
@@ -282,7 +292,8 @@ class _Motions:
         return cls(parts, choices, motion, unit), no_fraction
 
     def slipping_contacts(self) -> np.ndarray:
-        """Return the indices of the contacts that are not proven to roll exactly whatever the q numbers are."""
+        """Return the indices, among the A contacts, of those that are not proven to roll exactly whatever the q numbers
+        are; all A if integers are too large for exact sums."""
         count, chosen = len(self.parts.normal), len(self.choices.chosen)
         if not (np.abs(self.motion.data) < LARGEST).all():
             return np.arange(count)
@@ -298,8 +309,11 @@ class _Motions:
         return np.unique(contact[~_rolls(sums, self.parts.normal[contact].T)])
 
     def spin(self, given: list[Enclosure]) -> list[Enclosure]:
-        """Return spins by component, 3 enclosures (N,), that follow from the chosen unknowns and imposed spins. given :
-        spins, of which the chosen ones and those of spheres without unknowns are used."""
+        """Return spins times radius by component, 3 enclosures (N,), at which no contact slips: computed from the
+        chosen unknowns and the imposed spins.
+
+        given : spins times radius by component, 3 enclosures (N,). Only the chosen unknowns are read, and spheres
+            without unknowns, which keep their spins."""
         free, choices, motion = self.parts.free, self.choices, sparse.coo_array(self.motion)
         high, low = (np.stack([getattr(part, name) for part in given], axis=1)[free] for name in ("high", "low"))
         value = joined([Enclosure.exact(high[choices.chosen], low[choices.chosen]), choices.imposed])
@@ -313,21 +327,22 @@ class _Motions:
 
 
 def _sum_of_spins(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:
-    """Return the matrix (3 A, n) that gives u_i + u_j of the contacts from the unknowns: x components first, then y,
-    then z. ends : (2, A), spheres of the contacts. number : (N, 3), which unknown each component is, -1 for one that is
-    0."""
+    """Return the matrix (3 A, n) of 0 and 1 that gives u_i + u_j, the sum of the spins (times radius) of both spheres,
+    for A contacts from n unknowns: x components first, then y, then z.
+
+    ends : (2, A), indices of the spheres of the contacts. number : (N, 3), which unknown each spin component is, -1 for
+        one that is taken as 0."""
     at = number[ends].transpose(0, 2, 1).reshape(2, -1)
     end, row = np.nonzero(at >= 0)
     return sparse.csr_array((np.ones(len(row)), (row, at[end, row])), shape=(at.shape[1], number.max(initial=-1) + 1))
 
 
 def _common_denominators(x: np.ndarray, owner: np.ndarray, parts: int) -> np.ndarray:
-    """Return the least common denominator (parts, m) of the numbers of each part in each column; 1 where it is too
-    large.
+    """Return for each part and each column the least common denominator (parts, m) of its numbers, taken as fractions;
+    1 where it is too large.
 
-    x : (k, m), numbers; those that are no fractions are ignored.
-    owner : (k,), the part of each row. parts : number of parts.
-    """
+    x : (k, m), numbers. Those that no fraction with a denominator up to DENOMINATORS is close to are ignored.
+    owner : (k,), the part of each row. parts : number of parts."""
     rest, before, below = x - np.round(x), np.zeros_like(x), np.ones_like(x)
     # Continued fractions of all numbers at once, until each is found or its denominator is too large.
     while True:
@@ -346,8 +361,10 @@ def _common_denominators(x: np.ndarray, owner: np.ndarray, parts: int) -> np.nda
 
 
 def _rolls(sums: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return a mask (k,), True where the cross product sums x n is proven to be exactly 0: both products of each
-    component are equal as exact sums of two doubles. sums : (3, k), integers. normal : (3, k), doubles."""
+    """Return a mask (k,), True where the cross product of a sum of spins with a normal is proven to be exactly 0: in
+    each of its components both products are equal as exact sums of two doubles.
+
+    sums : (3, k), integers as doubles. normal : (3, k), doubles."""
     found = np.asarray(((normal == 0) | (np.abs(normal) > FAINT)).all(axis=0) | (sums == 0).all(axis=0))
     for a, b in ((0, 1), (1, 2), (2, 0)):
         first, second = (Enclosure.exact(sums[i]).times(normal[j]) for i, j in ((a, b), (b, a)))

@@ -79,7 +79,7 @@ class JudgedNetwork:
 
     @property
     def power_unit(self) -> np.ndarray:
-        """(R,), the unit of power of each sample: speed_unit times force_unit."""
+        """(R,), the unit of power of each of the R samples: speed_unit times force_unit."""
         return self.speed_unit * self.force_unit
 
     @property
@@ -89,19 +89,19 @@ class JudgedNetwork:
 
     @cached_property
     def acts(self) -> np.ndarray:
-        """(m,) mask of the contacts with a coefficient and a free end."""
+        """(m,) mask of the contacts with a free end and a coefficient, of friction or of viscosity."""
         return ((self.holding.high > 0) | (self.slope.high > 0)) & self.graph.any_end(self.free)
 
     @cached_property
     def is_whole(self) -> bool:
-        """True for lattices all of whose contacts with a free end act: every column of spheres connects bottom and
-        top."""
+        """True for lattices if all contacts with a free end have a coefficient: then every sphere is connected to both
+        planes."""
         return self.graph.layered and bool(self.free.any() and (self.acts == self.graph.any_end(self.free)).all())
 
     @cached_property
     def reached(self) -> np.ndarray:
         """(n,) mask of the free spheres that contacts connect to driven ones through free spheres, without those in
-        `rolling`."""
+        `rolling` (spheres whose contacts can all roll whatever the others do)."""
         if self.is_whole:
             return self.free
         first, second = self.graph.contact[:, self._holding]
@@ -121,19 +121,22 @@ class JudgedNetwork:
 
     @cached_property
     def _holding(self) -> np.ndarray:
-        """(m,) mask of the contacts that have a coefficient and a free end (`acts`) and touch no sphere in
-        `rolling`."""
+        """(m,) mask of the contacts that have a coefficient and a free end (`acts`), but touch no sphere of the mask
+        `rolling`, whose contacts can all roll."""
         return self.acts if self.rolling is None else self.acts & ~self.graph.any_end(self.rolling)
 
     @cached_property
     def box(self) -> np.ndarray:
-        """(C,), the largest absolute value of each component of the imposed u."""
+        """(C,), for each spin component the largest size of it among driven spheres: of their spins times radius (on
+        lattices measured from the bottom)."""
         return np.array([part.most.max(initial=0.0) for part in self.imposed])
 
     @property
     def reach(self) -> list[Enclosure]:
-        """Bound by component, C enclosures (n,), where components do not mix: some minimum has u of each free sphere
-        between 0 and this bound on lattices, and between the bound and its negative elsewhere."""
+        """For each of C spin components a bound on its size at some minimum, enclosures (n,) for n spheres, if each
+        component of a slip depends on one component of the spins. On lattices the spin of a free sphere (times radius,
+        with the sign of its sublattice, measured from the bottom) is there between 0 and this bound; else between the
+        bound and its negative."""
         return self.graph.reach(self.box, self.sign)
 
     @cached_property
@@ -144,18 +147,19 @@ class JudgedNetwork:
 
     @property
     def samples_that_mix(self) -> np.ndarray:
-        """(R,) mask of the samples in which `mixes` is true."""
+        """(R,) mask of the samples in which a component of some slip depends on several components of the spins."""
         return np.asarray((self.graph.mixing & self.counts).reshape(self.count, -1).any(axis=1))
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, True where component k of the spins makes a contact slip; only where components do not mix."""
+        """(C, m) mask, True where component k of the spins makes a contact slip. It has a meaning only where each
+        component of a slip depends on one component of the spins: discs, and normals along the axes."""
         return self.graph.slips_with
 
     @cached_property
     def feels(self) -> np.ndarray:
         """(C, m) mask, True where a contact can dissipate at a minimum (`counts`) and component k of the spins makes it
-        slip; only where components do not mix."""
+        slip. It has a meaning only for discs and for normals along the axes."""
         return self.counts & self.slips_with
 
     @cached_property
@@ -169,16 +173,19 @@ class JudgedNetwork:
         return dissected(graph, self.graph.place.T, REGION_UNKNOWNS // len(self.spin))
 
     def parts_of(self, sphere: np.ndarray) -> list[Part]:
-        """Return the groups in which n unknowns are eliminated from a matrix, in this order; only contacts may couple
-        two unknowns. sphere : (n,), the sphere to which each unknown belongs."""
+        """Return n unknowns in groups, in the order in which an elimination of a matrix of these unknowns takes them.
+        The matrix may couple two unknowns only if contacts join their spheres. sphere : (n,), the sphere to which each
+        unknown belongs."""
         return restricted(self.division, sphere, REGION_UNKNOWNS)
 
     def samples_of(self, sphere: np.ndarray) -> Samples:
-        """The samples of n unknowns. sphere : (n,), that of each one."""
+        """Return to which of the R samples each of n unknowns belongs, as an object for eliminations. sphere : (n,),
+        the sphere to which each unknown belongs."""
         return Samples(sphere // (len(self.free) // self.count), self.count)
 
     def some(self, pick: slice) -> JudgedNetwork:
-        """Return the network of the samples in the slice `pick` alone."""
+        """Return the network of the samples in the slice `pick` (of the R samples) alone; the network itself if these
+        are all."""
 
         if len(range(*pick.indices(self.count))) == self.count:
             return self
@@ -246,40 +253,41 @@ class JudgedNetwork:
 
     @cached_property
     def motion(self) -> Motion:
-        """The stored spins of a lattice as a motion, in which the contacts without any slip rest."""
+        """The stored spins as a motion in which the contacts rest whose slip is exactly 0. Only for lattices."""
         return Motion(self, self.still & self.acts)
 
     @cached_property
     def own_torques(self) -> list[Enclosure]:
-        """Torques over radius that the stored friction leaves over on each of the n spheres: by component, C enclosures
-        (n,)."""
+        """Torques over radius that the stored friction leaves over on each of the n spheres, by component: C enclosures
+        (n,), in units of force."""
         return self.torques(self.own_moment)
 
     @cached_property
     def own_moment(self) -> list[Enclosure]:
-        """Moments n x F of the stored friction F by component, C enclosures (m,), of the contacts that can dissipate; 0
-        for others, and in components in which no moment does any work."""
+        """Moments n x F of the stored friction F by component, C enclosures (m,): by these it turns both spheres. They
+        are 0 for contacts that dissipate at no minimum, and in components in which no driven sphere does work."""
         own, all_count = self.graph.working(self.box), bool((self.counts == self.acts).all())
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
         return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
 
     @property
     def own_friction(self) -> list[Enclosure]:
-        """Stored friction F by component, C enclosures (m,), of the contacts that can dissipate; on lattices its
-        moments, which are as long."""
+        """Stored friction F of the contacts that can dissipate, 0 for others, by component: C enclosures (m,). On
+        lattices vectors of the same size, the moments n x F, stand for it."""
         return self.graph.borne(self.moment, self.counts)
 
     @property
     def joins(self) -> np.ndarray:
-        """(R,) mask, True if contacts lead from the bottom of a lattice to its top in a component in which both are
-        driven differently."""
+        """(R,) mask, True for samples of a lattice in which contacts lead from the bottom to the top along a spin
+        component in which both planes are driven differently."""
         if self.is_whole:
             return np.full(self.count, bool(self.needed))
         return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Return the sums of moments at each of the n spheres, by component, C enclosures (n,). moment : by component,
-        C enclosures (m,) for the m contacts."""
+        """Return the sum at each of the n spheres of the moments of its contacts, by component, C enclosures (n,).
+        moment : n x F of the m contacts by component, C enclosures (m,); both spheres of a contact get it with the same
+        sign."""
         return self.graph.torques(moment)
 
     @cached_property
@@ -290,19 +298,23 @@ class JudgedNetwork:
         return self.graph.needed(self.box, self._is_needed)
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return for component k, with the connected parts that its contacts make of the spheres, three arrays (n,):
-        the label of the part, True for spheres in parts with a loop of an odd number of contacts, and in all other
-        parts signs s that differ between neighbours, +1 or -1."""
+        """Return three arrays (n,) about the parts into which the contacts that component k makes slip join the n
+        spheres:
+
+        1. the label of the part of each sphere;
+        2. True for spheres in parts with a loop of an odd number of contacts;
+        3. in all other parts signs +1 and -1 that differ between neighbours."""
         return signs(self.graph.contact[:, self.feels[k]], len(self.free))
 
     @cached_property
     def sign(self) -> list[np.ndarray]:
-        """Signs s by component, C arrays (n,): +1 or -1, different for neighbours, except in parts with odd loops."""
+        """Signs by spin component, C arrays (n,): +1 or -1, different for neighbours, except in parts with a loop of an
+        odd number of contacts, where that cannot be."""
         return self.graph.signs(self.feels)
 
     def _is_needed(self, k: int) -> bool:
-        """Return False if the imposed spins allow component k to be such that nothing slips along it; then nothing does
-        at any minimum."""
+        """Return False if some spins of the free spheres, together with the imposed ones, let nothing slip along
+        component k; then nothing slips along it at any minimum. True otherwise."""
         label, odd, sign = self.signs(k)
         held = np.flatnonzero(~self.free)
         # Then driven spheres of one part are driven alike but for the signs, and not at all where loops are odd.
@@ -312,14 +324,18 @@ class JudgedNetwork:
         return bool(several or (odd[held] & (own.high != 0)).any())
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
-        """Return the sums (R,) over contacts of mu F_n slip + `of_slope` eta slip^2: with 1 the power, with 1/2 the
-        potential. of_slope : a power of two. some : (m,) mask of contacts; None for all that act."""
+        """Return (R,), for each sample the sum over contacts of mu F_n slip + `of_slope` eta slip^2, in units of the
+        network: with 1 the power, with 1/2 the potential.
+
+        of_slope : a power of two. some : (m,) mask of the contacts that are summed; None for all with a coefficient and
+            a free end."""
         held, flows = self._dissipated if some is None else self._sums(some)
         return held + flows.signed(of_slope)
 
     @cached_property
     def _dissipated(self) -> tuple[Enclosure, Enclosure]:
-        """Both sums of :meth:`_sums` over all contacts that act."""
+        """The sums of mu F_n slip and of eta slip^2 over all contacts with a coefficient and a free end: two enclosures
+        (R,)."""
         return self._sums(self.acts)
 
     def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
@@ -336,31 +352,34 @@ class JudgedNetwork:
 
 @dataclass(frozen=True)
 class Motion:
-    """The spins of a network whose components do not mix, by domains. Spheres that resting contacts join turn exactly
-    as one of them does, where their stored spins are not quite equal.
+    """A motion of a network in which some contacts are taken to rest. Spheres that these join, in one component of the
+    spins, form a *domain*: they turn exactly as one of them does, even where their stored spins are not quite equal.
 
-    network : the network that moves.
+    network : the network that moves, n spheres and m contacts; each component of a slip depends on one component of the
+        spins.
     rests : (m,) mask of the contacts that are taken to rest.
 
     On a lattice driven spheres of one plane and layer are of one domain. Stored spins are exact there, but what is
     imposed on the top differs a little from what is stored; this *shift* is far below the rounding of spins, yet not
-    below the smallest slips.
-    """
+    below the smallest slips."""
 
     network: JudgedNetwork
     rests: np.ndarray
 
     @cached_property
     def domain(self) -> Domains:
-        """By component k, the number (n,) of the domain of each sphere; computed on first use."""
+        """By spin component k, the number (n,) of the domain of each sphere: spheres that resting contacts join share a
+        number. Computed for each k on first use."""
         return Domains(self)
 
     def joins(self, k: int) -> bool:
-        """Return True if any resting contact joins spheres in component k."""
+        """Return True if component k of the spins makes any of the resting contacts slip, so that it joins spheres to
+        domains."""
         return bool((self.rests & self.network.slips_with[k]).any())
 
     def domains(self, k: int) -> np.ndarray:
-        """Return the number (n,) of the domain of each sphere in component k."""
+        """Return the number (n,) of the domain of each sphere in component k. A domain are spheres that contacts which
+        are taken to rest join, and on lattices also driven spheres of one plane and layer."""
         network, size = self.network, len(self.network.free)
         own = network.graph.anchor(k)
         if not self.joins(k):
@@ -370,8 +389,8 @@ class Motion:
         return pieces(size, np.append(first, held), np.append(second, own[held]))
 
     def _models(self, k: int) -> np.ndarray:
-        """Return for each sphere (n,) the index of the sphere whose spin it takes in component k: a driven one of its
-        domain if there is any, else the first of the domain."""
+        """Return for each sphere (n,) the index of the sphere whose spin it takes in component k: among those that
+        resting contacts join with it the last driven one, or, if none is driven, the first one."""
         domain = self.domain[k]
         model = np.empty(domain.max(initial=-1) + 1, dtype=np.intp)
         for spheres in (np.arange(len(domain))[::-1], np.flatnonzero(~self.network.free)):
@@ -380,8 +399,8 @@ class Motion:
 
     @cached_property
     def torn(self) -> np.ndarray:
-        """(R,) mask of samples in which resting contacts join spheres that are driven differently, so that such a
-        motion cannot exist."""
+        """(R,) mask of the samples in which resting contacts join driven spheres that are driven differently: with
+        these contacts at rest no motion exists."""
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         held = np.flatnonzero(~network.free)
         for k in (k for k in network.components if network.imposed[k].high.any() and self.joins(k)):
@@ -392,18 +411,22 @@ class Motion:
 
     @cached_property
     def _signed_spins(self) -> dict[int, tuple[Enclosure, Enclosure | None]]:
-        """Results of :meth:`_signed_spin` by component, kept once they are found."""
+        """By component k, what :meth:`_signed_spin` has found: spins with the sign by which neighbours differ, and
+        their shift."""
         return {}
 
     def _signed_spin(self, k: int) -> tuple[Enclosure, Enclosure | None]:
-        """Return the signed spins (n,) in component k, and for spheres that turn with the top of a lattice the imposed
-        spin less the stored one, (n,); None instead of the latter if it is 0."""
+        """Return a pair for component k: the spins (n,) times radius with the signs by which neighbours differ, equal
+        for spheres that resting contacts join; and (n,), for spheres that turn with the top of a lattice the imposed
+        less the stored spin, or None if that is 0 everywhere. It is computed on first use."""
         if k not in self._signed_spins:
             self._signed_spins[k] = self._find_signed_spin(k)
         return self._signed_spins[k]
 
     def _find_signed_spin(self, k: int) -> tuple[Enclosure, Enclosure | None]:
-        """Compute what :meth:`_signed_spin` returns for component k."""
+        """Compute for component k the spins (n,) times radius with the signs by which neighbours differ, equal for
+        spheres that resting contacts join; and (n,), for spheres that turn with the top of a lattice the imposed less
+        the stored spin, or None if that is 0 everywhere."""
         network = self.network
         own = network.graph.signed(network.spin[k], network.sign[k])
         if (self.rests & ~network.still).any():
@@ -415,14 +438,18 @@ class Motion:
 
     @cached_property
     def slip(self) -> Enclosure:
-        """(m,), slip speeds of all contacts of a lattice; exactly 0 where a contact is still."""
+        """(m,), slip speeds of all contacts of a lattice in this motion; exactly 0 where the stored spins have no slip
+        at all."""
         network = self.network
         turns = [self._signed_spin(k) for k in network.components]
         return slices(network.graph).slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
 
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
-        """Return the signed spin of the second sphere less that of the first in component k, (q,), for the contacts
-        with the indices `some` (q,), which that component makes slip. Exactly 0 within a domain."""
+        """Return for q contacts the signed spin of the second sphere less that of the first in component k, an
+        enclosure (q,); exactly 0 between spheres that resting contacts join. Signed means times the sign +1 or -1 by
+        which neighbours differ.
+
+        some : (q,), indices of the contacts, all of which this component makes slip."""
         first, second = self.network.graph.contact[:, some]
         own, shift = self._signed_spin(k)
         domain, found = self.domain[k], nothing(len(some))
@@ -435,11 +462,11 @@ class Motion:
 
 
 class Domains(dict[int, np.ndarray]):
-    """Numbers (n,) of the domains of spheres, by component k; each is computed on first use. motion : whose domains
-    these are."""
+    """A dictionary by component k of arrays (n,): the number of the domain of each sphere, shared by spheres that
+    resting contacts join. Each is computed when it is first asked for."""
 
     def __init__(self, motion: Motion) -> None:
-        """Take the motion whose domains these are."""
+        """Begin without any component. motion : says which contacts rest, and computes the domains."""
         self.motion = motion
 
     def __missing__(self, k: int) -> np.ndarray:

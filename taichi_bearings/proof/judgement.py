@@ -19,15 +19,16 @@ from taichi_bearings.scene.solution import SLIPLESS
 
 @dataclass(frozen=True)
 class Judgement:
-    """What spins and friction of a scene prove, in energy/time, speeds and forces; bounds are rounded outwards.
+    """What spins and friction of a scene prove about its minimum: power, bounds on it, and contact states. Results are
+    in energy/time, speeds and forces; bounds are rounded outwards.
 
-    scene : a lattice or a packing with R samples. In those of a packing the same contacts must act.
+    scene : a lattice (shape *N) or a packing (N spheres) with R samples of E contacts each. In the samples of a packing
+        the same contacts must act.
     spin, spin_rounding : in the laboratory frame, (R, *N, 3), of discs (R, *N), 1/time; the spin is the sum of the two.
-    friction : on the second sphere of each contact, (R, E, 3); of discs (R, E), the component along z x n.
+    friction : on the second sphere of each contact, (R, E, 3); of discs (R, E), the component along z x n with the
+        normal n.
 
-    Arrays of a single sample of a packing may come without the axis R. In all results E is the number of contacts of a
-    sample.
-    """
+    Arrays of a single sample of a packing may come without the axis R."""
 
     scene: Bearing
     spin: np.ndarray
@@ -40,7 +41,7 @@ class Judgement:
         return self.scene.law
 
     def one(self, number: int) -> Judgement:
-        """Return the judgement of the sample with this number alone."""
+        """Return the judgement of the single sample with this number, 0 to R - 1."""
         if self.scene.replicas == 1:
             return self
         pick = slice(number, number + 1)
@@ -55,22 +56,24 @@ class Judgement:
 
     @cached_property
     def _network(self) -> JudgedNetwork | None:
-        """The network to be judged; None where it cannot be."""
+        """The spins, friction and contacts of all R samples as enclosures; None if numbers are not finite or their
+        scales too large or small."""
         return judged_network(self.scene, self.spin, self.spin_rounding, self.friction)
 
     @property
     def network(self) -> JudgedNetwork:
-        """The network to be judged; to be asked for only where it can be."""
+        """The spins, friction and contacts of all R samples as enclosures. An assertion fails where `can_be_judged` is
+        False."""
         assert self._network is not None
         return self._network
 
     @cached_property
     def bounds(self) -> Bounds:
-        """Upper and lower bounds on the least potential, in units of the network."""
+        """Upper and lower bounds on the least potential of each of R samples, in the units of `network`."""
         return Bounds.of(self.network)
 
     def _by_sample(self, of_contacts: np.ndarray) -> np.ndarray:
-        """Return the values (R * E,) of contacts as an array (R, E)."""
+        """Return values (R * E,) of all contacts of R samples as an array (R, E)."""
         return of_contacts.reshape(self.network.count, -1)
 
     @property
@@ -98,8 +101,9 @@ class Judgement:
 
     @property
     def friction_along(self) -> np.ndarray:
-        """(R, E) mask of the contacts whose stored friction has a component along the normal; on packings by more than
-        rounding."""
+        """(R, E) mask of the contacts whose stored friction has a component along the normal, which no friction has: on
+        packings a component above rounding, on lattices any. All False for discs, whose friction is stored as one
+        number."""
         friction, normal = self.network.graph.friction, self.network.graph.normal
         if friction.shape != normal.shape:
             return np.zeros(self.acts.shape, dtype=bool)
@@ -120,7 +124,8 @@ class Judgement:
 
     @cached_property
     def at_rest(self) -> np.ndarray:
-        """(R,) mask of the samples whose stored spins are such a state without slip, as far as doubles can tell."""
+        """(R,) mask of the samples for which a state without any slip is proven to exist, and whose stored spins are
+        one as far as doubles can tell."""
         found = self.slipless.copy()
         if found.any():
             network = self.network
@@ -138,7 +143,8 @@ class Judgement:
 
     @cached_property
     def states(self) -> list[States]:
-        """Contact states at every minimum, one object a sample; all slipless where a state without slip exists."""
+        """Contact states at every minimum, a list with an object for each of R samples; SLIPLESS for all contacts of
+        samples for which a state without any slip is proven to exist."""
         none, slipless = (
             States(np.full(self.acts.shape[1], SLIPLESS), self.network.graph.layered or None),
             self.slipless,
@@ -154,8 +160,8 @@ class Judgement:
         return np.stack([of.known for of in self.states])
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
-        """Return bounds (R,) of the potential converted to the objective in energy/time, rounded towards `towards`,
-        which is plus or minus infinity."""
+        """Return bounds (R,) of the potential, in units of the network, as bounds of the objective (power, or potential
+        with viscosity), energy/time. towards : plus or minus infinity, the way in which they are rounded."""
         return rounded_out(values, self.network.power_unit * self.law.share, towards)
 
     @property
@@ -188,8 +194,11 @@ class Judgement:
         return self._of_spins(0.5, self.network.power_unit * self.law.share)
 
     def _of_spins(self, of_slope: float, unit: np.ndarray) -> np.ndarray:
-        """Return (R,), the sum of mu F_n slip + `of_slope` eta slip^2 of the stored spins, times `unit` (R,); infinite
-        for spins that are impossible, 0 at rest."""
+        """Return for each sample the sum of mu F_n slip + `of_slope` eta slip^2 over contacts, at the stored spins,
+        times `unit`: (R,). It is infinite for spins that no motion can have, 0 at rest.
+
+        of_slope : 1 for the power, 1/2 for the potential. unit : (R,), energy/time, of a unit of power of the network.
+        """
         taken = np.where(np.isinf(self.bounds.upper), np.inf, self.network.dissipated(of_slope).value * unit)
         return np.where(self.at_rest, 0.0, taken)
 
@@ -232,9 +241,9 @@ class Judgement:
 
 
 def rounded_out(values: np.ndarray, unit: np.ndarray, towards: float) -> np.ndarray:
-    """Return the values (R,) times their units (R,), rounded towards `towards`, plus or minus infinity: by two units in
-    the last place, as the unit and the product are each rounded once. 0 stays 0, and a power of two rounds only tiny
-    numbers."""
+    """Return the values (R,) times their units (R,), rounded towards `towards`, plus or minus infinity. Two units in
+    the last place are allowed, as the unit and the product are each rounded once; 0 stays 0, and a unit that is a power
+    of two rounds only tiny numbers."""
     found = values * unit
     for _ in range(2):
         inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)

@@ -19,8 +19,9 @@ from taichi_bearings.scene.network import Network
 
 
 class Listed:
-    """Contacts given by the indices of their spheres: m contacts and n spheres in all, with C components of spins.
-    Nothing in it changes once it is made."""
+    """Contacts given by the indices of their spheres, for proofs: m contacts and n spheres of R samples in all, with C
+    components of spins. Nothing in it changes once it is made. `layered` and `normal_rounding` are constants of the
+    class."""
 
     layered = False
     """True where spins are signed by sublattice and measured from the bottom of a lattice, whose two driven planes hold
@@ -35,8 +36,9 @@ class Listed:
 
     @classmethod
     def of_samples(cls, network: Network, friction: np.ndarray) -> Listed:
-        """Return the contacts of R samples on one network of N spheres and E contacts, side by side. friction : (R, E,
-        C), on the second sphere of each contact."""
+        """Return the contacts of R samples on one network, side by side: indices of spheres of sample r begin at r N.
+
+        network : N spheres and E contacts. friction : (R, E, C), on the second sphere of each contact, C components."""
         count, contacts, components = friction.shape
         if count == 1:
             return cls(network.center, network.contact, network.normal, friction[0])
@@ -69,7 +71,8 @@ class Listed:
         return self._arrays[3]
 
     def some(self, pick: slice, count: int) -> Listed:
-        """Return the contacts of the samples in the slice `pick` alone. count : R, with which the slice is taken."""
+        """Return the contacts of the samples in the slice `pick` of the R samples alone. count : R, the number of all
+        samples."""
         begin, end, _ = pick.indices(count)
         if (begin, end) == (0, count):
             return self
@@ -84,7 +87,8 @@ class Listed:
 
     @property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, True where a component of the spins makes a contact slip; only where components do not mix."""
+        """(C, m) mask, True where a component of the spins makes a contact slip. For discs all are True; for spheres it
+        has a meaning only where normals are along the axes: then the two components across the normal do."""
         return self.normal.T == 0 if self.normal.shape[1] == 3 else np.ones((1, len(self.normal)), dtype=bool)
 
     @cached_property
@@ -100,8 +104,8 @@ class Listed:
         return length(parts)
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Return the sums at each sphere, by component, C enclosures (n,), of moments given by component, C enclosures
-        (m,)."""
+        """Return the sum at each of n spheres of the moments of its contacts, by component, C enclosures (n,). moment :
+        by component, C enclosures (m,), for m contacts; both spheres of a contact get it with the same sign."""
         return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
@@ -111,38 +115,44 @@ class Listed:
         return [signs(self.contact[:, own], len(self.place))[2] for own in feels]
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
-        """Return by component a bound (n,) on the size of u of each sphere at some minimum, where components do not
-        mix; with `layered` u lies between 0 and the bound. box : (C,), the largest imposed size. sign : signs by
-        component, C arrays (n,)."""
+        """Return by component a bound (n,), C enclosures, on the size of u, spin times radius, of each of n spheres at
+        some minimum: the largest imposed size. It holds where each component of a slip depends on one component of the
+        spins.
+
+        box : (C,), the largest imposed size of each component. sign : not used here."""
         return [Enclosure.exact(np.full(len(self.place), size)) for size in box]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
-        """Return the numbers k of the components along which some minimum may slip. box : (C,), the largest imposed
-        size. differs : function of k, True if the imposed spins cannot go together without slip."""
+        """Return the numbers k of the components along which contacts may slip at some minimum, in ascending order.
+
+        box : (C,), the largest imposed size of each component. differs : function of k, True if the imposed spins do
+            not allow that nothing slips along component k."""
         return [k for k in range(len(box)) if differs(k)]
 
     def working(self, box: np.ndarray) -> list[bool]:
-        """Return by component False if its moments do no work whatever they are. box : (C,), the largest imposed
-        size."""
+        """Return a list of C truth values by component: False if moments along it do no work whatever they are. Here
+        all are True. box : (C,), the largest imposed sizes; only its length is used."""
         return [True] * len(box)
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
-        """Return the friction of the contacts in the mask `counts` (m,) by component, C enclosures (m,); 0 for others.
-        moment : n x F by component; used on lattices only."""
+        """Return the stored friction of the contacts in the mask `counts` (m,) by component, C enclosures (m,); 0 for
+        others. moment : not used here."""
         return [Enclosure.exact(np.where(counts, part, 0.0)) for part in self.friction.T]
 
     def anchor(self, k: int) -> np.ndarray:
-        """Return for each sphere (n,) the index of the sphere that has the same spin in component k, whatever the
-        contacts do: its own."""
+        """Return for each of n spheres the index (n,) of the sphere whose spin it shares in every motion, which here is
+        the sphere itself. (On lattices driven spheres of a plane and layer share that of the first.) k : number of the
+        spin component, not used here."""
         return np.arange(len(self.place))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """Return the spins (n,) times their signs (n,): neighbours that do not slip have equal signed spins."""
+        """Return the spins (n,) times their signs (n,) of +1 and -1 by which neighbours differ: so neighbours that do
+        not slip have equal signed spins."""
         return spin.signed(sign)
 
     def shift(self, k: int) -> Enclosure | None:
-        """Return None: stored spins of driven spheres are the imposed ones. (On lattices: (n,), imposed less stored
-        spins.)"""
+        """Return None: there is nothing to add to stored spins of driven spheres, as they are the imposed ones. (On
+        lattices: (n,), imposed less stored spins.) k : number of the spin component, not used here."""
         return None
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
@@ -159,14 +169,16 @@ class Listed:
         return np.asarray(begin + (end - begin) / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """Return a speed by which contacts might slip, in units of `speed_unit`: the largest in `box` (C,), the imposed
-        sizes."""
+        """Return a speed by which contacts might slip, in the unit of `box`: the largest imposed size. box : (C,), the
+        largest size of each imposed component, spin times radius. speed_unit : not used here."""
         return float(box.max(initial=0.0))
 
 
 def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """Return the cross products of vectors with the normals (m, D), by component; for discs the vectors as they are.
-    vectors : by component, C enclosures (m,)."""
+    """Return the cross products v x n of vectors with unit normals, by component, C enclosures (m,); for discs (C = 1)
+    the vectors as they are.
+
+    vectors : v by component, C enclosures (m,). normal : (m, D), n."""
     if len(vectors) == 1:
         return vectors
     n = normal.T
@@ -175,7 +187,10 @@ def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
 
 
 def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """Return n x F by component, C enclosures (m,). friction : F by component, C enclosures (m,)."""
+    """Return the moments n x F of friction F, by which it turns both spheres of a contact: by component, C enclosures
+    (m,). For discs, whose friction and moment are one number, friction itself.
+
+    friction : F of m contacts by component, C enclosures (m,). normal : (m, D), unit normals n."""
     return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
 
 

@@ -110,21 +110,21 @@ class FrictionBounds:
 
     @cached_property
     def other_spheres(self) -> np.ndarray:
-        """(N,) mask of the free spheres that are connected to driven ones, but not by the contacts that can roll
-        exactly."""
+        """(N,) mask of the free spheres that contacts connect to driven ones, except those that contacts which can roll
+        exactly join."""
         return np.asarray(self.network.reached & ~self.exact.spheres)
 
     @cached_property
     def in_q(self) -> np.ndarray:
-        """(E,) mask of the contacts to be looked at (Q): they can dissipate, touch one of `other_spheres`, and are not
-        known to slip."""
+        """(E,) mask of the contacts whose loops are looked at: they can dissipate, are not known to slip, and touch one
+        of `other_spheres`, free spheres that no exactly rolling contacts join."""
         touches = self.other_spheres[self.network.graph.contact].any(axis=0)
         return np.asarray(self.network.counts & ~self.known & touches)
 
     @cached_property
     def left_over(self) -> np.ndarray:
-        """(N,), bound on each component of the torque that the friction at hand leaves over on a sphere, and on the
-        rounding of `rows` times a change of friction: an entry of `rows` has fewer than 64 roundings."""
+        """(N,), bound on each component of the torque on each sphere that the friction at hand leaves over, and that
+        rounding adds when `rows` multiplies a change of friction. (An entry of `rows` has fewer than 64 roundings.)"""
         torques = self.network.torques(moments(self.given, self.network.graph.normal))
         return np.asarray(
             (np.max([part.most for part in torques], axis=0) + 64 * EPS * self.sum_at_spheres(self.most_change)) * UP
@@ -136,8 +136,9 @@ class FrictionBounds:
         return np.bincount(ends, np.tile(values[self.network.counts], 2), len(self.network.free))
 
     def split_into_pieces(self) -> list[Piece]:
-        """Return the contacts `in_q` piece by piece: two of them are in one piece if `other_spheres` connect them.
-        Pieces with more than MOST_SPLIT unknowns are left out."""
+        """Return the contacts of the mask `in_q` in pieces, each with bounds on its friction: two contacts are in one
+        piece if contacts and spheres of the mask `other_spheres` connect them. Pieces with more than MOST_SPLIT unknown
+        spin components are left out."""
         first, second = self.network.graph.contact
         joins = self.in_q & self.other_spheres[first] & self.other_spheres[second]
         label = pieces(len(self.other_spheres), first[joins], second[joins])
@@ -179,9 +180,16 @@ class Piece:
 
     @classmethod
     def of(cls, bounds: FrictionBounds, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
-        """Bound the friction of one piece by the four steps at the head of the file. bounds : what is known of friction
-        before. contacts : (q,), indices of its contacts. unknowns : (n,), numbers of the unknown spin components of its
-        spheres."""
+        """Bound the friction of the q contacts of one piece.
+
+        The change f of their friction, from the one at hand to an optimal one, is split into friction N c along m
+        loops, which exerts no torque, and the rest, which follows from the torques of f. These are minus what the other
+        contacts of the spheres change, and so have bounds. Limits of friction then confine each number of c to an
+        interval.
+
+        bounds : what is known of friction of all contacts before.
+        contacts : (q,), indices of the contacts of the piece. unknowns : (n,), numbers of the unknown spin components
+            of its spheres."""
         rows, most_change = bounds.rows[tangent_rows(contacts)][:, unknowns].toarray(), bounds.most_change
         touches = np.zeros(len(bounds.network.free), dtype=bool)
         touches[bounds.sphere[unknowns]] = True
@@ -213,33 +221,37 @@ class Piece:
 
 
 def tangent_rows(contacts: np.ndarray) -> np.ndarray:
-    """Return the indices (2 q,) of the two tangential rows of each of the contacts (q,): 2 i and 2 i + 1."""
+    """Return the indices (2 q,) of the rows 2 i and 2 i + 1, which belong to both tangents of contact i, for the q
+    contacts i in `contacts`."""
     return (2 * contacts[:, None] + np.arange(2)).ravel()
 
 
 def weighted_lengths(vectors: np.ndarray, weight: np.ndarray | float = 1.0, numbers: int = 2) -> np.ndarray:
-    """Return for each contact the sum (q,) over columns of the lengths of its vectors times their weights.
+    """Return for each of q contacts the sum (q,), over m columns, of the length of its vector in a column times the
+    weight of the column.
 
     vectors : (p q, m), in each column p = `numbers` successive entries are the vector of one contact.
-    weight : (m,), or one number.
-    """
+    weight : (m,), or one number for all columns."""
     lengths = np.linalg.norm(vectors.reshape(len(vectors) // numbers, numbers, vectors.shape[1]), axis=1)
     return np.asarray((lengths * weight).sum(axis=1))
 
 
 def block_norms(matrix: np.ndarray, numbers: int = 2) -> np.ndarray:
-    """Return (q, k), a bound on how much a force on one contact changes that on another one: the Frobenius norm of each
-    block of a matrix (p q, 2 k), which is not below its spectral norm. A block has p = `numbers` rows for a contact and
-    two columns for another."""
+    """Return the Frobenius norm of each block (p, 2) of a matrix (p q, 2 k): an array (q, k). If the matrix gives the
+    force on q contacts from forces on k others, this bounds by how much a unit on one of the others changes the force
+    on one of the q.
+
+    numbers : p, the number of rows of the matrix for a contact."""
     return np.asarray(
         np.linalg.norm(matrix.reshape(len(matrix) // numbers, numbers, matrix.shape[1] // 2, 2), axis=(1, 3))
     )
 
 
 def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Return a bound (2 q, 2 q) on the size of each entry of I - N N^T - M Y, for rows M (2 q, n) of slips, N = loops
-    (2 q, m) and Y = inverse (n, 2 q): its value in doubles, and EPS for each term of the sums by which it is formed,
-    and 64 more."""
+    """Return a bound (2 q, 2 q) on the size of each entry of E = I - N N^T - M Y, the error of a splitting of friction
+    into loops N and the rest: E in doubles, and EPS for each term of the sums by which it is formed, and 64 more.
+
+    rows : M, (2 q, n), slips of q contacts. loops : N, (2 q, m). inverse : Y, (n, 2 q)."""
     found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
     of_along = np.abs(loops)
     return found + terms * EPS * (np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse))
@@ -266,12 +278,12 @@ def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middle and the half length (m,) of an interval that contains the friction c along each of m loops.
+    """Return the middle and the half length, (m,) each, of an interval for each of m loops that contains the friction c
+    which circulates along it.
 
     loops : N, (2 q, m), two tangential components for each of q contacts, by a unit of each c.
     force : (q, 2), friction F at hand along the tangents.
-    limit : (q,), sizes that F + N c does not exceed at each contact.
-    """
+    limit : (q,), sizes that F + N c does not exceed at each contact."""
     size = np.linalg.norm(loops.reshape(len(force), 2, -1), axis=1)
     # As c = N^T f and |f| <= |F*| + |F| at each contact, c is at most the sum of |N| (limit + |F|) over contacts.
     most_c = (size * (limit + np.linalg.norm(force, axis=1))[:, None]).sum(axis=0) * UP

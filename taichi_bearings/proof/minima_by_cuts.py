@@ -53,17 +53,21 @@ MOST_LEVELS = 100  # most steps between imposed values of a part that are looked
 
 @dataclass(frozen=True)
 class CutGraph:
-    """The graph whose lightest cuts are the minima along one component, of all samples side by side.
+    """The graph whose lightest cuts are the minima along one spin component, of all samples side by side.
 
-    Its q edges are the m contacts that the component makes slip, or, if `is_double`, each of them twice, with two nodes
-    for each sphere.
+    A cut divides the nodes, which are spheres, into those whose u (signed spin times radius) is above some number and
+    those below; its weight is the sum of the friction limits mu F_n of the edges, which are contacts, between both
+    sides. There are q edges: the m contacts that the component makes slip, or, if `is_double`, each of them twice, with
+    two nodes, u and -u, for each sphere.
 
     own : (m,), indices of the contacts in the network.
     low, high : (q,), nodes of each edge; its contact slips by u at `high` less u at `low`.
-    up, down : (q,), lower bounds of mu F_n less the friction, where that acts upwards and downwards.
+    up, down : (q,), lower bounds of mu F_n - f and of mu F_n + f, what a contact has left of its friction f if it slips
+        upwards or downwards; f is positive if it goes with a slip upwards.
     label : (nodes,), the connected part of each node.
-    node, value : (d,), the driven nodes and the values imposed on them, sorted by part and value.
-    """
+    node, value : (d,), the driven nodes and the values of u imposed on them, sorted by part and value.
+    is_double : True where some loop has an odd number of contacts, so that no signs of spins differ between all
+        neighbours."""
 
     own: np.ndarray
     low: np.ndarray
@@ -77,7 +81,8 @@ class CutGraph:
 
     @classmethod
     def of(cls, bounds: Bounds, k: int) -> CutGraph:
-        """Make the graph for component k of the spins. bounds : the network and its friction."""
+        """Make the graph for component k of the spins. bounds : bounds on the power, with the network and its friction,
+        which is divided such that none exceeds its limit."""
         network, count = bounds.network, len(bounds.network.free)
         own = np.flatnonzero(network.feels[k])
         first, second = network.graph.contact[:, own]
@@ -104,20 +109,28 @@ class CutGraph:
         return cls(own, low, high, up, down, label, node[order], value[order], is_double)
 
     def follows(self, margin: np.ndarray) -> sparse.csr_array:
-        """Return a directed graph (nodes, nodes): an edge leads from one node to another if that is above every
-        lightest cut whenever the first one is (step 2 at the head of the file). margin : (q,), for each edge of the cut
-        graph the largest part of mu F_n that friction may leave unused in a lightest cut, excess / step."""
+        """Return a directed graph, a matrix (nodes, nodes): an edge leads from one node to another if the second one is
+        above every lightest cut that the first one is above.
+
+        That is so for an edge of the cut graph, in either direction, if its friction leaves more of mu F_n unused than
+        friction in balance may leave on a lightest cut. margin : (q,), this largest part for each edge, excess / step:
+        the power less what friction proves, over the difference of the two imposed values."""
         size, rises, falls = len(self.label), self.up > margin, self.down > margin
         tail, head = np.append(self.high[rises], self.low[falls]), np.append(self.low[rises], self.high[falls])
         return sparse.csr_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(size, size))
 
 
 def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
-    """Return the states (m,) of all contacts of a network where component k alone matters.
+    """Return the states (m,) of all m contacts of a network in which some minimum slips along one component k of the
+    spins, and none along others, for friction alone.
 
-    A contact is SLIPPING if it is between the sides of every lightest cut of some step of imposed values; SLIPLESS if
-    it is within one side of every lightest cut at all steps; TIED if it is in some lightest cuts of the only step.
-    """
+    Minima are mixtures of cuts, one for each step between two successive imposed values (sorted) of a connected part. A
+    cut divides the spheres into two sides; it is lightest if the friction limits of the contacts between the sides have
+    the least sum. A contact is SLIPPING if it is between the sides of every lightest cut of some step; SLIPLESS if it
+    is within one side of every lightest cut at all steps; TIED if it is in some lightest cuts, but not all, of the only
+    step; UNDECIDED if friction and excess of power do not tell.
+
+    bounds : the network, its friction, and the excess of the power over what the friction proves."""
     network, graph = bounds.network, CutGraph.of(bounds, k)
     own, low, high, label, node = graph.own, graph.low, graph.high, graph.label, graph.node
     sample, part, size, copies = network.sample_of(own), label[node], len(label), 1 + graph.is_double
@@ -160,15 +173,15 @@ def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
 def _in_whole_numbers(
     bounds: Bounds, own: np.ndarray, ends: np.ndarray, above: np.ndarray, below: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decide contacts near cuts that (nearly) tie in whole numbers. Returns their numbers (q,), 0 to m - 1, and masks
-    (q,): whether each is in some lightest cut, and in all of them.
+    """Decide in whole numbers the contacts near cuts that (nearly) tie. Returns a tuple: the positions (q,), 0 to m -
+    1, of these contacts; and two masks (q,), whether each is in some lightest cut, and in all of them.
 
-    own : (m,), indices of the contacts in the network.
+    bounds : the network, its friction, and the excess of the power over what the friction proves.
+    own : (m,), indices in the network of the contacts that are looked at.
     ends : (2, m), their spheres.
-    above, below : masks of the spheres on either side of every lightest cut.
+    above, below : masks of all spheres that are surely on the one or the other side of every lightest cut.
 
-    Samples far from their minimum, or with too many contacts to be counted, are left out.
-    """
+    Samples far from their minimum, or with too many contacts to be counted, are left out."""
     network, between = bounds.network, ~(above | below)
     near = np.flatnonzero(between[ends].any(axis=0))
     sample = network.sample_of(own[near])
@@ -182,8 +195,8 @@ def _in_whole_numbers(
 
 
 def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
-    """Return the mask (nodes,) of the nodes that can be reached from any of the nodes `starts` along the edges of the
-    directed graph `follows` (nodes, nodes)."""
+    """Return the mask (nodes,) of the nodes that can be reached along the edges of a directed graph from any of some
+    nodes, these included. follows : the graph, (nodes, nodes). starts : indices of the nodes to begin with."""
     size = follows.shape[0]
     ends = (np.full(len(starts), size), starts)
     source = sparse.csr_array((np.ones(len(starts), dtype=np.int8), ends), shape=(size + 1, size + 1))

@@ -75,18 +75,17 @@ MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Find which contacts slip at the minima, and how far their slips are from the given ones; None if nothing is
+    """Prove which contacts slip at the minima, and how far their slips are from the given ones; None if nothing is
     proven.
 
-    bounds : the network of one or several samples of a packing with E contacts in all, its friction, and springs that
-        balanced this friction. Several samples are treated as parts of one that no contact joins.
+    bounds : the network of R samples of a packing with E contacts in all, its friction, and springs that balanced this
+        friction. Several samples are treated as parts of one that no contact joins.
 
     Returns (slides, distance, proven). slides : (E,) mask; every other contact that can dissipate is proven to rest at
     every minimum. distance : (E,), for the contacts of the mask a bound on |slip at any minimum - given slip|, 0 for
     others. A contact of the mask thus slips at every minimum if it has friction, or if its given slip is larger than
     that bound. proven : (R,) mask of the samples for which all this is proven. Of several samples only the given spins
-    are tried, of a single one improved spins as well.
-    """
+    are tried, of a single one improved spins as well."""
     network, unknown = bounds.network, bounds.unknown
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
     if unknown is None or not longest < UP:
@@ -167,8 +166,8 @@ class Near:
 
     @cached_property
     def with_friction(self) -> np.ndarray:
-        """Positions (k,), in the list of the S slipping contacts, of those with friction. The direction of their force
-        turns with the slip y; the others have damping alone."""
+        """Positions (k,), among the S slipping contacts, of those with a friction limit above 0. The direction of their
+        force turns with the slip; the other slipping contacts have damping alone."""
         return np.flatnonzero(self.strength.high > 0)
 
     @cached_property
@@ -212,17 +211,18 @@ class Near:
 
     @property
     def place(self) -> np.ndarray:
-        """Positions (3, n) of the spheres to which the n unknown spin components belong."""
+        """Positions (3, n) of the spheres to which the n unknown spin components belong; each sphere stands there once
+        for each of its unknowns."""
         return np.asarray(self.network.graph.place[np.nonzero(self.number >= 0)[0]].T)
 
     @cached_property
     def parts(self) -> list[Part]:
-        """Groups of unknowns in the order in which they are eliminated from a matrix."""
+        """The n unknown spin components in groups, in the order in which they are eliminated from a matrix."""
         return self.network.parts_of(np.nonzero(self.number >= 0)[0])
 
     @property
     def samples(self) -> Samples:
-        """The samples of the unknowns."""
+        """To which of R samples each of the n unknown spin components belongs."""
         return self.network.samples_of(np.nonzero(self.number >= 0)[0])
 
     def curvature(self, firmness: float = 1.0) -> Form | None:
@@ -273,8 +273,8 @@ class Near:
         moving = curvature.rows[: curvature.rows.shape[0] - 3 * len(self.resting)]  # those of slipping contacts
 
         def borne(torque: np.ndarray) -> np.ndarray:
-            """Return spins (n,) whose slips at resting contacts, taken as friction there, exert the torque (n,), or as
-            much of it as resting contacts can exert. The residual is solved for once more, against rounding."""
+            """Return the spins x (n,) for which friction `fixed @ x` on the resting contacts exerts the torque (n,), or
+            as much of it as resting contacts can exert. The residual is solved for once more, against rounding."""
             found = factor.solve(torque)
             return found + factor.solve(torque - fixed.T @ (fixed @ found))
 
@@ -284,7 +284,8 @@ class Near:
             return spins - borne(fixed.T @ (fixed @ spins))
 
         def bends(spins: np.ndarray) -> np.ndarray:
-            """Return the change (n,) of the torques of slipping contacts when spins change by `spins` (n,)."""
+            """Return the change (n,) of the torques that slipping contacts exert when the unknown spins change by
+            `spins` (n,)."""
             return (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
 
         best, least, found = self, np.inf, self
@@ -313,14 +314,16 @@ class Near:
         return replace(self, spin=spin, resting_friction=resting)
 
     def proven_distance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return for each of the S slipping contacts a bound (S,) on |slip at the only minimum - slip at these spins|,
-        and the mask (R,) of the samples for which steps 2 and 3 of the proof (head of the file) succeed."""
+        """Return a pair: for each of the S slipping contacts a bound (S,) on |slip at the minimum - slip at these
+        spins|; and the mask (R,) of the samples for which it is proven that among spins at which the resting contacts
+        do not slip there is one minimum, so close, and that the resting contacts can bear what the others leave to them
+        there. Then it is a minimum over all spins, and all minima have its slips."""
         distance, proven = self._distance_of_minimum()
         return distance, proven & self._resting_contacts_can_bear(distance) if proven.any() else proven
 
     @cached_property
     def _sample(self) -> np.ndarray:
-        """(S,), the sample of each slipping contact."""
+        """(S,), the number, 0 to R - 1, of the sample of each of the S slipping contacts."""
         return self.network.sample_of(self.slipping)
 
     def _norms(self, values: np.ndarray, sample: np.ndarray) -> np.ndarray:
@@ -333,13 +336,13 @@ class Near:
         return np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
 
     def _of_all(self, holds: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are true. sample : (q,),
-        that of each entry."""
+        """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are True; also of those
+        without any entry. sample : (q,), the sample of each entry."""
         return np.bincount(sample, ~holds, self.network.count) == 0
 
     @property
     def _other_spheres(self) -> np.ndarray:
-        """(N,) mask of the free spheres that are not in `exact`."""
+        """(N,) mask of the free spheres that no exactly rolling contacts join, so that they are not in `exact`."""
         return np.asarray(self.network.free & ~self.exact.spheres)
 
     @cached_property
@@ -358,17 +361,21 @@ class Near:
         return found
 
     def _largest_torques(self, unsure: np.ndarray) -> np.ndarray:
-        """Return bounds (N, 3) on the size of each component of the leftover torques; 0 for components that are no
-        unknowns. unsure : (S,), how far the friction of each slipping contact may be from the one in use."""
+        """Return bounds (N, 3) on the size of each component of the torque over radius that friction leaves over on
+        each sphere, if that of slipping contacts may differ from the one in use; 0 for components that are no unknowns.
+
+        unsure : (S,), how far the friction of each of the S slipping contacts may be from the one in use."""
         found = np.stack([part.most for part in self.torques], axis=1)
         for end in self.network.graph.contact[:, self.slipping]:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
 
     def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray]:
-        """Prove step 2 (head of the file): among spins at which resting contacts do not slip there is one minimum.
-        Return for each of the S slipping contacts a bound (S,) on |slip there - slip at these spins|, and the mask (R,)
-        of the samples for which it is proven."""
+        """Prove that among spins at which resting contacts do not slip there is one minimum, close to these spins: the
+        potential has a floor tau of its curvature along them, and a small slope.
+
+        Returns for each of the S slipping contacts a bound (S,) on |slip there - slip at these spins|, and the mask
+        (R,) of the samples for which that is proven."""
         size, damping, sample = self.size.most, self.damping.most, self._sample
         slips = self._of_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
         curvature = self.curvature() if slips.any() else None
@@ -410,15 +417,14 @@ class Near:
         return distance, proven & self._of_all(turn <= MOST_TURN, sample) & remains
 
     def _distance_from_slip_direction(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three arrays (S,) that compare the friction F in use at the S slipping contacts with that by the law,
-        at slips that may be up to `far` (S,) from these:
+        """Compare the friction F in use at the S slipping contacts with that by the contact law, at slips that may
+        differ from these by up to `far` (S,), a speed. Return three arrays (S,):
 
         1. the size of the difference between the unit vectors along F and along the slip; 0 for contacts without
            friction,
         2. the difference between |F| and the size by the law; for contacts without friction the size of the vector
            difference,
-        3. an upper bound on the size by the law.
-        """
+        3. an upper bound on the size by the law."""
         some, angle, size_error = self.with_friction, np.zeros(len(self.slipping)), self._distance_from_law.copy()
         size_by_law = self.strength + self.damping * self.size if self.network.law.flows else self.strength
         angle[some] = ((self._distance_from_law / size_by_law.least + 2 * far / self.size.least) * UP)[some]
@@ -426,9 +432,9 @@ class Near:
         return angle, size_error, size_by_law.most
 
     def _resting_contacts_can_bear(self, distance: np.ndarray) -> np.ndarray:
-        """Prove step 3 (head of the file): return the mask (R,) of the samples in which resting contacts can bear,
-        below all their friction limits, what slipping contacts leave to them at the minimum. distance : (S,), bound on
-        how far the slips there are from these."""
+        """Return the mask (R,) of the samples in which it is proven that the T resting contacts can bear, below all
+        their friction limits, what the S slipping contacts leave to them at the minimum among spins at which the
+        resting ones do not slip. distance : (S,), bound on |slip there - slip at these spins|."""
         network, exact = self.network, self.exact
         torque = self._largest_torques(
             self._distance_from_law

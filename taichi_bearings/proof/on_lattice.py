@@ -37,8 +37,11 @@ LEAST_JUMP = 1e-140  # smallest component of the jump over the whole, that is no
 def samples_of_lattice(
     scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
 ) -> OnLattice | None:
-    """Return the samples of a lattice to be judged; None where contacts are in lists. Arguments are the fields of
-    :class:`OnLattice`."""
+    """Return the samples of a lattice to be judged; None for a bearing whose contacts are in lists.
+
+    scene : R samples of N spheres (shape *N) and E contacts.
+    spin, spin_rounding : (R, *N, 3), in 2D (R, *N), 1/time; the spin is the sum of the two.
+    friction : (R, E, 3), force on the upper sphere of each contact; in 2D (R, E), the component along z x n."""
     return None if scene.network.lattice is None else OnLattice(of_lattice(scene), spin, spin_rounding, friction)
 
 
@@ -57,7 +60,7 @@ class OnLattice:
     friction: np.ndarray
 
     def some(self, pick: slice) -> OnLattice:
-        """Return the samples in the slice `pick` alone."""
+        """Return the samples in the slice `pick` of the R samples alone."""
         scene = self.scene.some(pick)
         if scene.replicas == 1:
             scene = self.scene.sample(pick.indices(self.count)[0])
@@ -114,8 +117,9 @@ class OnLattice:
 
     @cached_property
     def jump(self) -> dict[int, Enclosure]:
-        """By component, what is imposed on the top measured from the bottom, in units of `spin_unit`: enclosures
-        (layers,), or (1,) where all layers have the same jump."""
+        """By spin component, the signed spin of the top less that of the bottom as they are imposed, in units of
+        `spin_unit`: enclosures (layers,), with a number for each coordinate along the component, or (1,) where all
+        layers have the same."""
         return {k: Enclosure.of_decimals(values) for k, values in self.scene.exact_driving.jump.items()}
 
     @cached_property
@@ -124,30 +128,35 @@ class OnLattice:
         return self.lattice.parity.astype(float)
 
     def jump_at(self, component: int) -> Enclosure:
-        """Return the jump (R * N,) of a component in the layer of each sphere; a read-only view where all layers have
-        the same."""
+        """Return for each of the R * N spheres the jump, what is imposed on the top measured from the bottom, of a spin
+        component in the layer of the sphere: an enclosure (R * N,) in units of `spin_unit`; a read-only view where all
+        layers have the same."""
         jump, count = self.jump[component], self.count * self.sublattice.size
         if len(jump.high) == 1:
             return jump.spread((count,))
         return jump.at(np.tile(self.layer(component), self.count))
 
     def layer(self, component: int) -> np.ndarray:
-        """Return for each sphere (N,) the index of its layer in `jump`: its coordinate along the component, or 0 where
-        all layers have the same jump."""
+        """Return for each of the N spheres of a sample the index (N,) of its layer in `jump`, what is imposed on the
+        top: its coordinate along the spin component, or 0 where all layers have the same jump."""
         if len(self.jump[component].high) == 1:
             return np.zeros(self.lattice.sites, dtype=np.int64)
         return np.indices(self.lattice.shape)[component].ravel()
 
     def leader(self, component: int) -> np.ndarray:
-        """Return for each sphere the indices (2, R * N) of its leaders: the first sphere of the bottom and of the top
-        in its layer. All driven spheres of a plane and layer have the same component of the spin as their leader."""
+        """Return for each sphere two indices, (2, R * N): of the first sphere of the bottom and of the first of the top
+        in its layer, the spheres with the same coordinate along the component. (Where all layers are driven alike, they
+        count as one.)
+
+        All driven spheres of a plane and layer have the same component of the spin as this first one, their leader."""
         first = self.layer(component) * math.prod(self.lattice.shape[component + 1 :])
         low = (np.arange(self.count)[:, None] * first.size + first).ravel()
         return np.stack([low, low + self.lattice.shape[-1] - 1])
 
     def as_led(self, values: np.ndarray, component: int) -> np.ndarray:
-        """Change the array `values` (R * N,) in place, so that driven spheres have the value of their leader (see
-        :meth:`leader`), and return it."""
+        """Change the array `values` (R * N,) in place and return it: driven spheres get the value of their leader, the
+        first sphere of the same plane with the same coordinate along the component, or, where all layers are driven
+        alike, the first of the plane."""
         spheres = values.reshape(self.count, *self.lattice.shape)
         first = [slice(None), *[slice(0, 1)] * self.lattice.height_axis]
         if len(self.jump[component].high) > 1:
@@ -157,13 +166,14 @@ class OnLattice:
         return values
 
     def anchor(self, component: int) -> np.ndarray:
-        """Return (R * N,), the index of the leader of each driven sphere, and of each free sphere its own."""
+        """Return for each sphere the index (R * N,) of the sphere with which it turns in a spin component whatever the
+        contacts do: for driven ones the first of their plane and layer, for free ones themselves."""
         return self.as_led(np.arange(self.count * self.sublattice.size), component)
 
     @cached_property
     def signed_spin(self) -> dict[int, Enclosure]:
-        """By component, exact enclosures (R * N,): spins times the sign of their sublattice, in units of `spin_unit`.
-        Driven spheres have the spin of their leader."""
+        """By spin component, exact enclosures (R * N,): spins times the sign +1 or -1 of their sublattice, in units of
+        `spin_unit`. All driven spheres of a plane and layer have that of the first one."""
         sign, found, shape = self.sublattice / self.spin_unit, {}, (self.count, *self.lattice.shape, -1)
         for at, k in enumerate(self.components):
             pair = (part.reshape(shape)[..., at] * sign for part in (self.spin, self.spin_rounding))
@@ -179,7 +189,10 @@ class OnLattice:
         return {k: self._shift(k, stored) for k, stored in self.signed_spin.items()}
 
     def _shift(self, component: int, stored: Enclosure) -> Enclosure:
-        """Compute `shift` (R * N,) of one component. stored : its signed spins, (R * N,)."""
+        """Return for each sphere of the top the imposed signed spin less the stored one, both measured from the bottom,
+        in one spin component; 0 for all other spheres: (R * N,), in units of `spin_unit`.
+
+        stored : (R * N,), the stored signed spins in this component."""
         jump, size = self.scene.exact_driving.jump[component], self.sublattice.size
         # Only leaders of the bottom and the top are needed, one pair for each sample and layer.
         first = np.arange(self.count)[:, None] * size

@@ -50,13 +50,12 @@ SHARE_AROUND = 1.5
 
 
 def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (known, distance): the mask (E,) of the contacts whose friction is known at every minimum, since they
-    surely slip there or have damping alone; and a bound (E,) on |F* - F|, optimal friction less the friction at hand,
-    for every contact that can dissipate (0 for others).
+    """Return (known, distance) for E contacts. known : (E,) mask of those that surely slip at every minimum, or have
+    damping alone, so that their friction there is nearly known. distance : (E,), bound on |F* - F|, optimal friction
+    less the friction at hand, for every contact that can dissipate; 0 for others.
 
     bounds : the network and its friction.
-    far : (E,), bound on |slip at any minimum - given slip|; infinite where none is known.
-    """
+    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known."""
     network, size = bounds.network, bounds.network.slip
     known = network.counts & ((size.least > far) | ((network.holding.high == 0) & np.isfinite(far)))
     own, friction = np.flatnonzero(known), bounds.friction or network.own_friction
@@ -84,12 +83,14 @@ def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """Return the mask (E,) of contacts that are proven to rest at every minimum, in a packing of discs or with normals
-    along the axes.
+    """Return the mask (E,) of the contacts that are proven to rest at every minimum, in a packing of discs or with
+    normals along the axes.
+
+    Contacts rest that can all rest at once, if they can bear, below their friction limits, what the others leave to
+    them. All contacts with friction left are tried; those that may have to bear too much are removed until none is.
 
     bounds : the network and its friction.
-    far : (E,), bound on |slip at any minimum - given slip|; infinite where none is known.
-    """
+    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known."""
     network = bounds.network
     known, distance = known_friction(bounds, far)
     margin = (network.holding - length(network.own_friction)).lower()
@@ -112,12 +113,15 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 
 def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Return a bound (E,) on the change of the force of each contact that is tried as resting, along component k, by
-    step 2 at the head of the file; infinite in parts that cannot rest (condition a).
+    """Return a bound (E,) on how much the friction of each contact that is tried as resting has to change, along spin
+    component k, to bear given torques; infinite in parts of them that cannot rest, and 0 for other contacts.
 
-    rests : (E,) mask of the contacts that are tried.
-    torque : (N,), bound on the torque on each sphere that they have to take up.
-    """
+    A part, joined by these contacts through free spheres, takes torques along a tree of its contacts, and in loops of
+    an odd number half of it each way: no force changes by more than 3/2 of their sum. It can rest if all driven spheres
+    that it touches ask for one spin, up to the signs by which neighbours differ, and for none if it has an odd loop.
+
+    rests : (E,) mask of the contacts that are tried. torque : (N,), bound on the torque on each sphere that they have
+        to take up."""
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
     ends, imposed = network.graph.contact[:, own], network.imposed[k]
     # Parts of X: each contact with a driven end gets a node of its own there, so that parts do not join through it.

@@ -39,14 +39,16 @@ own)."""
 
 @dataclass(frozen=True)
 class Samples:
-    """The samples of n unknowns that are eliminated together. of : (n,), the sample of each unknown. count : R."""
+    """The R samples to which n unknowns belong that are eliminated together.
+
+    of : (n,), the number of the sample of each unknown. count : R."""
 
     of: np.ndarray
     count: int
 
     @classmethod
     def one(cls, unknowns: int) -> Samples:
-        """Return the samples of unknowns that belong to a single one."""
+        """Return the object for n unknowns that all belong to one sample. unknowns : n."""
         return cls(np.zeros(unknowns, dtype=np.intp), 1)
 
     def largest(self, values: np.ndarray) -> np.ndarray:
@@ -58,7 +60,7 @@ class Samples:
         return found
 
     def norms(self, values: np.ndarray) -> np.ndarray:
-        """Return the norm of the values (n,) of each sample, (R,)."""
+        """Return for each of R samples the Euclidean norm (R,) of the values (n,) that belong to its unknowns."""
         return np.sqrt(np.bincount(self.of, values**2, self.count))
 
     @property
@@ -72,13 +74,12 @@ class Samples:
 
 @dataclass(frozen=True)
 class Front:
-    """A group of unknowns that are eliminated together.
+    """A group of unknowns that are eliminated together, in a dense matrix.
 
-    first, own : its unknowns are first ... first + own - 1 in the order of elimination.
-    border : sorted numbers, in this order, of the later unknowns that are connected to them once all before are
-        eliminated.
-    children : indices of the fronts whose updates go into this one.
-    """
+    first, own : its unknowns are numbers first ... first + own - 1 in the order of elimination.
+    border : sorted numbers, in this order, of the later unknowns that the elimination of all before connects with them.
+    children : indices of the fronts that are eliminated before, and whose effect on later unknowns (their update) is
+        added to this one."""
 
     first: int
     own: int
@@ -93,13 +94,14 @@ class Front:
 
 @dataclass(frozen=True)
 class Elimination:
-    """How to eliminate a matrix (n, n), or the matrix less any multiple of the identity.
+    """How to eliminate a symmetric matrix (n, n), or the matrix less any multiple of the identity, group by group. A
+    group of unknowns that are eliminated together is a front; what it changes in the matrix of later unknowns is added
+    to a later front, its parent.
 
     order : (n,), the unknown at each place of the order of elimination.
     lower : lower triangle of the matrix in this order.
     fronts : all fronts, children before parents.
-    samples : the R samples, which the matrix does not couple.
-    """
+    samples : the R samples to which the unknowns belong; the matrix does not couple them."""
 
     order: np.ndarray
     lower: sparse.csc_array
@@ -114,12 +116,12 @@ class Elimination:
         parts: list[Part] | None = None,
         samples: Samples | None = None,
     ) -> Elimination:
-        """Order the unknowns of a matrix and find the fronts.
+        """Order the n unknowns of a matrix and find the fronts, groups of unknowns that are eliminated together.
 
+        matrix : (n, n), symmetric.
         place : (d, n), position of each unknown in d dimensions, by which nested dissection divides them.
-        parts : the unknowns in parts that are eliminated one after the other; None to divide the graph of the matrix.
-        samples : the samples of the unknowns; None for a single one.
-        """
+        parts : the unknowns in groups that are eliminated one after the other; None to divide the graph of the matrix.
+        samples : the sample of each unknown; None for a single sample."""
         samples = Samples.one(len(place[0])) if samples is None else samples
         parts = dissected(matrix, place, REGION_UNKNOWNS) if parts is None else parts
         order = np.concatenate([part.nodes for part in parts])
@@ -146,12 +148,13 @@ class Elimination:
     def columns(
         self, shift: float | np.ndarray, least: float = 0.0, held: np.ndarray | None = None
     ) -> Iterator[tuple[Front, Columns | None]]:
-        """Yield each front with its columns of the factor of the matrix less `shift` times the identity; yield None for
-        the columns where a pivot is not positive. What follows is then worthless for the sample of that front.
+        """Factorise the matrix less `shift` times the identity, and yield each front (group of unknowns that are
+        eliminated together) with its columns of the Cholesky factor; with None instead if a pivot is not positive. What
+        follows is then worthless for the sample of that front.
 
         shift : a number, or one for each sample, (R,).
-        held : (n,), filled in place with a mask, in the order of elimination, of unknowns that leave no pivot above
-            `least`: these are taken out of the matrix, as if held at 0. None: no unknown is taken out.
+        least, held : if a mask `held` (n,) is given, unknowns that would leave a pivot of `least` or less are taken out
+            of the matrix, as if held at 0, and marked there in the order of elimination. None: no unknown is taken out.
         """
         shifts = np.broadcast_to(shift, self.samples.count)[self.samples.of[self.order]]
         updates: dict[int, np.ndarray] = {}
@@ -182,11 +185,13 @@ class Elimination:
     def _assembled(
         self, front: Front, local: np.ndarray, shifts: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the lower triangle of a dense matrix over all places of a front in three blocks: own by own, border by
-        own and border by border. It has the matrix entries of its own columns, less the shift on their diagonal.
+        """Return the lower triangle of the dense matrix in which a front is eliminated, before its children are added,
+        as three blocks: own by own unknowns, border by own, and border by border (later unknowns). It has the matrix
+        entries of the columns of its own unknowns, less the shift on their diagonal.
 
-        local, shifts : (n,), row within the front of each place in the order of elimination, and the shift there.
-        """
+        front : the group of unknowns.
+        local : (n,), row within the front of each place in the order of elimination; only those of the front count.
+        shifts : (n,), what is subtracted from the diagonal at each place."""
         begin = self.lower.indptr[front.first : front.first + front.own + 1]
         at, own, border = slice(begin[0], begin[-1]), np.arange(front.own), len(front.border)
         pivots, below, rest = (
@@ -232,13 +237,13 @@ class Elimination:
         return np.where(failed, np.inf, self.samples.largest(found) * UP)
 
     def _sample_of(self, front: Front) -> int:
-        """Return the sample whose unknowns a front has."""
+        """Return the number of the sample to which all own unknowns of a front belong."""
         return int(self.samples.of[self.order[front.first]])
 
     def dependent(self, least: float) -> np.ndarray:
-        """Return the mask (n,) of unknowns that, once they are held at 0, leave only pivots above `least`: as far as
-        doubles show, one for each eigenvalue 0. All True in samples whose elimination fails. Nothing about it is
-        proven."""
+        """Return the mask (n,) of a few unknowns such that, once these are held at 0, all pivots are above `least`: as
+        far as doubles show, one for each eigenvalue 0. All True in samples whose elimination fails even so. Nothing
+        about it is proven."""
         held, failed = np.zeros(self.size, dtype=bool), np.zeros(self.samples.count, dtype=bool)
         for front, columns in self.columns(0.0, least, held):
             if columns is None:
@@ -248,14 +253,14 @@ class Elimination:
         return found | failed[self.samples.of]
 
     def factorised(self, shift: float = 0.0) -> Factor | None:
-        """Return the factor of the matrix less `shift` times the identity; None if a pivot of some sample is not
-        positive."""
+        """Return the Cholesky factor of the matrix less `shift` times the identity; None if a pivot of any sample is
+        not positive."""
         factor = self.factorised_samples(shift)
         return None if factor.failed.any() else factor
 
     def factorised_samples(self, shift: float = 0.0) -> Factor:
-        """Return the factor of the matrix less `shift` times the identity. Solutions of samples of which a pivot is not
-        positive are worthless."""
+        """Return the Cholesky factor of the matrix less `shift` times the identity. If a pivot of a sample is not
+        positive, the mask `failed` of the result is True for this sample, and what is solved for it is worthless."""
         found, failed = [], np.zeros(self.samples.count, dtype=bool)
         for front, columns in self.columns(shift):
             if columns is None:
@@ -268,8 +273,12 @@ class Elimination:
 
 
 def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
-    """Raise RuntimeError unless each unknown is eliminated once, and the update of each front goes into one later front
-    that contains its border. Nothing else about the order matters for the proof."""
+    """Raise RuntimeError unless each unknown is eliminated once, and the update of each front (what it changes in the
+    matrix of later unknowns, its border) goes into one later front that contains these. Nothing else about the order
+    matters for the proof.
+
+    order : (n,), the unknown at each place of the order of elimination. fronts : all fronts, children before parents.
+    """
     parent = np.full(len(fronts), -1)
     for number, front in enumerate(fronts):
         if (parent[front.children] >= 0).any() or any(child >= number for child in front.children):
@@ -301,16 +310,20 @@ def _add_at(whole: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: np.n
 
 @dataclass(frozen=True)
 class Factor:
-    """The factor L of an elimination: the columns of each front, and the order (n,) of elimination. failed : (R,) mask
-    of the samples that have none."""
+    """The Cholesky factor L of an elimination of n unknowns, by fronts: groups of unknowns that are eliminated
+    together.
+
+    order : (n,), the unknown at each place of the order of elimination.
+    columns : for each front, itself and its columns of L.
+    failed : (R,) mask of the samples that have no factor, since a pivot was not positive."""
 
     order: np.ndarray
     columns: list[tuple[Front, Columns]]
     failed: np.ndarray
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Return the solution of L L^T x = right, in the original order of unknowns. right : (n,), or (n, m) for m
-        right-hand sides."""
+        """Return the solution x of L L^T x = right, with the unknowns in their original order. right : (n,), or (n, m)
+        for m right-hand sides; the result has its shape."""
         x, own = right.reshape(len(right), -1)[self.order], [slice(f.first, f.first + f.own) for f, _ in self.columns]
         # Forward with L, then backward with its transpose.
         for (front, (pivots, below)), at in zip(self.columns, own, strict=True):

@@ -32,19 +32,19 @@ class Grid(Listed):
     normal_rounding = 0.0
 
     def __init__(self, samples: OnLattice) -> None:
-        """Take the samples whose contacts these are."""
+        """Take the R samples of a lattice whose contacts these are, with their spins and friction."""
         self.samples = samples
 
     def some(self, pick: slice, count: int) -> Grid:
-        """Return the contacts of the samples in the slice `pick` alone. count : R, the number of samples with which the
-        slice is taken."""
+        """Return the contacts of the samples in the slice `pick` of the R samples alone. count : not used here; the
+        number of samples, which contacts in lists need."""
         return Grid(self.samples.some(pick) if self.samples.count > 1 else self.samples)
 
     @cached_property
     def pieces(self) -> list[tuple[int, Place, Place, Place]]:
-        """Groups of contacts along one axis, each as (axis, own, first, second): `own` selects the contacts in the
-        array (R, *contacts) of their axis, `first` and `second` select their two spheres in arrays (R, *N). Contacts
-        across a periodic side are a group of their own."""
+        """Groups of contacts along one axis, each as (axis, own, first, second). `own` is an index of its contacts in
+        the array (R, *contacts) of this axis; `first` and `second` are indices of their two spheres in arrays (R, *N),
+        for R samples of a lattice of shape *N. Contacts across a periodic side are a group of their own."""
         found, lattice = [], self.samples.lattice
         for axis, side in enumerate(lattice.shape):
             last = side - 1
@@ -55,8 +55,9 @@ class Grid(Listed):
 
     @staticmethod
     def _group(axis: int, *along: slice) -> tuple[int, Place, Place, Place]:
-        """Return one group of :attr:`pieces`. along : slices along `axis` for the contacts, their first and their
-        second spheres."""
+        """Return one group of contacts, (axis, own, first, second): indices of them in the array (R, *contacts) of
+        their axis, and of their two spheres in arrays (R, *N). along : three slices, of the contacts, the first and the
+        second spheres along `axis`."""
         own, first, second = ((slice(None),) * (1 + axis) + (part,) for part in along)
         return axis, own, first, second
 
@@ -71,16 +72,19 @@ class Grid(Listed):
         return self.samples.count * self.samples.lattice.all_contacts
 
     def on_spheres(self, values: np.ndarray) -> np.ndarray:
-        """Return a view (R, *N) of values (n,)."""
+        """Return a view (R, *N) of values (n,) of all spheres: R samples of a lattice of shape *N."""
         return values.reshape(self.samples.count, *self.samples.lattice.shape)
 
     def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
-        """Return views (R, *contacts), one for each axis, of values (m,)."""
+        """Return for each axis of the lattice a view (R, *contacts) of those of the values (m,) that belong to its
+        contacts."""
         return list(self.samples.lattice.by_axis(values.reshape(self.samples.count, -1)))
 
     def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
-        """Return the function `made` of the values (n,) of both spheres of each contact, (m,). kind : type of the
-        result."""
+        """Return for each of m contacts what `made` gives for the values of its two spheres, (m,).
+
+        made : a function of two arrays that NumPy applies element by element. values : (n,), one for each sphere. kind
+            : type of the result."""
         found: np.ndarray = np.empty(self.contacts, dtype=kind)
         spheres = self.on_spheres(values)
         by_axis = self.by_axis(found)
@@ -119,7 +123,7 @@ class Grid(Listed):
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, True where a component of the spins makes a contact slip."""
+        """(C, m) mask, True where a component of the spins makes a contact slip: those not along its normal."""
         found = np.ones((len(self.samples.components), self.contacts), dtype=bool)
         for mask, component in zip(found, self.samples.components, strict=True):
             if component < self.samples.lattice.dimension:
@@ -128,16 +132,17 @@ class Grid(Listed):
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """(m, C), friction on the second sphere of each of the m contacts by its C components, in `force_unit`; 0 at
-        contacts that are absent."""
+        """(m, C), stored friction on the second sphere of each of the m contacts by its C components, in `force_unit`
+        of the samples; 0 at contacts that are absent."""
         samples = self.samples
         found = samples.friction.reshape(self.contacts, -1) / samples.force_unit
         found[samples.scene.coefficient.ravel() == 0] = 0.0
         return found
 
     def moment(self, acts: np.ndarray) -> list[Enclosure]:
-        """Return the moments n x F by component, C enclosures (m,), for the contacts of the mask `acts` (m,), and 0 for
-        others."""
+        """Return the moments n x F of the stored friction F, by which it turns both spheres of a contact: by spin
+        component, C enclosures (m,), in `force_unit` of the samples. acts : (m,) mask of the contacts that take part;
+        others get 0."""
         samples, nothing = self.samples, np.broadcast_to(0.0, self.contacts)  # takes no memory
         found, acting = (
             np.zeros((len(samples.components), *samples.scene.coefficient.shape)),
@@ -157,11 +162,13 @@ class Grid(Listed):
         return [Enclosure(part.reshape(-1), nothing, nothing) for part in found]
 
     def felt(self, axis: int) -> list[int]:
-        """Return the slots (0 to C - 1) of the components of the spins that make contacts along `axis` slip."""
+        """Return the places, 0 to C - 1, of the spin components that make contacts along `axis` slip: all but the one
+        about the axis itself."""
         return [slot for slot, k in enumerate(self.samples.components) if k != axis]
 
     def imposed(self, component: int) -> Enclosure:
-        """Return the imposed spin times radius (n,) of a component, measured from the bottom: 0 except on the top."""
+        """Return the imposed spin times radius (n,) of one spin component, measured from the bottom: 0 except on the
+        top plane, where it is the jump times the sign of the sublattice. component : its axis, 0 to 2."""
         found, jump = nothing(self.spheres), self.samples.jump_at(component)
         for whole, part, sign in zip(found.parts, jump.parts, (1, 1, 0), strict=True):
             signs = self.samples.sublattice[..., -1] if sign else 1.0
@@ -174,42 +181,49 @@ class Grid(Listed):
         return np.broadcast_to(np.False_, self.contacts)  # takes no memory
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
-        """Return the signs of the sublattice by component, C arrays (n,): neighbours always differ. feels : not
-        used."""
+        """Return the signs of the sublattice by component, C arrays (n,) of +1 and -1: neighbours always differ. feels
+        : not used here."""
         return [np.tile(self.samples.sublattice.ravel(), self.samples.count)] * len(self.samples.components)
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
-        """Return by component a bound (n,): some minimum has the spin (times radius) of each sphere between 0 and it,
-        the jump in its layer. box : not used. sign : signs by component, C arrays (n,)."""
+        """Return by component a bound (n,), C enclosures: at some minimum the signed spin (times radius) of each sphere
+        lies between 0, that of the bottom, and the jump, that of the top in the layer of the sphere. The bound is the
+        jump times `sign`.
+
+        box : not used here. sign : signs by component, C arrays (n,)."""
         return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, sign, strict=True)]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
-        """Return the slots of the components along which some minimum may slip: those with a jump, except the one about
-        the height, as each layer may turn freely about it. box : (C,), largest imposed size. differs : not used."""
+        """Return the places k of the components along which some minimum may slip: those with a jump between the
+        planes, except the one about the height, as each layer may turn freely about it.
+
+        box : (C,), the largest imposed size of each component. differs : not used here."""
         samples = self.samples
         return [k for k, of in enumerate(samples.components) if box[k] > 0 and of != samples.lattice.height_axis]
 
     def working(self, box: np.ndarray) -> list[bool]:
-        """Return by component whether its moments do any work: where the planes are driven differently. box : (C,),
-        largest imposed size."""
+        """Return a list of C truth values by component: True where the two planes are driven differently, so that
+        moments do work. box : (C,), the largest imposed size of each component, measured from the bottom."""
         return [bool(size > 0) for size in box]
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
-        """Return vectors as long as the friction of each contact, by component: the moments themselves. counts : not
-        used."""
+        """Return vectors as long as the friction of each contact by component: the moments n x F themselves, C
+        enclosures (m,). counts : not used here; moments are 0 where contacts take no part."""
         return moment
 
     def anchor(self, k: int) -> np.ndarray:
-        """Return for each sphere (n,) the index of the sphere that has its spin in component k: for driven ones the
-        first of their plane and layer, else itself."""
+        """Return for each sphere (n,) the index of the sphere whose spin it shares in component k whatever the contacts
+        do: for driven ones the first of their plane and layer, for free ones themselves."""
         return self.samples.anchor(self.samples.components[k])
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """Return the spins as they are: on lattices they are stored with their signs. sign : not used."""
+        """Return the spins (n,) as they are: on lattices they are stored times the sign by which neighbours differ.
+        sign : not used here."""
         return spin
 
     def shift(self, k: int) -> Enclosure:
-        """Return for each sphere (n,) the imposed spin less the stored one in component k; not 0 on the top alone."""
+        """Return for each sphere (n,) the imposed spin less the stored one in component k, both with the sign of the
+        sublattice and measured from the bottom. It is not 0 on the top alone."""
         return self.samples.shift[self.samples.components[k]]
 
     def middle(self, some: np.ndarray) -> np.ndarray:
@@ -218,15 +232,16 @@ class Grid(Listed):
         return np.asarray(self.place[self.contact[0, some]] + self.normal[some] / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """Return the surface speed of the jump, or of the bottom's spin if there is no jump, in units of `speed_unit`.
-        box : not used."""
+        """Return the surface speed of the jump between the planes, or of the bottom's spin if there is no jump, in
+        units of `speed_unit`. box : not used here."""
         scene = self.samples.scene
         speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
         return float(scene.lattice.radius * speed / speed_unit)
 
     def leader(self, k: int) -> np.ndarray:
-        """Return for each sphere the indices (2, n) of the first spheres of the bottom and of the top in its layer; all
-        driven spheres there turn as these in component k."""
+        """Return for each sphere two indices, (2, n): of the first sphere of the bottom and of the first of the top in
+        the layer of the sphere, those with the same coordinate along component k. All driven spheres of a plane and
+        layer have the spin of this first one in component k, and are identified by it."""
         return self.samples.leader(self.samples.components[k])
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
@@ -291,9 +306,10 @@ class Grid(Listed):
         return found
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Return the sums at each of the n spheres of exact moments at the m contacts, by component, C enclosures (n,);
-        always added in the same order, axis by axis, first spheres before second ones. moment : by component, C
-        enclosures (m,)."""
+        """Return the sum at each of the n spheres of the moments of its contacts, by component, C enclosures (n,). They
+        are added in the same order in every case: axis by axis, first spheres before second ones.
+
+        moment : by component, C enclosures (m,), whose numbers are exact doubles (only `high` is read)."""
         found = []
         for slot, part in enumerate(moment):
             found.append(nothing(self.spheres))
@@ -310,7 +326,8 @@ class Grid(Listed):
 
 
 def slices(graph: Listed) -> Grid:
-    """Return the same object, known to type checkers to be a Grid. Only code for lattices alone calls this."""
+    """Return `graph` itself, as a Grid: so type checkers accept functions that only lattices have. Other contacts fail
+    an assertion."""
     assert isinstance(graph, Grid)
     return graph
 
@@ -321,7 +338,8 @@ def nothing(count: int) -> Enclosure:
 
 
 def size_of(parts: list[Enclosure]) -> Enclosure:
-    """Return the length of vectors given by one or two components, of any shape."""
+    """Return the length of vectors given by one or two components, enclosures of any one shape; the absolute value if
+    there is one."""
     return abs(parts[0]) if len(parts) == 1 else _length_of_two(*parts)
 
 
@@ -333,5 +351,5 @@ def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
 
 
 def _may_differ_from_0(part: Enclosure) -> bool:
-    """Return True if any number of the enclosure may differ from 0."""
+    """Return True if any number of the enclosure may differ from 0, and False if all are exactly 0."""
     return any(bool(of.any()) for of in part.parts)

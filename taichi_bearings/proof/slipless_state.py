@@ -33,7 +33,7 @@ IMPOSED = -1  # the key for the constant term of an equation, from imposed spins
 
 def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (R,) of the samples for which it is proven that some spins of the free spheres leave all contacts
-    without slip. False means that nothing is proven."""
+    without slip, so that the least power is 0. False means that nothing is proven."""
     if network.graph.layered:
         return _of_layers(network)
     if not network.counts.any():
@@ -44,8 +44,8 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
 
 
 def _of_layers(network: JudgedNetwork) -> np.ndarray:
-    """Return the mask (R,) of the samples of a lattice in which nothing joins the planes in a component in which they
-    differ."""
+    """Return the mask (R,) of the samples of a lattice in which no contacts lead from one plane to the other along a
+    spin component in which both are driven differently."""
     if not network.needed:
         return np.ones(network.count, dtype=bool)
     absent = network.graph.any_end(network.free) & ~network.acts
@@ -55,16 +55,17 @@ def _of_layers(network: JudgedNetwork) -> np.ndarray:
 
 
 def imposed_exactly(network: JudgedNetwork) -> bool:
-    """Return True where all imposed spins times radius are exact sums of two doubles, as they are unless products
-    underflow."""
+    """Return True if every imposed spin times radius is known as an exact sum of two doubles: always, unless some
+    imposed speed other than 0 is so small that products underflow."""
     sizes = [np.abs(part.high[part.high != 0]) for part in network.imposed]
     return all((size > LEAST_IMPOSED).all() for size in sizes)
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
-    """Return the mask (R,) of the samples for which case 3 is proven; it is tried only where the given spins are nearly
-    such a state."""
+    """Return the mask (R,) of the samples, with normals in any direction, for which spins are proven to exist at which
+    all contacts roll exactly. It is tried only for samples whose given slips are at most NEARLY_NONE times the fastest
+    imposed speed."""
     nearly = ~network.counts | (network.slip.most <= NEARLY_NONE * network.box.max(initial=0.0))
     found = nearly.reshape(network.count, -1).all(axis=1)
     for number in np.flatnonzero(found).tolist():
@@ -73,7 +74,8 @@ def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
 
 
 def _rolls_exactly(network: JudgedNetwork) -> bool:
-    """Return True if case 3 is proven for the single sample of a network."""
+    """Return True if spins are proven to exist at which all contacts of a network roll exactly. It has a single sample,
+    and normals in any direction."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
     # Leave out spheres that can make any slips, then contacts that exact motions let roll. Parts with other contacts
@@ -118,9 +120,11 @@ def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
 
 
 def _equations(network: JudgedNetwork, contact: int, unknown: dict[int, int]) -> list[dict[int, Fraction]]:
-    """Return the three equations (u_i + u_j) x n = 0 of a contact, exactly: each a dictionary of coefficients by
-    unknown, with the constant term under IMPOSED. unknown : for each free sphere the number of the first of its three
-    unknowns."""
+    """Return the three equations (u_i + u_j) x n = 0 that say that a contact rolls, with exact coefficients. Each is a
+    dictionary: coefficients by the number of the unknown spin component, and the constant term, from imposed spins,
+    under the key IMPOSED.
+
+    contact : index of the contact. unknown : for each free sphere the number of the first of its three unknowns."""
     normal = [Fraction(float(value)) for value in network.graph.normal[contact]]
     rows = list[dict[int, Fraction]]()
     for a, b in ((1, 2), (2, 0), (0, 1)):

@@ -50,8 +50,9 @@ UNSTRESSED = 1e-6
 
 
 def natural(network: JudgedNetwork) -> np.ndarray:
-    """Return a potential (R,) for comparison, for each of the R samples: that of all contacts slipping by the imposed
-    jump (lattices; by the imposed spin if there is no jump) or by the largest imposed component (packings)."""
+    """Return a potential (R,) to compare with, in units of the network, for each of R samples: that of all contacts
+    slipping by the imposed jump (lattices; by the imposed spin if there is no jump) or by the largest imposed component
+    (packings)."""
     fastest = network.graph.natural_speed(network.box, network.speed_unit)
     own = np.flatnonzero(network.acts)
     holding, slope = (network.by_sample(values.at(own), own).value for values in (network.holding, network.slope))
@@ -60,13 +61,14 @@ def natural(network: JudgedNetwork) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Springs:
-    """Springs at the E contacts of a packing whose normals have any direction.
+    """Springs at the E contacts of a packing with N spheres, whose normals have any direction. Each resists a slip y
+    with the force q y.
 
-    network : the packing with N spheres.
-    weight : (E,), stiffnesses q.
-    number : (N, 3), which unknown each component of a spin is, -1 where it is none.
-    form : the quadratic form K^T q K, with K the matrix of slips, in unknowns scaled to a diagonal of 1.
-    """
+    network : the packing.
+    weight : (E,), the stiffness q of each spring.
+    number : (N, 3), which of n unknowns each component of a spin is, -1 where it is none.
+    form : the quadratic form x^T K^T q K x of the changes x of unknowns, with K the matrix (3 E, n) of slips; unknowns
+        are scaled so that it has a diagonal of 1."""
 
     network: JudgedNetwork
     weight: np.ndarray
@@ -75,8 +77,11 @@ class Springs:
 
     @classmethod
     def of(cls, network: JudgedNetwork, potential: np.ndarray) -> Springs | None:
-        """Make springs for minima whose potentials are at most `potential` (R,), in units of the network; None if some
-        unknown spin component changes no slip."""
+        """Make springs such that, at every minimum, the sum of q |slip|^2 over all contacts is at most 1. Return None
+        if some unknown spin component changes no slip.
+
+        potential : (R,), for each sample a number that the potential of minima does not exceed, in units of the
+            network."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
         least = np.where(holding > 0, holding, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
         least, most = network.on_contacts(least), network.on_contacts(potential)
@@ -89,8 +94,10 @@ class Springs:
         return None if form is None else cls(network, weight, number, form)
 
     def balanced(self) -> tuple[list[Enclosure], list[Enclosure]]:
-        """Return the friction less what the springs take from it, and the torques over radius that it leaves over: by
-        component, 3 enclosures (E,) and 3 enclosures (N,)."""
+        """Let the springs take away the torques that friction leaves over, except what rounding leaves.
+
+        Returns the friction of the E contacts that does so, 3 components, enclosures (E,); and the torques over radius
+        that it still leaves over on the N spheres, 3 components, enclosures (N,)."""
         network, factor = self.network, self.form.elimination.factorised_samples(SHIFT)
         torques, there, fine = network.own_torques, self.number >= 0, network.own_friction
         if factor.failed.all():
@@ -117,8 +124,10 @@ class Springs:
 
 
 def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
-    """Return the quadratic form of `rows` (3 E, n), each row multiplied by its `weight` (3 E,); None if a column is 0.
-    number : (N, 3), which unknown each component of a spin is, -1 where it is none."""
+    """Return the quadratic form |A x|^2, where A is `rows` (3 E, n) with each row multiplied by its `weight` (3 E,),
+    and x are n unknowns; None if a column of A is 0. Unknowns are scaled so that each column gets the length 1.
+
+    number : (N, 3), which unknown each component of the spins of N spheres is, -1 where it is none."""
     rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
     rows.eliminate_zeros()
     # Entries are rounded by the weight, its root and the products: some five times, with 16 allowed for.
@@ -129,7 +138,8 @@ def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, 
 
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
-    """Return the mask (N,) of free spheres that can make all their contacts roll, whatever the other spheres do."""
+    """Return the mask (N,) of free spheres that are proven to be able to make all their contacts roll, whatever the
+    other spheres do. Only spheres are tried whose contacts bear nearly no friction."""
     size = np.sqrt((network.graph.friction**2).sum(axis=1))
     largest = network.on_contacts(size.reshape(network.count, -1).max(axis=1, initial=0.0))
     small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, largest)
@@ -153,8 +163,8 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
 
 
 def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
-    """Return the mask (R,) of the samples of which it is proven that spins of the spheres in the mask `some` (N,) can
-    make any slips whatever of all their contacts that can dissipate."""
+    """Return the mask (R,) of the samples for which it is proven that spins of the spheres in the mask `some` (N,) can
+    give any slips whatever to all contacts of these spheres that can dissipate."""
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
     own = network.counts & some[network.graph.contact].any(axis=0)
@@ -162,16 +172,16 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
 
 
 def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False) -> np.ndarray:
-    """Return for each sample a proven floor (R,) of the eigenvalues of K K^T, with K the matrix of slips, for the
-    contacts in the mask `contacts` (E,). If it is not 0, the slips of these contacts are independent. Infinite without
-    any contact; 0 if no floor is found.
+    """Return for each of R samples a proven lower bound (R,) of the eigenvalues of K K^T, with K the matrix that gives
+    the slips of some contacts from n unknown spin components. If it is not 0, spins can give any slips to these
+    contacts. Infinite for samples without any of them; 0 if nothing is proven.
 
     Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
     out.
 
     number : (N, 3), which unknown each component of a spin is, -1 where it is none.
-    sharp : spend more time to find a large floor, see :func:`proven_floor`.
-    """
+    contacts : (E,) mask of the contacts.
+    sharp : True to spend more time on a bound that is as large as possible."""
     count = len(contacts)
     own = np.ones((3, count), dtype=bool) & contacts
     own[np.argmax(np.abs(network.graph.normal), axis=1), np.arange(count)] = False
@@ -193,11 +203,10 @@ def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndar
 
 
 def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarray) -> list[Part]:
-    """Return the parts in which the slips of contacts are eliminated, by nested dissection of these contacts; two of
-    them are coupled if they share a moving sphere.
+    """Return n slip components in groups, in the order in which they are eliminated from a matrix that couples two
+    contacts if they share a moving sphere: by nested dissection of these contacts.
 
-    moves : (N,) mask of the spheres that move. contact : (n,), the contact of each of the n slip components.
-    """
+    moves : (N,) mask of the spheres that move. contact : (n,), the contact of each slip component."""
     own, node = np.unique(contact, return_inverse=True)
     ends = network.graph.contact[:, own]
     at = np.nonzero(moves[ends])
@@ -207,7 +216,8 @@ def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarr
 
 
 def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
-    """Return bounds on the errors of the entries of a sparse matrix if each entry was rounded once."""
+    """Return a matrix of the same shape with bounds on the errors of the entries of a sparse matrix, if each of these
+    was rounded once."""
     return sparse.csr_array((EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
 
 

@@ -81,7 +81,11 @@ class States:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
-    """Return the contact states at every minimum, one object a sample, from the bounds on the power."""
+    """Return what is proven of the contact states at every minimum, a list with an object for each sample.
+
+    bounds : bounds on the power of R samples, with their spins and friction, from which all else follows. Which theorem
+        is applied depends on whether there is damping, on whether components of slips mix those of the spins, and on
+        how many components matter."""
     network, layered = bounds.network, bounds.network.graph.layered
     # Contacts that do not count, or are in samples without any potential, rest.
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
@@ -124,35 +128,43 @@ def proven_states(bounds: Bounds) -> list[States]:
 
 
 def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
-    """Return the states (m,) of all samples as one object a sample, with the same reason and uniqueness."""
+    """Return an object for each of R samples with its part of the states (m,) of all their contacts. They all have the
+    same `reason`, words that say why states are missing, and the same `unique`, whether there is one minimum (None if
+    not known)."""
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
 
 
 def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return the result of :func:`oblique.enclosed_minimum`, whose module is loaded for packings alone."""
+    """Prove where the slips of minima are in a packing with oblique normals (E contacts, R samples). Returns None, or a
+    tuple: the mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - given slip|, and the mask (R,)
+    of samples that are proven. The module that does it is loaded for packings alone."""
     from taichi_bearings.proof.oblique import enclosed_minimum
 
     return enclosed_minimum(bounds)
 
 
 def _can_be_enclosed_together(bounds: Bounds) -> bool:
-    """True if minima of several samples may be enclosed together: bounds of all are proven of all spins, and friction
-    everywhere lets states follow from the minima alone, without bounds on slips, which other samples would loosen."""
+    """Return True if minima of several samples may be enclosed together, as those of one network: if the lower bound of
+    each is proven of all spins, and every contact that can dissipate has friction. Then states do not depend on bounds
+    on slips, which would be wider for several samples."""
     held = bounds.network.holding.high[bounds.network.counts] > 0
     return bool((bounds.proof == PROVEN).all() and bounds.network.law.holds and held.all())
 
 
 def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """Return the result of :func:`borne.at_rest_beside_loops`, whose module is loaded for packings alone."""
+    """Return the mask (m,) of the contacts of a packing with oblique normals that are proven to rest at every minimum,
+    beside loops that cannot roll as their normals are rounded. The module that does it is loaded for packings alone.
+
+    far : (m,), bound on |slip at any minimum - given slip|."""
     from taichi_bearings.proof.borne import at_rest_beside_loops
 
     return at_rest_beside_loops(bounds, far)
 
 
 def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.ndarray]) -> list[States]:
-    """Return the states that follow from `near`, the mask S (E,) and the distances (E,) of
-    :func:`oblique.enclosed_minimum`: contacts outside S rest, those of S slip if they have friction or a slip above the
-    distance."""
+    """Return the states of all samples from `near`, a tuple of the mask (E,) of contacts that may slip, and bounds (E,)
+    on |slip at any minimum - given slip|; its third entry is not used here. Contacts outside the mask rest. Those in it
+    slip if they have friction, or if their slip exceeds the bound; else they are undecided."""
     slides, far, _ = near
     known = (network.holding.high > 0) | (network.slip.least > far)
     slips = np.where(known, SLIPPING, UNDECIDED)
@@ -160,7 +172,7 @@ def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
-    """Return UNDECIDED for all contacts of all samples, with this reason."""
+    """Return an object for each of R samples in which all contacts are UNDECIDED. reason : words that say why."""
     return _samples(network, np.full(len(network.acts), UNDECIDED), reason, None)
 
 
@@ -172,7 +184,8 @@ def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
 
 
 def _by_cuts(bounds: Bounds, k: int) -> list[States]:
-    """Return the states where component k alone matters, by its lightest cuts; one object a sample."""
+    """Return the states of each of R samples, with friction alone, where minima may slip along component k of the spins
+    only: what the lightest cuts between imposed values say."""
     states = states_by_cuts(bounds, k)
     return [States(of, _is_one(of), "cuts (nearly) tie") for of in states.reshape(bounds.network.count, -1)]
 
@@ -183,9 +196,12 @@ def _is_one(states: np.ndarray) -> bool | None:
 
 
 def _by_curvature(network: JudgedNetwork) -> list[States]:
-    """Return the states where two components matter, or more along the axes, by steps 1 to 3 of the module docstring.
-    Samples of a lattice are proven all at once, or else half by half; one by one where friction is repeated, so that
-    there may be ties."""
+    """Return the states of each of R samples, with friction alone, where some minimum may slip along two or more
+    components, which do not mix.
+
+    It is proven that one minimum is near where the contacts that rest still rest, and that these can bear what the
+    others leave to them. Samples of a lattice are proven all at once, or else half by half; one by one where friction
+    limits are repeated, so that minima may tie."""
     count = network.count
     if not network.graph.layered:
         return _by_tiny_slips(network)
@@ -208,8 +224,10 @@ def _halves(network: JudgedNetwork) -> list[JudgedNetwork]:
 
 
 def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
-    """Return the states of samples of a packing by steps 1 to 3 of the module docstring, where contacts that hardly
-    slip are taken to rest. Samples are proven all at once, or else half by half."""
+    """Return the states of each of R samples of a packing (discs, or normals along the axes), with friction alone,
+    where minima may slip along several components. Contacts that hardly slip are taken to rest; it is proven that one
+    minimum is near, and that they can bear what the others leave to them. Samples are proven all at once, or else half
+    by half."""
     slip, fastest = network.slip.value, network.box.max()
     still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
     known = _by_domains(network, still)  # first as if spins were known in twice the precision
@@ -221,7 +239,8 @@ def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
 
 
 def _with_ties(network: JudgedNetwork) -> States:
-    """Return the states of one sample in which minima may tie; ties are tried first where friction is repeated."""
+    """Return the states of one sample of a lattice that may have many minima. Where friction limits are repeated many
+    minima are tried first, then a single one; else the other way round."""
     contacts, repeats = Slipping.of(network.motion), _repeats(network)
     tied = tied_states(network.motion, contacts) if repeats else None
     if tied is None and isinstance(doubt := _near(network.motion, contacts), tuple):
@@ -233,8 +252,14 @@ def _with_ties(network: JudgedNetwork) -> States:
 
 
 def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
-    """Return the states of friction with damping, `known` or better. Contacts whose share of friction left, 1 - |F| /
-    (mu F_n), exceeds their slip over the jump are tried as resting."""
+    """Return the states of R samples of friction with damping: `known`, or better ones where it is proven that just the
+    contacts rest which seem to.
+
+    A contact seems to rest if the share of its friction that is left, 1 - |F| / (mu F_n), exceeds its slip over the
+    largest imposed speed. That is tried only where every contact of the sample is clear, as one of both numbers is
+    CLEAR_RATIO times the other.
+
+    known : states of each sample, which are returned where nothing better is proven."""
     network, count = bounds.network, bounds.network.count
     if not network.law.holds or network.mixes or not network.needed:
         return known
@@ -252,8 +277,9 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
 
 
 def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> list[States]:
-    """Return the states `told` of samples of a packing, with the contacts added that resting.py or borne.py proves to
-    rest. far : (m,), bound on |slip at any minimum - given slip|."""
+    """Return the states `told` of R samples of a packing, with contacts added that are proven to rest since they can
+    bear what others leave to them (resting.py, or borne.py for oblique normals). far : (m,), bound on |slip at any
+    minimum - given slip|."""
     network, known = bounds.network, np.concatenate([states.known for states in told])
     if not network.law.holds or not (network.counts & (known == UNDECIDED)).any():
         return told
@@ -263,8 +289,9 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> 
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """Return the states (m,) if at the minimum nothing slips except contacts between the domains of the contacts in the
-    mask `rests` (m,); or a text that says what is missing in the proof."""
+    """Return the states (m,) at the only minimum, if it is proven that spheres which contacts of the mask `rests` (m,)
+    join, in a component of the spins, turn as one there. Contacts between such groups of spheres, domains, then slip,
+    and all others rest. Else return a text that says what is missing in the proof."""
     if not network.graph.layered and any(
         network.signs(k)[1][network.graph.contact[:, network.counts]].any() for k in network.needed
     ):
@@ -278,12 +305,14 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
 
 
 def _as_stored(motion: Motion) -> np.ndarray:
-    """Return the states (m,) at the only minimum: the contacts that slip in the stored motion slip, and no others."""
+    """Return states (m,): the contacts that can dissipate and do not rest in the motion are SLIPPING, all others
+    SLIPLESS."""
     return np.where(motion.network.counts & ~motion.rests, SLIPPING, SLIPLESS)
 
 
 def _repeats(network: JudgedNetwork) -> bool:
-    """Return True if two slipping contacts of some sample have the same friction limit."""
+    """Return True if two contacts of the same sample of a lattice that slip in the stored spins have the same friction
+    limit, so that frictions may cancel and minima tie."""
     own = np.flatnonzero(network.counts & ~network.motion.rests)
     values, sample = network.holding.high[own], network.sample_of(own)
     order = np.lexsort((values, sample))
@@ -291,8 +320,11 @@ def _repeats(network: JudgedNetwork) -> bool:
 
 
 def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
-    """Return the contacts near the minimum, and the share (n,) of its size by which each slip differs there at most; or
-    a text that says what is missing in the proof. Several samples are treated as parts of one that no contact joins."""
+    """Prove that the network has one minimum near the slips of `contacts`, at which the contacts rest that rest in
+    `motion`. Several samples are treated as parts of one that no contact joins.
+
+    Returns the slipping contacts close to the minimum, and for each of them a bound (n,) on |slip there - slip| /
+    |slip|; or a text that says what is missing in the proof."""
     if motion.torn.any():
         return "contacts without slip join driven spheres that turn otherwise"
     if not _saturated(motion.network, contacts):
@@ -306,8 +338,8 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
 
 
 def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
-    """Return True if the friction of all slipping contacts of a lattice is about at its limit, as it is near a minimum;
-    True for packings."""
+    """Return True if on a lattice the stored friction of all slipping contacts misses its limit by no more than
+    MISSED_LIMIT, as a share, as it does near a minimum; always True for packings."""
     if not network.graph.layered:
         return True
     parts = [part.high[contacts.own] for part in network.moment]
@@ -315,8 +347,13 @@ def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
 
 
 def _by_cones(bounds: Bounds) -> np.ndarray:
-    """Return a bound (E,) on |slip at any minimum - given slip|, for a Coulomb network whose components mix; infinite
-    where nothing is proven."""
+    """Return a bound (E,) on |slip at any minimum - given slip| for one sample of E contacts with friction alone, whose
+    normals have any direction; infinite where nothing is proven.
+
+    At a minimum friction F takes from the power no more than the excess: the given power less what F proves. Near its
+    limit a contact has at least the share mu F_n b^2 / (2 |slip|) of it, b being the part of the slip across F; with
+    friction left over it has at least that times the slip. Together these are a quadratic form of the spins, whose
+    least eigenvalue bounds them."""
     network = bounds.network
     if bounds.unknown is None:
         return np.full(len(network.acts), np.inf)

@@ -81,20 +81,20 @@ class Pulls:
     """The n contacts of one sample that bear all their friction, and what they pull: first those that slip (S), then
     those that do not slip (C). T are the resting contacts with friction left.
 
-    A pull is a force along one component. The two components that matter are numbered 0 and 1, in arguments `slot` and
-    in the first axis of arrays (2, ...).
+    A pull is the force of a contact along one spin component. The two components that matter are numbered 0 and 1, in
+    arguments `slot` and in the first axis of arrays (2, ...).
 
     own : (n,), indices of the contacts among all of the network.
     lower, upper : (n,), indices of their two spheres.
     felt : (2, n) mask, whether each component of the spins makes a contact slip.
-    sign : (2, n), sign of the slip along each component: of signed spin at `upper` less that at `lower`. For C it is
-        the sign of the slip that would go with its friction, 0 along the other component.
+    sign : (2, n), sign of the slip along each component: of signed spin (spin times the sign by which neighbours
+        differ) at `upper` less that at `lower`. For C it is the sign of the slip that would go with its friction, 0
+        along the other component.
     coefficient : (n,), friction limits, in exact proportions.
     in_s : (n,) mask of the contacts of S.
     domain_tc, domain_t, domain_tc0 : (2, spheres), labels of domains, by component. A domain are spheres that contacts
         join: those of T and C; of T; or of T and those of C that bear nothing along the component. 0 and 1 stand for
-        what moves with the bottom and with the top.
-    """
+        what moves with the bottom and with the top."""
 
     own: np.ndarray
     lower: np.ndarray
@@ -108,27 +108,30 @@ class Pulls:
     domain_tc0: np.ndarray
 
     def apart(self, label: np.ndarray, slot: int) -> np.ndarray:
-        """Return the mask (n,) of the contacts whose ends have different labels in component `slot` (0 or 1). label :
-        (2, spheres)."""
+        """Return the mask (n,) of the contacts whose two spheres have different labels in component `slot` (0 or 1).
+        label : (2, spheres), such as labels of domains."""
         return label[slot, self.lower] != label[slot, self.upper]
 
     def touches(self, label: np.ndarray, value: int, slot: int) -> np.ndarray:
-        """Return a mask (n,): slipping contacts with exactly one end in the domain `value`, and other contacts with any
-        end in it. label : (spheres,), labels of domains. slot : not used."""
+        """Return a mask (n,): for slipping contacts, whether exactly one of their two spheres is in the domain `value`;
+        for contacts that do not slip, whether any is. label : (spheres,), labels of domains. slot : not used here."""
         ends = label[self.lower] == value, label[self.upper] == value
         return np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
 
     @cached_property
     def turned_by(self) -> np.ndarray:
-        """(2, n) masks: if one end of the contact moves in this component, its slip changes its direction, since it
-        slips in the other component, too."""
+        """(2, n) masks by component: True where the slip of a contact changes its direction if one of its spheres moves
+        in this component, since the contact slips in the other component, too."""
         both = self.felt.all(axis=0)
         return np.array([both & self.apart(self.domain_tc, 1), both & self.apart(self.domain_tc, 0)])
 
     def wide_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
-        """Return the number (spheres,) of the wide domain of each sphere in component `slot`: 0 for those that contain
-        a driven plane, then 1, 2, ... A wide domain are domains that are joined by contacts whose slip changes its
-        direction if one end moves alone. label : (2, spheres), the domains, `domain_tc` or `domain_tc0`."""
+        """Return the number (spheres,) of the wide domain of each sphere in component `slot` (0 or 1): 0 for those that
+        contain a driven plane, then 1, 2, ...
+
+        A wide domain is a set of domains (groups of spheres that turn as one) that move together from one minimum to
+        another, since the slips of the contacts between them would change their directions otherwise. label : (2,
+        spheres), the domains, `domain_tc` or `domain_tc0`."""
         domain = label[slot]
         joins = self.turned_by[slot] & self.apart(label, slot)
         first, second = domain[self.lower[joins]], domain[self.upper[joins]]
@@ -145,10 +148,11 @@ class Pulls:
         return np.unique(self.domain_tc, axis=1, return_inverse=True)[1].reshape(-1)
 
     def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
-        """Return for each label whether the pulls along component `slot` that are known exactly add up to 0 there.
-        Known are pulls of contacts whose slip cannot turn: plus or minus mu F_n. Contacts within one domain pull it
-        both ways and are left out. owner : (spheres,), a label for each sphere. Labels without any known pull are
-        missing."""
+        """Return for each label whether the forces along component `slot` (0 or 1) that are known exactly add up to 0
+        on its spheres. Labels without any such force are missing.
+
+        The force is known, plus or minus mu F_n, of contacts whose slip has no other component that could turn it.
+        Contacts within one domain pull it both ways and are left out. owner : (spheres,), the label of each sphere."""
         exact = self.felt[slot] & ~self.turned_by[slot] & np.where(
             self.in_s, self.apart(self.domain_tc, slot), self.apart(self.domain_t, slot)
         )  # fmt: skip
@@ -162,13 +166,13 @@ class Pulls:
 
 @dataclass(frozen=True)
 class Line:
-    """The contacts (n here) whose slips change along one component where minima differ.
+    """The n contacts whose slips differ between minima along one of the two components. Wide domains, groups of spheres
+    that move together from one minimum to another, shift against each other there.
 
     own : (n,), indices of these contacts within :class:`Pulls`.
     lower, upper : (n,), number of the wide domain at either end; 0 for what does not move.
     sign : (n,), +1 or -1: whether a motion of the upper end lengthens or shortens the slip.
-    twin : (n,), equal numbers for contacts that have the same slip at every minimum.
-    """
+    twin : (n,), equal numbers for contacts that have the same slip at every minimum."""
 
     own: np.ndarray
     lower: np.ndarray
@@ -177,8 +181,8 @@ class Line:
     twin: np.ndarray
 
     def sharing_a_domain(self, some: np.ndarray) -> np.ndarray:
-        """Return the mask (n,) of the contacts of the mask `some` (n,), and of all contacts that share a moving wide
-        domain with them, directly or through other contacts."""
+        """Return the mask (n,) of the contacts of the mask `some` (n,), and of all contacts that moving wide domains
+        (groups of spheres that move together) connect with them, directly or through other contacts."""
         size = int(max(self.lower.max(initial=0), self.upper.max(initial=0))) + 1
         inner = (self.lower > 0) & (self.upper > 0)
         joins = self.lower[inner], self.upper[inner]
@@ -187,11 +191,12 @@ class Line:
         return np.isin(piece, piece[some])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three masks (n,): the contact rests at some minimum; it slips at every one; it slips at some. (Step 5
-        at the head of the file.)
+        """Return three masks (n,): the contact rests at some minimum; it slips at every one; it slips at some.
 
-        least, most : (n,), bounds of the slip at one minimum, both 0 for contacts that do not slip there.
-        """
+        No contact slips backwards at any minimum. So slips differ from those at one minimum no further than shortest
+        paths allow, in a graph whose edges are the contacts, with their slips as lengths.
+
+        least, most : (n,), bounds of the slip at one minimum, both 0 for contacts that do not slip there."""
         # That a contact does not slip backwards means y[head] - y[tail] <= t.
         tail, head = np.where(self.sign > 0, (self.upper, self.lower), (self.lower, self.upper))
         twins = np.unique(self.twin, return_inverse=True)[1]
@@ -222,9 +227,11 @@ class Line:
 
 
 def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
-    """Return a directed graph, a sparse matrix (size, size), with the shortest of the edges between each two nodes.
-    Lengths of 0 are kept as entries, so that they are no missing edges. tail, head, length : (edges,), nodes and length
-    of each edge. size : at least so many nodes."""
+    """Return a directed graph, a sparse matrix (size, size), with the shortest of all edges from one node to another.
+    An entry 0 is an edge of length 0, a missing entry no edge.
+
+    tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length. size : number of
+        nodes; more if the edges need more."""
     size = max(size, int(max(tail.max(initial=0), head.max(initial=0))) + 1)
     order = np.lexsort((length, head, tail))
     first = np.append(True, (np.diff(tail[order]) != 0) | (np.diff(head[order]) != 0))[: len(order)]
@@ -235,14 +242,15 @@ def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, s
 
 @dataclass(frozen=True)
 class BetweenTwo:
-    """The m domains that lie between two others: only these two pull them, in opposite directions, each by a set of
-    contacts with the same friction in all. Such a domain can move along the line between both at no cost.
+    """The m domains (groups of spheres that turn as one) that lie between two others. Only two sets of contacts pull
+    such a domain, towards either neighbour and with the same friction in all, so it can move along the line between
+    both at no cost.
 
-    labels : (2, m), their labels in `Pulls.domain_tc`, for both components.
-    slot : (m,), the component (0 or 1) in which each is held where it is.
-    sets : for each, the indices of the contacts of both sets together, within :class:`Pulls`.
-    undecided : (n,) mask of all these contacts, and of those that slip along one component only if such a domain moves.
-    """
+    labels : (2, m), their labels in `Pulls.domain_tc`, for both spin components.
+    slot : (m,), the component (0 or 1) in which each is held where it is, so that one minimum is left.
+    sets : m arrays of indices, within :class:`Pulls`, of the contacts of both sets.
+    undecided : (n,) mask, over the contacts of `Pulls`, of all these, and of those that slip along one component only
+        if such a domain moves."""
 
     labels: np.ndarray
     slot: np.ndarray
@@ -251,8 +259,10 @@ class BetweenTwo:
 
     @classmethod
     def of(cls, pulls: Pulls, contacts: Slipping) -> BetweenTwo:
-        """Find the domains that lie between two others. pulls : the n contacts that bear all their friction. contacts :
-        slips of those that slip."""
+        """Find the domains (groups of spheres that turn as one) that lie between two others which pull them with the
+        same friction in opposite directions.
+
+        pulls : the n contacts that bear all their friction. contacts : slips of those of them that slip."""
         pair, known = (
             pulls.same_in_both,
             [pulls.known_pulls_cancel_at(pulls.domain_tc[slot], slot) for slot in range(2)],
@@ -299,9 +309,11 @@ class BetweenTwo:
         return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
 
     def lie_between(self, contacts: Slipping, turn: np.ndarray) -> bool:
-        """Return True if the domains surely lie between their two neighbours at the minimum, too: no slip changes its
-        sign along the component in which they are held. contacts : slips of the slipping contacts near the minimum.
-        turn : share of its size by which each slip differs there at most, an entry for each."""
+        """Return True if all these domains are proven to lie between their two neighbours at the minimum, too: no slip
+        of their contacts changes its sign along the component in which they are held.
+
+        contacts : the slipping contacts close to the minimum. turn : (slipping contacts,), bound on |slip there - slip|
+            / |slip|."""
         for own, slot in zip(self.sets, self.slot, strict=True):
             if not (contacts.difference[slot].at(own).least > turn[own] * contacts.size.at(own).most * UP).all():
                 return False
@@ -309,8 +321,10 @@ class BetweenTwo:
 
 
 def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, set[int]]:
-    """Return for each label the set of contacts that lead from it to another label, as indices in `pulls`. label :
-    (spheres,). some : (n,) mask of the contacts to look at."""
+    """Return a dictionary: by label of a domain, the set of the contacts that lead from it to another one, as indices
+    in `pulls`.
+
+    label : (spheres,), the label of each. some : (n,) mask of the contacts of `pulls` to look at."""
     found: dict[int, set[int]] = {}
     own = np.flatnonzero(some & (label[pulls.lower] != label[pulls.upper]))
     for end in (pulls.lower, pulls.upper):
@@ -320,11 +334,13 @@ def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> di
 
 
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
-    """Prove the states (E,) of all E contacts of one sample (SLIPLESS, SLIPPING, TIED or UNDECIDED), and whether there
-    is only one minimum (True, False, or None if that is not known); None if nothing is proven.
+    """Prove the states of all E contacts of one sample of a lattice that may have many minima.
 
-    motion : the stored spins of the sample and which contacts rest; two components matter. contacts : those that slip.
-    """
+    motion : the stored spins of the sample and which contacts rest; two components of the spins matter. contacts :
+        those that slip.
+
+    Returns None if nothing is proven. Else the states (E,), SLIPLESS, SLIPPING (at every minimum), TIED (at some), or
+    UNDECIDED; and True if there is only one minimum, False if there are more, None if that is not known."""
     saturated = Saturated.of(motion)
     if saturated is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
@@ -348,12 +364,12 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
 
 @dataclass(frozen=True)
 class Saturated:
-    """The contacts that do not slip, yet bear all their friction, along one component (called C).
+    """The contacts (called C) that do not slip in the stored spins, yet bear all their friction mu F_n, along one of
+    the two spin components that matter.
 
     network : one sample with E contacts.
     mask : (E,), which contacts these are.
-    along : (E,), the component (0 or 1) along which each bears it.
-    """
+    along : (E,), the component (0 or 1) along which each of them bears it; no meaning for others."""
 
     network: JudgedNetwork
     mask: np.ndarray
@@ -361,8 +377,8 @@ class Saturated:
 
     @classmethod
     def of(cls, motion: Motion) -> Saturated | None:
-        """Find the contacts of a motion that do not slip, yet bear all their friction; None if some of them bears it
-        with a part along both components."""
+        """Find the contacts of a motion that do not slip, yet bear all their friction, but for MISSED_LIMIT; None if
+        one of them bears a considerable part of it (MISSED_DIRECTION) along both components."""
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
@@ -371,20 +387,24 @@ class Saturated:
         return cls(network, mask, np.argmax(parts, axis=0))
 
     def friction(self, slot: int) -> Enclosure:
-        """Return for each saturated contact the friction that it has to bear along component `slot`, plus or minus mu
-        F_n with the sign of its stored moment; 0 for contacts that bear it along the other component."""
+        """Return for each saturated contact (contact without slip at its friction limit) the moment n x F that it has
+        to exert along component `slot` (0 or 1), an enclosure with an entry for each: plus or minus mu F_n, with the
+        sign of the moment along it in the network. It is 0 for contacts that bear their friction along the other
+        component."""
         own = np.flatnonzero(self.mask)
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
         return self.network.holding.at(own).signed(sign * (self.along[own] == slot))
 
     def motion_of(self, motion: Motion, slot: int | None) -> Motion:
-        """Return the motion in which no saturated contact rests, but all others that rest in `motion`; if `slot` is
-        given, saturated contacts that bear nothing along this component rest as well."""
+        """Return the motion in which the contacts rest that rest in `motion`, but not the saturated ones, which bear
+        all their friction.
+
+        slot : None, or 0 or 1: then saturated contacts that bear nothing along this component rest as well."""
         return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
 
     def missing_friction(self) -> dict[int, np.ndarray]:
-        """By component, (spheres,): bound on the difference between the stored friction of saturated contacts and their
-        friction limit, added up at each sphere."""
+        """Return by component k, (spheres,), a bound on how far the moments that saturated contacts exert on each
+        sphere, as they are stored, are from what they have to exert, mu F_n along one component each."""
         own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
@@ -396,8 +416,11 @@ class Saturated:
 
 
 def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
-    """Collect the contacts of a motion that bear all their friction, and what they pull. contacts : those that slip.
-    saturated : those that do not."""
+    """Collect the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
+    one) that they and the resting contacts make.
+
+    motion : which contacts rest. contacts : those that slip. saturated : those that do not slip and yet bear all their
+        friction."""
     network, in_c = motion.network, np.flatnonzero(saturated.mask)
     components = len(network.needed)
     own = np.append(contacts.own, in_c)
@@ -422,17 +445,22 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
 
 
 def _numbered(motion: Motion, k: int) -> np.ndarray:
-    """Return the label (spheres,) of the domain of each sphere in component k: 0 and 1 for what turns with the bottom
-    and the top, larger numbers for all others."""
+    """Return a label (spheres,) for each sphere of a lattice, equal for those that resting contacts of the motion join
+    in component k: 0 and 1 for what turns with the bottom and the top, larger numbers for all others."""
     label = motion.domain[k]
     low, high = slices(motion.network.graph).leader(k)
     return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
 
 
 def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | None:
-    """Return the mask (2, spheres) of spheres whose domain is held where it is, by component: one domain of each wide
-    domain without a plane, and those between two others. None if all members of a wide domain lie between others. label
-    : (2, spheres), labels of the domains that are to be held."""
+    """Return the mask (2, spheres) of the spheres that are held where they are, by component, so that only one minimum
+    is left; None if that is not possible.
+
+    Held is one domain (group of spheres that turn as one) of each wide domain without a driven plane, which moves as a
+    whole at no cost; it must not lie between two others. Domains between two others are held as well, in one component
+    each.
+
+    label : (2, spheres), labels of the domains that are to be held. between : domains that lie between two others."""
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
         wide, inner = pulls.wide_domains(label, slot), np.isin(pulls.domain_tc[slot], between.labels[slot])
@@ -448,8 +476,11 @@ def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | 
 
 
 def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> dict[int, np.ndarray]:
-    """Return by component k the labels (spheres,), with 0, that of the bottom, for all that is held. label, held : (2,
-    spheres)."""
+    """Return by spin component k the labels (spheres,) of domains, replaced by 0, that of the bottom, for spheres that
+    are held.
+
+    motion : says which components k matter. label : (2, spheres), labels of domains, for both. held : (2, spheres)
+        mask."""
     return {k: np.where(h, 0, own) for k, own, h in zip(motion.network.needed, label, held, strict=True)}
 
 
@@ -460,12 +491,15 @@ def _minimum_with_held(
     held: np.ndarray,
     saturated: Saturated,
 ) -> tuple[Slipping, np.ndarray] | None:
-    """Prove steps 2 and 3 at the head of the file: return the slipping contacts near a minimum, and the share of its
-    size by which each slip differs there at most; None if it is not proven to be a minimum of the whole power.
+    """Prove that one minimum is near the stored spins if some domains are held, and that it is a minimum without
+    holding them, too: known forces cancel on the held ones, and the resting contacts can bear what the others leave to
+    them. Return None if that is not proven; else the slipping contacts close to it, and for each a bound on |slip there
+    - slip| / |slip|.
 
-    pulls, between, saturated : the contacts that bear all their friction, domains between two others, contacts at their
-        limit without slip. held : (2, spheres) mask of the spheres whose domain is held where it is.
-    """
+    motion : the stored spins and which contacts rest.
+    pulls : the contacts that bear all their friction. between : domains that lie between two others. saturated :
+        contacts without slip at their friction limit.
+    held : (2, spheres) mask of the spheres whose domain is held where it is, by component."""
     rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()
     near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.domain_tc, held)))
     if near is None:
@@ -480,9 +514,13 @@ def _minimum_with_held(
 
 
 def _known_pulls_cancel(pulls: Pulls) -> bool:
-    """Return True if the pulls that are known exactly cancel wherever friction has to balance exactly (steps 1 and 3 at
-    the head of the file): on each wide domain; and on each domain of resting contacts with friction left (`domain_t`),
-    except on one of each free `domain_tc` at most, which contacts pull whose slip may change its direction."""
+    """Return True if the forces of contacts at their limits that are known exactly add up to 0 wherever friction has to
+    balance without any others.
+
+    That is on each wide domain (groups of spheres that move together from one minimum to another), and on each group of
+    spheres that resting contacts with friction left join (`domain_t`). Of the latter one in each free `domain_tc` may
+    be excepted, on which contacts act whose slip may change its direction: it is in balance once the whole `domain_tc`
+    is."""
     # For both components: wide domains; which domain_t are pulled by contacts that may turn; all other domain_t.
     for slot in range(2):
         cancels_at = pulls.known_pulls_cancel_at(pulls.wide_domains(pulls.domain_tc, slot), slot)
@@ -505,13 +543,13 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
 def _states_along_lines(
     pulls: Pulls, between: BetweenTwo, contacts: Slipping, turn: np.ndarray, moves: bool, count: int
 ) -> tuple[np.ndarray, bool | None]:
-    """Prove step 5 at the head of the file: return the states (E,) of all contacts, and whether there is only one
-    minimum (None if not known).
+    """Return the states (E,) of all contacts, and whether there is only one minimum: True, False, or None if that is
+    not known. At a minimum contacts may slip less or more than at another one, but never backwards; shortest paths
+    along slips say how far.
 
-    contacts, turn : slipping contacts near a minimum, and the share of its size by which each slip differs there at
-        most.
-    moves : whether some domain_tc0 is held, so that minima may differ. count : E, number of contacts.
-    """
+    pulls : the n contacts that bear all their friction. between : domains that lie between two others.
+    contacts, turn : the slipping contacts close to a minimum, and for each a bound on |slip there - slip| / |slip|.
+    moves : True if some domain can move at no cost, so that minima may differ. count : E, number of contacts."""
     rest = len(pulls.in_s) - len(turn)
     # Bounds of t: the slips of S with what they may differ at u*, 0 for C.
     least = np.append(contacts.size.least * (1 - turn) / PATH_ROUNDING, np.zeros(rest))
@@ -531,8 +569,9 @@ def _states_along_lines(
 
 
 def _lines(pulls: Pulls) -> list[Line]:
-    """Return for either component the contacts whose slips change where minima differ: they slip along it alone, or
-    could, and join two different wide domains of `domain_tc0`."""
+    """Return for each of the two components the contacts whose slips along it differ between minima. They slip along
+    this component alone, or could, and lie between two wide domains (groups of spheres that move together) of
+    `domain_tc0`."""
     found, size = [], pulls.domain_tc.shape[1] + 2
     for slot in range(2):
         wide = pulls.wide_domains(pulls.domain_tc0, slot)
