@@ -23,13 +23,13 @@ AHEAD = 4  # a thread of a GPU reads so many spheres of a chain before it writes
 @ti.data_oriented
 class BalanceKernels:
     """Kernels that solve a Poisson problem: which change of the spins cancels given torques on the spheres of a
-    lattice.
+    lattice, if all contacts are springs of the same stiffness.
 
-    A solve has three steps: transform the torques, field `pull`, by sines along the height into `modes`; solve in each
-    mode a chain of spheres along one side; transform back and add the result to the field `potential`. Driven spheres
-    stay as they are.
+    A solve has three steps: transform the torques, field `pull`, by sines along the height into `modes`, the amplitude
+    of each sine; solve in each mode a chain of spheres along one side; transform back and add the result to the field
+    `potential`. Driven spheres stay as they are.
 
-    The kernels share these arguments (C spin components, R replicas, N the shape of the lattice, m free spheres along
+    The kernels share these arguments (C spin components, R samples, N the shape of the lattice, m free spheres along
     the height):
 
     modes : (C, R, *N) numbers, flat, and a block more; scratch of the solve.
@@ -38,19 +38,19 @@ class BalanceKernels:
         each component, place along the chain, and mode. With periodic axes as many numbers follow that close chains to
         rings. Each row is repeated at its end for the length of a block, so that a block may begin at any of its
         places.
-    count : sites of all replicas.
-    stride_x, stride_y : distance in memory, in sites, from a sphere to its neighbour along x and along y.
-    sites : spheres of one replica.
+    count : spheres of all samples.
+    stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
+    sites : spheres of one sample.
     longest : spheres of the longest chain.
-    weight : stiffness of the springs along the chains.
-    """
+    weight : stiffness of the springs along the chains."""
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
-        """Set the constants for which the kernels are compiled.
+        """Set the constants for which the kernels are compiled: rows of the fields `pull` and `potential`, spheres of a
+        block (worked on together), and which spin components have chains that close to rings.
 
-        spec : names and numbers of components of the fields, in the order of their rows.
-        stencil : spin components, dimension and periodic axes of the lattice.
-        """
+        spec : names and numbers of components of the fields, in the order of their rows (a row is one number of every
+            sphere).
+        stencil : spin components, dimension and periodic axes of the lattice."""
         slot = first_slots(spec)
         self.pull, self.potential = slot["pull"], slot["potential"]
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
@@ -58,31 +58,29 @@ class BalanceKernels:
         self.closed = tuple(side in stencil.periodic for side in stencil.coupled_sides)
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
-        """Return the whole numbers by which the kernels find spheres in memory: sites of all replicas, strides along x
-        and y, sites of one replica, and `longest`.
+        """Return the whole numbers by which the kernels find spheres in memory: spheres of all samples; distances in
+        memory from a sphere to its neighbours along x and along y; spheres of one sample; and `longest`.
 
         layout : the order of the spheres in memory.
-        longest : spheres of the longest chain.
-        """
+        longest : spheres of the longest chain."""
         _, _, _, stride_x, stride_y, sites = layout.measures
         return layout.sites, stride_x, stride_y, sites, longest
 
     @ti.func
     def height(self, stride_x, stride_y):
-        """Return the number of spheres along the height, which is the stride of the axis before it.
+        """Return the number of spheres along the height. As the height is the last axis in memory, it is the distance
+        from a sphere to its neighbour along the axis before: y in 3D, x in 2D.
 
-        stride_x, stride_y : distance in memory, in sites, from a sphere to its neighbour along x and along y.
-        """
+        stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y."""
         return stride_y if ti.static(self.stencil.dimension == 3) else stride_x
 
     @ti.func
     def chain(self, slot: ti.template(), stride_x, stride_y, sites):
-        """Return the number of spheres in a chain, and their distance in memory, in sites.
+        """Return the number of spheres in a chain, and the distance in memory from one of them to the next.
 
         slot : number of the spin component, which decides whether its chains run along x or along y.
-        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
-        sites : spheres of one replica.
-        """
+        stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
+        sites : spheres of one sample."""
         side, stride = sites // stride_x, stride_x
         if ti.static(self.stencil.coupled_sides[slot] == 1):
             side, stride = stride_x // stride_y, stride_y
@@ -92,18 +90,18 @@ class BalanceKernels:
     def sines_of_tile(
         self, given: ti.template(), found: ti.template(), sines: ti.template(), source, target, kept, item, rows, height
     ):
-        """Compute TILE x TILE entries of the matrix product of `given` with the sines, and write them into `found`.
+        """Compute one block of TILE x TILE entries of the matrix product `given` @ `sines`, and write it into `found`,
+        or add it.
 
-        given, found : arrays whose rows are the columns of spheres along the height, `height` numbers each; of these
-            the first and last belong to driven spheres and take no part.
+        given, found : flat arrays, of which the matrices are a part: row r has `height` numbers, one for each sphere of
+            a column along the height. The first and the last belong to driven spheres and take no part.
         sines : (m, m) matrix with m = height - 2, flat.
-        source, target : index of the first number in `given` and in `found`.
+        source, target : index of the first number of the matrix in `given` and in `found`.
         kept : factor of what `found` holds: 1 to add the product to it, 0 to replace it.
-        item : number of the tile. Its rows are neighbours; its columns are as far apart as there are tiles in a row, so
-            that neighbouring threads read neighbouring numbers.
-        rows : rows of `given`.
-        height : spheres along the height.
-        """
+        item : number of the block. Its rows are neighbours; its columns are as far apart as there are blocks in a row,
+            so that neighbouring threads read neighbouring numbers.
+        rows : number of rows of `given`.
+        height : spheres along the height."""
         # which rows and columns the tile has
         free = height - 2
         tile = ti.static(range(TILE))
@@ -175,22 +173,22 @@ class BalanceKernels:
 
     @ti.func
     def tiles(self, count, stride_x, stride_y):
-        """Return into how many tiles of TILE x TILE entries the sine transform of one spin component is divided.
+        """Return into how many tiles, blocks of TILE x TILE entries, the sine transform of one spin component is
+        divided.
 
-        count : sites of all replicas.
-        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
-        """
+        count : spheres of all samples.
+        stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y."""
         height = self.height(stride_x, stride_y)
         return (count // height + TILE - 1) // TILE * ((height - 2 + TILE - 1) // TILE)
 
     @ti.func
     def lines(self, count, stride_x, stride_y, sites):
-        """Return the number of chains of all spin components and replicas, one for each mode.
+        """Return the number of chains of all spin components and samples: for each sine along the height, one for every
+        row of spheres along the side on which contacts couple that component.
 
-        count : sites of all replicas.
-        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
-        sites : spheres of one replica.
-        """
+        count : spheres of all samples.
+        stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
+        sites : spheres of one sample."""
         total = 0
         for slot in ti.static(range(self.components)):
             side, _ = self.chain(slot, stride_x, stride_y, sites)
@@ -201,10 +199,9 @@ class BalanceKernels:
     def write(self, modes: ti.template(), place, row: ti.template(), rest):
         """Write the first `rest` numbers of a block to `modes`; in one go if the block is whole, which is faster.
 
-        place : index of the first number written.
-        row : the numbers of the block: a vector, or one number if a block is one site.
-        rest : how many of them belong to chains; if it is larger than the block, all do.
-        """
+        modes : flat array, which is changed from the index `place` on.
+        row : the numbers of the block: a vector, or one number if a block is one sphere.
+        rest : how many of them belong to chains; if it is larger than the block, all do."""
         if ti.static(self.block == 1):
             modes[place] = row
         elif rest >= self.block:

@@ -13,10 +13,10 @@ from taichi_bearings.compiler import ti
 
 @ti.func
 def length(components: ti.template()):
-    """Return the Euclidean length of a list of one or two components, each a number or a vector of sites.
+    """Return the Euclidean length of a list of one or two components. Each is a number for one site, or a vector for a
+    block of sites; so is the result.
 
-    One component needs no square root. Its sign is changed by `0.0 - x`, as Taichi's abs and minus take no vectors.
-    """
+    One component needs no square root. Its sign is changed by `0.0 - x`, as Taichi's abs and minus take no vectors."""
     if ti.static(len(components) == 1):
         return ti.select(components[0] < 0.0, 0.0 - components[0], components[0])
     return ti.sqrt(components[0] * components[0] + components[1] * components[1])
@@ -30,22 +30,22 @@ def smaller(a, b):
 
 @ti.func
 def clamp(value, low, high):
-    """Return the value if it lies within [low, high], else the nearer end."""
+    """Return `value` where it lies within [low, high], else the nearer end; for numbers, or vectors entry by entry."""
     inside = ti.select(value < low, low, value)
     return ti.select(inside > high, high, inside)
 
 
 @ti.func
 def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    """Return the friction force along D, a list with an entry for each component.
+    """Return the friction force along D, the difference of the spins of the upper and the lower sphere without its
+    component along the contact: a list with an entry for each component.
 
     Where the contact slips, |D| sharpness >= 1, its size is the friction limit; below that it grows in proportion to D,
     which replaces the jump of paper Eq. (3) (with its two cases in the right order) by a steep line.
 
-    spin_difference : D, a list of one or two components, 1/time.
+    spin_difference : D, a list of one or two components, 1/time: numbers, or vectors for a block of contacts.
     coefficients : a list that begins with the friction limit mu F_n, force.
-    sharpness : 1 over the largest |D| that counts as no slip, time.
-    """
+    sharpness : 1 over the largest |D| that counts as no slip, time."""
     friction = coefficients[0]
     if ti.static(len(spin_difference) == 1):
         return [friction * clamp(spin_difference[0] * sharpness, -1.0, 1.0)]
@@ -55,24 +55,23 @@ def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), s
 
 @ti.func
 def viscous_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    """Return the force of paper Eq. (1) divided by the radius, viscosity times D: a list with an entry for each
-    component.
+    """Return the viscous force of paper Eq. (1) divided by the radius, viscosity times D: a list with an entry for each
+    component of D, the difference of the spins of both spheres without its component along the contact.
 
-    spin_difference : D, a list of one or two components, 1/time.
+    spin_difference : D, a list of one or two components, 1/time: numbers, or vectors for a block of contacts.
     coefficients : a list that ends with the viscosity.
-    sharpness : not used; all force laws take the same arguments.
-    """
+    sharpness : not used; all force laws take the same arguments."""
     return [d * coefficients[ti.static(len(coefficients) - 1)] for d in ti.static(spin_difference)]
 
 
 @ti.func
 def coulomb_viscous_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    """Return the sum of friction and viscous force along D: a list with an entry for each component.
+    """Return the sum of friction and viscous force along D, the difference of the spins of both spheres without its
+    component along the contact: a list with an entry for each component.
 
-    spin_difference : D, a list of one or two components, 1/time.
-    coefficients : friction limit and viscosity.
-    sharpness : 1 over the largest |D| at which the contact counts as sticking.
-    """
+    spin_difference : D, a list of one or two components, 1/time: numbers, or vectors for a block of contacts.
+    coefficients : a list: friction limit, force, and viscosity.
+    sharpness : 1 over the largest |D| that counts as no slip, time."""
     held = coulomb_force(spin_difference, coefficients, sharpness)
     flowing = viscous_force(spin_difference, coefficients, sharpness)
     return [held[t] + flowing[t] for t in ti.static(range(len(held)))]

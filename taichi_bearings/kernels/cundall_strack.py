@@ -116,7 +116,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     Fields, with one number for each spin component of a sphere, or for each component of a contact's force:
 
-    gear_n : for n = 0 ... q, the n-th time derivative of the staggered spin times (time step)^n / n!.
+    gear_n : for n = 0 ... q, the n-th time derivative of the staggered spin (spin with signs by which neighbours
+        differ) times (time step)^n / n!.
     predicted, integral : the spin extrapolated to the end of the next step, and its mean over that step; the second
         only with friction.
     is_free : one number a sphere, 0 for driven ones and 1 for others.
@@ -130,18 +131,20 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     work : of each sphere's upper contacts, force times spin difference, without the last step.
     impulse : forces that pull on a driven sphere, with the last step.
 
-    Its constants, `numbers`, are those of :meth:`spring`, and response, time step * radius / inertia.
-    """
+    The constants, `numbers`, are radius * time step, stiffness of the spring, damping * radius, kinetic and static
+    friction of a contact whose coefficient is 1, compliance and memory of a spring that slips, and time step * radius /
+    inertia."""
 
     parts, numbers = 2, 8
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
-        """Set the constants for which the kernel is compiled.
+        """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every
+        site) each field stands, by axis or by spin component; and which fields there are, so that `holds` is True with
+        friction and `tally` with an energy balance.
 
         spec : names and numbers of components of the fields, in the order of their rows.
         stencil : spin components, dimension and periodic axes of the lattice.
-        corrector : coefficients of Gear's corrector, that of the spin first.
-        """
+        corrector : coefficients of Gear's corrector, that of the spin first."""
         super().__init__(stencil.block, stencil.periodic)
         slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
@@ -165,12 +168,14 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
-        """Return for some rows the number of the upper neighbour minus that of the site itself: a list of vectors.
+        """Return, for some rows, the value at the upper neighbour along an axis minus the value at the site itself: a
+        list with an entry for each row, which is a vector over the sites of a block.
 
         values : all fields, flat.
-        rows : numbers of the rows.
-        row, first : length of a row (one number of every site), and index of the first site of the block.
-        side : stride of the axis and, with periodic axes, its ring; see `load_neighbours`.
+        rows : indices of the rows; a row has one value for every site.
+        row, first : length of a row, and index in a row of the first site of the block.
+        side : list with the distance in memory to the upper neighbour; on lattices with periodic axes also with the
+            number of sites after which a ring along the axis closes, and with the place of the first site in its ring.
         """
         up = load_neighbours(values, rows, row, first, side, 1, self.block)
         return minus(up, load_each(values, places(rows, row, first), self.block))
@@ -185,13 +190,18 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         strides: ti.template(),
         numbers: ti.template(),
     ):
-        """Stretch the springs and write the forces of the contacts above the block of sites from `first` on.
+        """Stretch the springs of the contacts from a block of sites to their upper neighbours along each axis, and
+        write their elongations and forces. Without friction there are no springs: the force is coefficient *
+        numbers[2] * D, with D the difference of the spins.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
-        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        numbers : seven constants of the law of the contacts, see `spring`.
-        """
+        first : index in a row of the first site of the block.
+        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
+            of sites after which a ring along each axis closes, and the place of `first` in each ring. strides[axis::3]
+            are those of one axis.
+        numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
+            contact whose coefficient is 1, and compliance and memory of a spring that slips; others are not used."""
         if ti.static(self.tally):
             self.add_work(values, blocks, row, first, strides)
         for axis in ti.static(self.stencil.slipping_axes):
@@ -210,13 +220,14 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def add_work(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """Add force times spin difference at the end of the last step to the field `work`, for the contacts above a
-        block of spheres.
+        """Add, for the contacts from a block of sites to their upper neighbours, force times spin difference at the end
+        of the last step to the field `work` of these sites: what the contacts dissipate, up to a constant factor.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row, first : length of a row (one number of every site), and index of the first site of the block.
-        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        """
+        row : length of a row, which has one number of every site.
+        first : index in a row of the first site of the block.
+        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
+            of sites after which a ring along each axis closes, and the place of `first` in each ring."""
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):
@@ -228,15 +239,16 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        """Make Gear's step for the spins of the block of spheres from `first` on.
+        """Make one step of Gear's method for the spins of a block of spheres, by the contact forces that pull on them.
 
         The loop over the spin components is one at run time, so that its body is compiled once.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
-        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        response : time step * radius / inertia.
-        """
+        first : index in a row of the first sphere of the block.
+        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
+            of sites after which a ring along each axis closes, and the place of `first` in each ring.
+        response : time step * radius / inertia, which turns a force into the change of a spin."""
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
         for c in range(self.stencil.components):
             # the force on each sphere: that of its upper contact less that of its lower one, along each axis
@@ -258,14 +270,17 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Do one part of a step for a block of sites: 0, the contacts above them; 1, their spheres.
+        """Do one part of a step for a block of sites: part 0, stretch the springs at the contacts above them; part 1,
+        move their spheres.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row, first : length of a row (one number of every site), and index of the first site of the block.
-        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        numbers : seven constants of the law of the contacts, see `spring`, and time step * radius / inertia.
-        sweep, carried : not used; `walk` takes the same arguments in all sweeps.
-        """
+        row, first : length of a row (one number of every site), and index in it of the first site of the block.
+        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
+            of sites after which a ring along each axis closes, and the place of `first` in each ring.
+        numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
+            contact whose coefficient is 1, compliance and memory of a spring that slips, and time step * radius /
+            inertia.
+        sweep, carried : not used; `walk` takes the same arguments in all methods."""
         if ti.static(part == 0):
             self.contact_pass(values, blocks, row, first, strides, numbers)
         else:

@@ -46,12 +46,13 @@ class DescentSweeps(Sweeps):
     repeats, numbers = 2, 9
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, law: str):
-        """Set the constants for which the kernel is compiled.
+        """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every
+        site) each field stands, by axis or by spin component; and which fields there are: with `spin` sweeps have a
+        momentum, with `spin_sum` averages are taken.
 
         spec : names and numbers of components of the fields, in the order of their rows.
         stencil : spin components, dimension and periodic axes of the lattice.
-        law : name of a force law in `contact.FORCES`.
-        """
+        law : name of a force law in `contact.FORCES`."""
         super().__init__(stencil.block, stencil.periodic)
         self.slot = slot = first_slots(spec)
         self.stencil, self.force_law = stencil, FORCES[law]
@@ -74,17 +75,15 @@ class DescentSweeps(Sweeps):
 
     @ti.func
     def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return the force of the contact below the first site of a worker, along the height: a list with an entry for
-        each component that makes it slip.
-
-        Along the height a block takes this force from the block before; the first block of a worker has none before it.
+        """Return the force of the contact below a worker's first site, along the height: a list with an entry for each
+        spin component that makes it slip. (A worker is a thread, which goes through its blocks of sites in the order of
+        memory; each block takes this force from the block before, so only the first one needs it.)
 
         values : all fields, flat.
         size : length of a row, and numbers in it before the first site.
         low : number of the worker's first block.
         numbers : constants of the sweep; at place 1 is 1 over the spin difference up to which friction grows.
-        sweep : number of the sweep, whose parity says which of the two fields of points is read.
-        """
+        sweep : number of the sweep, whose parity says which of the two fields of points is read."""
         height = ti.static(self.stencil.height)
         row, first = size[0], in_range(size[1] + low * self.block)
         source = first + (sweep & 1) * self.apart * row
@@ -125,17 +124,20 @@ class DescentSweeps(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Make one sweep for the block of sites from `first` on.
+        """Make one sweep of gradient descent for a block of sites: compute the contact forces on its spheres at the
+        spins in `point` (`point_next` in odd sweeps), move their spins, and write these into the other one of both
+        fields.
 
         part : not used, as a sweep has one part.
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row : length of a row, which has one number of every site.
-        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        row, first : length of a row (one number of every site), and index in it of the first site of the block.
+        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the sites
+            after which a ring along each axis closes, and the place of `first` in each ring.
         numbers : step; sharpness, 1 over the spin difference up to which friction grows; three lower and three upper
             ends of the interval in which spins stay; 1 to add spins and forces to their sums, else 0.
         sweep : number of the sweep since the momentum was last set to zero.
-        carried : force of the contact below the block along the height, see `add_along_the_height`.
-        """
+        carried : list with the force of the contact below the block, along the height; replaced by that below the next
+            block."""
         step, sharpness, low, high, averaging = numbers[0], numbers[1], numbers[2:5], numbers[5:8], numbers[8] > 0.0
         parity, beta = sweep & 1, momentum(sweep)
         source, target = first + parity * self.apart * row, first + (1 - parity) * self.apart * row

@@ -15,16 +15,16 @@ class ContactStep(Sweeps):
     """The pass over all contacts of an iteration of operator splitting: first at the contacts, then the sum at each
     sphere.
 
-    Its fields are those of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplittingMethod`. A contact has a
-    number for each spin component that makes it slip, D is the difference of spins across it, and f is the trial force
-    cut off at the friction limit.
+    Fields, with one number at each site for each spin component that makes the contact slip (`friction`: for each axis;
+    `pull`: for each spin component). D is the difference of spins across a contact, f its trial force cut off at the
+    friction limit:
 
     friction : friction limit mu F_n of the contact above each site along each axis, ABSENT_FRICTION where there is
         none.
     trial : v, the force that each contact would need, before friction limits it.
     spring : the force of each spring, weight D(potential) - (trial - 2 f).
     potential : the spins in units of force, stiffness * spin; the stiffness is part of it, so kernels need not know it.
-    pull : sum of the spring forces on each sphere, for each spin component.
+    pull : sum of the spring forces on each sphere.
 
     Its constants, `numbers`: weight (relative stiffness) of the springs sideways, weight along the height, relaxation.
     """
@@ -32,11 +32,11 @@ class ContactStep(Sweeps):
     parts, numbers = 2, 3
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
-        """Set the constants for which the kernel is compiled.
+        """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every
+        site) each field stands, by axis or by spin component.
 
         spec : names and numbers of components of the fields, in the order of their rows.
-        stencil : spin components, dimension and periodic axes of the lattice.
-        """
+        stencil : spin components, dimension and periodic axes of the lattice."""
         super().__init__(stencil.block, stencil.periodic)
         self.together = 1  # solving for the spins comes between two of these steps
         self.slot, self.stencil = first_slots(spec), stencil
@@ -86,13 +86,15 @@ class ContactStep(Sweeps):
     def limit_block(
         self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), numbers: ti.template()
     ):
-        """Write new trial and spring forces of the contacts above the block of sites from `first` on.
+        """Write new trial and spring forces of the contacts from a block of sites to their upper neighbours. The new
+        trial force is the old one, cut off at the friction limit, and changed by the difference of the potentials; the
+        spring force is weight * that difference - (trial - 2 * trial cut off).
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row : length of a row, which has one number of every site.
-        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
-        """
+        row, first : length of a row (one number of every site), and index in it of the first site of the block.
+        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
+            of sites after which a ring along each axis closes, and the place of `first` in each ring.
+        numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha."""
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
             up = load_neighbours(values, self.potential[axis], row, first, strides[axis::3], 1, self.block)
@@ -105,12 +107,13 @@ class ContactStep(Sweeps):
 
     @ti.func
     def gather_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """Write the sum of the spring forces on each sphere of the block from `first` on into the field `pull`.
+        """Write the sum of the spring forces on each sphere of a block, upper contacts less lower ones, into the field
+        `pull`, by spin component.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row : length of a row, which has one number of every site.
-        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
-        """
+        row, first : length of a row (one number of every site), and index in it of the first sphere of the block.
+        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
+            of sites after which a ring along each axis closes, and the place of `first` in each ring."""
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
@@ -128,11 +131,11 @@ class ContactStep(Sweeps):
 
         part : 0 for the contacts, 1 for the spheres.
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row, first : length of a row (one number of every site), and index of the first site of the block.
-        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        row, first : length of a row (one number of every site), and index in it of the first site of the block.
+        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
+            of sites after which a ring along each axis closes, and the place of `first` in each ring.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
-        sweep, carried : not used; `walk` takes the same arguments in all sweeps.
-        """
+        sweep, carried : not used; `walk` takes the same arguments in all methods."""
         if ti.static(part == 0):
             self.limit_block(values, blocks, row, first, strides, numbers)
         else:

@@ -15,14 +15,14 @@ from taichi_bearings.lattice.layout import Layout
 
 @dataclass(frozen=True)
 class Stencil:
-    """Constants that a kernel is compiled for.
+    """Constants that a kernel is compiled for. The last axis is the height; neighbours along it stand side by side in
+    memory.
 
     spin_axes : spin components that are computed, by number of their axis, e.g. (2,) in 2D or (0, 1) in 3D driven in
         the xy plane.
-    dimension : 2 or 3; the height is the last axis and runs along memory.
-    block : sites that are updated together (see Layout).
-    periodic : axes that close on themselves.
-    """
+    dimension : 2 or 3.
+    block : number of sites that are worked on together: neighbours in memory, 1 on a GPU.
+    periodic : axes that close on themselves."""
 
     spin_axes: tuple[int, ...]
     dimension: int
@@ -54,10 +54,9 @@ class Stencil:
 
     @property
     def coupled_sides(self) -> tuple[int, ...]:
-        """For each spin component the horizontal axis whose contacts couple it, 0 for x or 1 for y.
-
-        It is not asked for if spins about the height are computed, which are coupled along both.
-        """
+        """For each spin component the horizontal axis along which contacts couple it, 0 for x or 1 for y. (Contacts
+        along a spin's own axis do not.) Not to be used if spins about the height are computed, which contacts along
+        both couple."""
         sides = range(self.height)
         return tuple(next(axis for axis in sides if axis != component) for component in self.spin_axes)
 
@@ -69,17 +68,17 @@ class Stencil:
         return sum(map(len, self.slip_components))
 
     def spin_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
-        """Return for each axis the rows of the spin components that make its contacts slip.
+        """Return for each axis a tuple of the rows of the spin components that make its contacts slip; a row is one
+        number of every site.
 
-        first : row of the first spin component.
-        """
+        first : row of the first spin component."""
         return tuple(tuple(first + slot for slot in slots) for slots in self.slip_components)
 
     def force_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
-        """Return for each axis the rows of the components of its contact forces.
+        """Return for each axis a tuple of the rows of its contact forces, one for each spin component that makes them
+        slip; a row is one number of every site.
 
-        first : row of the first component of the first axis; those of the other axes follow.
-        """
+        first : row of the first component of the first axis; those of the other axes follow."""
         ends = list(accumulate(map(len, self.slip_components), initial=first))
         return tuple(tuple(range(begin, end)) for begin, end in pairwise(ends))
 

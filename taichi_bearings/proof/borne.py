@@ -81,8 +81,8 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     exact = ExactMotions.of(network, number, rests)
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
     friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
-    # Step 1: contacts in loops rest where they surely bear less than their limit. Steps 2 to 5: exactly rolling
-    # contacts.
+    # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
+    # below all their limits can replace the optimal one.
     pieces_of_q = friction_bounds.split_into_pieces()
     for piece in pieces_of_q:
         found[piece.contacts] = piece.largest < network.holding.least[piece.contacts]

@@ -51,7 +51,7 @@ from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, 
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
 
-MOST_SLIP_TURN = 0.25  # largest change of a slip, over its size, for which 0.72 of step 1 holds
+MOST_SLIP_TURN = 0.25  # largest change of a slip, over its size, up to which a slip resists by 0.72 of its curvature
 CURVATURE_TRIALS = 4  # number of trials, each but the first from spins that a step of Newton's method has improved
 RIGID_STIFFNESS = 10.0  # stiffness mu F_n / |z| over the median, beyond which a contact holds a cluster together
 CURVATURE_SHARE = 1e-7  # first guess of tau, which most networks exceed by far
@@ -252,7 +252,7 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
-    # Step 2: rho = 1.5 |g| / tau, as 1.5 > 1 / 0.72 = 1.39. Each block has a radius of its own.
+    # The minimum is within rho = 1.5 |g| / tau of these spins, as 1.5 > 1 / 0.72. Each block has its own radius.
     def turn(tau: float) -> np.ndarray:
         """Return the bound (n,) on the change of each slip over its size that follows if the curvature is at least
         `tau` times its diagonal."""

@@ -148,7 +148,7 @@ class _Parts:
         everything, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
         network, place = self.network, self.network.graph.place[sphere].T
         samples = network.samples_of(sphere)
-        # Step 1: choose J, unknowns without which no pivot is nearly 0. All others follow.
+        # Choose some unknowns such that no pivot of the others is nearly 0. All others follow from them.
         elimination = Elimination.of((self.rows.T @ self.rows).tocsc(), place, network.parts_of(sphere), samples)
         follows = ~elimination.dependent(NULL_PIVOT)
         # A slip has two components. Parts without more of these conditions than unknowns outside J have nothing to
@@ -159,7 +159,7 @@ class _Parts:
         enough = enough[self.of_unknown] | (np.bincount(samples.of, follows, samples.count) == 0)[samples.of]
         if enough.any():
             return self._spheres(enough)
-        # Steps 2 to 5: s^2 for the other unknowns, and the motions that follow from J and from what is imposed.
+        # A floor tau of eigenvalues for the others, and the motions that follow from chosen and imposed numbers.
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
         parts, followers = network.parts_of(sphere[follows]), network.samples_of(sphere[follows])
         elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows], parts, followers)

@@ -196,8 +196,9 @@ class Piece:
         beside = bounds.network.counts & touches[bounds.network.graph.contact].any(axis=0)
         beside[contacts] = False
         others = np.flatnonzero(beside)
-        # Step 1: N and Y. Torques that F leaves over, with what rounding adds to them: 4 roundings for each of the
-        # `terms` terms of the longest sum. E f, and 16 roundings as the tangents are orthonormal up to rounding only.
+        # Friction along loops, and the inverse by which the rest follows from torques. Then what rounding adds: to the
+        # torques left over 4 roundings for each of the `terms` terms of the longest sum; to the change of friction what
+        # the splitting misses, and 16 roundings, as the tangents are orthonormal up to rounding only.
         loops, inverse = _loops_and_inverse(rows)
         terms = 2 * (len(contacts) + len(others)) + len(unknowns) + 64
         torque = (bounds.left_over + 4 * terms * EPS * bounds.sum_at_spheres(most_change))[bounds.sphere[unknowns]]
@@ -205,10 +206,10 @@ class Piece:
             most_change[contacts], 2
         )
         by_rounding = weighted_lengths(by_rounding[:, None]) + 16 * EPS * most_change[contacts]
-        # Step 2: M^T f is minus what the other contacts bring to these spheres.
+        # The torques of the change f are minus what the other contacts bring to these spheres.
         by_others = -inverse.T @ bounds.rows[tangent_rows(others)][:, unknowns].toarray().T
         most_off_loops = (block_norms(by_others) @ most_change[others] + by_rounding) * UP
-        # Steps 3 and 4: intervals of c, and the bound on |F*|.
+        # Intervals of the friction c along loops, and the bound on the size of optimal friction.
         tangents, force = bounds.tangents[contacts], bounds.friction[contacts]
         middle, half_length = _loop_intervals(
             loops, np.einsum("cak,ck->ca", tangents, force), bounds.most_friction[contacts] + most_off_loops

@@ -65,7 +65,7 @@ from taichi_bearings.proof.springs import floor_of_slips, numbered, slip_rows
 # A contact is put into S if its slip exceeds this share of the fastest imposed component: any choice is safe, since a
 # wrong one only makes the proof fail.
 MOVING = 1e-10
-MOST_TURN = 0.25  # largest change of a slip, over its size, for which the factor 0.72 of step 2 holds
+MOST_TURN = 0.25  # largest change of a slip, over its size, up to which friction resists by 0.72 of its curvature
 TINY = 1e-290  # added to bounds that might underflow
 # The four numbers below belong to Newton's method, of which nothing has to be proven.
 FIRM = 1e4  # factor of the rows of T over those of a contact with the median slip, to precondition conjugate gradients
@@ -87,10 +87,10 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     that bound. proven : (R,) mask of the samples for which all this is proven. Of several samples only the given spins
     are tried, of a single one improved spins as well."""
     network, unknown = bounds.network, bounds.unknown
-    longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
+    longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # the proof takes normals for units
     if unknown is None or not longest < UP:
         return None
-    # Step 1: guess which contacts slip (S) and which rest (T), find the motions in which contacts of T roll exactly,
+    # Guess which contacts slip (S) and which rest (T), find the motions in which contacts of T roll exactly,
     # and prove that the slips of the other contacts of T are independent.
     moves = (network.slip.value > MOVING * network.box.max()) | (network.holding.high == 0)
     slides, number = network.counts & moves, numbered(unknown)
@@ -100,7 +100,7 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     least_other = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), others, sharp=True)
     if not (least_other > 0).any():
         return None
-    # Steps 2 and 3, from the given spins, and if that fails from spins that Newton's method has improved.
+    # Find the only minimum near, from the given spins, and if that fails from spins that Newton's method has improved.
     near = Near(network, exact, np.sqrt(least_other) / UP, number, slipping, resting, network.spin, bounds.friction)
     distance, proven = near.proven_distance()
     if network.count == 1 and not proven.any():
@@ -387,7 +387,7 @@ class Near:
             np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts)),
             self.network.graph.contact[:, self.slipping],
         )
-        # Distance to V, the spins at which resting contacts do not slip: by step 1 a change of spins by no more than
+        # Distance to V, the spins at which resting contacts do not slip: a change of spins by no more than
         # (norm of these slips) / (singular value) takes them away. The slip of a contact changes by up to twice that.
         missed = np.sqrt(sum(self._norms(p.most[others], self.network.sample_of(others)) ** 2 for p in self.slips))
         off = np.where(missed > 0, missed / self.floor_of_other_contacts * UP, 0.0)

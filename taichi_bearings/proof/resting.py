@@ -95,8 +95,8 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     known, distance = known_friction(bounds, far)
     margin = (network.holding - length(network.own_friction)).lower()
     rests = network.counts & ~known & (margin > 0) & imposed_exactly(network)
-    # Step 3: X begins as all contacts that have friction left. Each round computes r from the contacts outside X, then
-    # what forces of X may change by, and removes the contacts that may have to bear too much.
+    # Begin with all contacts that have friction left. Each round bounds the torques by the contacts outside, then
+    # how much friction may have to change, and removes the contacts that may have to bear too much.
     while rests.any():
         change = np.zeros(len(margin))
         for k in network.components:

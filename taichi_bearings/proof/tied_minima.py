@@ -344,13 +344,13 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     saturated = Saturated.of(motion)
     if saturated is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
-    # Step 1: hold one domain_tc, and for step 4 one domain_tc0, of each wide domain.
+    # Hold one domain_tc of each wide domain, for one minimum; and one domain_tc0, to exclude other motions below.
     pulls = _pulls(motion, contacts, saturated)
     between = BetweenTwo.of(pulls, contacts)
     held, held_tc0 = (_held(pulls, label, between) for label in (pulls.domain_tc, pulls.domain_tc0))
     if held is None or held_tc0 is None or not (held.any() or not pulls.in_s.all()):
         return None
-    # Steps 2 and 3; then 4, the curvature that excludes other motions; then 5.
+    # The minimum with these held; then the curvature that excludes other motions; then what shortest paths say.
     near = _minimum_with_held(motion, pulls, between, held, saturated)
     if near is None:
         return None
@@ -505,7 +505,7 @@ def _minimum_with_held(
     if near is None:
         return None
     found, turn = near
-    # Step 3: the pulls that were taken as known keep their signs at u* and cancel, and T bears the rest.
+    # The pulls that were taken as known keep their signs at u* and cancel, and T bears the rest.
     known = pulls.felt & ~pulls.turned_by & pulls.in_s
     signs = np.array([np.sign(part.high) for part in found.difference])
     same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
