@@ -48,7 +48,7 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
             reason = reason_against(stored, size)
         with stored:
             if reason:
-                raise FileError(f"{path} is not read: {reason}")
+                raise FileError(f"{path} is refused: {reason}")
             yield stored
     except UNREADABLE as error:
         words = " ".join(str(error).strip("'").split())

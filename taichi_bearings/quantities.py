@@ -163,7 +163,8 @@ exceeds the friction limit."""
 SPHERES = _named(
     [
         Quantity("spin", "1/time", "angular velocity in the laboratory frame", lambda s: s.spin),
-        Quantity("spin_rounding", "1/time", "part of the spins that doubles cannot hold: they are the sums of both",
+        Quantity("spin_rounding", "1/time",
+                 "remainder of the spins beyond double precision: the spins are `spin` plus this",
                  lambda s: s.spin_rounding if s.spin_rounding.any() else None),
     ]
 )
@@ -182,19 +183,20 @@ CONTACTS = _named(
 
 CHECK_ROWS = _named(
     [
-        Quantity("iteration", "1", "iterations done"),
+        Quantity("iteration", "1", "number of iterations done"),
         Quantity("seconds", "s", "wall time of the solve, without compilation"),
         Quantity("time", "time", "simulated time"),
         Quantity("power", "energy/time", "power dissipated by the spins"),
         Quantity("potential", "energy/time", "dissipation potential of the spins; lower_bound bounds its least value"),
         Quantity("lower_bound", "energy/time", "best lower bound on the least power (or potential) proven so far"),
-        Quantity("slipping", "1", "contacts that slip at this moment"),
+        Quantity("slipping", "1", "number of contacts that slip at this moment"),
         Quantity("kinetic_energy", "energy", "kinetic energy of the free spheres"),
         Quantity("spring_energy", "energy", "energy stored in the springs of the contacts"),
         Quantity("injected_energy", "energy", "work of the driven spheres since the start"),
         Quantity("dissipated_energy", "energy", "energy dissipated at the contacts since the start"),
         Quantity("energy_residual", "1", "error of the energy balance, as a share of the energy put in or dissipated"),
-        Quantity("largest_balance_residual", "force*length", "largest torque out of balance on a free sphere"),
+        Quantity("largest_balance_residual", "force*length",
+                 "largest net torque on a free sphere, 0 where all torques balance"),
     ]
 )
 """Columns of the history, with one value for each check during a solve."""
@@ -203,46 +205,50 @@ SAMPLES = _named(
     [
         Quantity("power", "energy/time", "power dissipated by the spins, an upper bound on the least power",
                  lambda a: a.solution.power, "P"),
-        Quantity("potential", "energy/time", "dissipation potential; lower bound and gap are of it, not of the power",
+        Quantity("potential", "energy/time",
+                 "dissipation potential; lower_bound and gap belong to it, not to the power",
                  lambda a: None if a.solution.scene.law.minimises == "power" else a.solution.objective),
         Quantity("lower_bound", "energy/time", "proven lower bound on the least power, or on the least potential",
                  lambda a: a.solution.lower_bound, r"P_\mathrm{low}"),
         Quantity("gap", "1", "(power - lower_bound) / power, or with the potential instead of the power; 0 where"
                  " a state without any slip is proven to exist",
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
-        Quantity("status", "1", "how it ended: certified (the gap is within the tolerance), stationary or finished"
-                 " (a dynamics), stalled, step-limit, time-limit, interrupted, not-finite; in scans also failed",
+        Quantity("status", "1", "how the solve ended: certified (the gap is within the tolerance), stationary or"
+                 " finished (a dynamics), stalled, step-limit, time-limit, interrupted, not-finite; in scans also"
+                 " failed",
                  lambda a: [status.value for status in a.ended]),
         Quantity("method", "1", "method that solved the sample", lambda a: a.solution.method),
         Quantity("law", "1", "contact law", lambda a: a.solution.scene.law.name),
-        Quantity("shape", "1", "spheres along each axis, height last",
+        Quantity("shape", "1", "number of spheres along each axis, height last",
                  _shape),
-        Quantity("spheres", "1", "spheres of a packing", _fact("spheres")),
-        Quantity("driven_spheres", "1", "driven spheres of a packing",
+        Quantity("spheres", "1", "number of spheres of a packing", _fact("spheres")),
+        Quantity("driven_spheres", "1", "number of driven spheres of a packing",
                  _fact("driven_spheres")),
         Quantity("seed", "1", "seed from which the coefficients are drawn", lambda a: list(a.solution.scene.seeds)),
-        Quantity("iterations", "1", "iterations of the method",
+        Quantity("iterations", "1", "number of iterations of the method",
                  _iterations),
         Quantity("seconds", "s", "wall time of the solve, without compilation; an equal share for seeds solved"
                  " together",
                  lambda a: a.solution.seconds, r"t_\mathrm{solve}"),
         Quantity("seconds_compile", "s", "wall time to load and compile the kernels",
                  lambda a: a.solution.seconds_compile),
-        Quantity("contacts", "1", "contacts that take part: all but those between driven spheres and absent ones; their"
-                 " sum is that of slipping, slipless, tied and undecided ones",
+        Quantity("contacts", "1", "number of contacts, without absent ones and those between driven spheres: the sum of"
+                 " slipping, slipless, tied and undecided",
                  lambda a: _contacts(a.solution), r"N_\mathrm{contacts}"),
-        Quantity("slipping", "1", "contacts that slip at every minimum; of a dynamics, that slip now",
+        Quantity("slipping", "1", "number of contacts that slip in every state of least power; in a dynamics: that slip"
+                 " at its end",
                  lambda a: count(a.solution.state, ContactState.SLIPPING), r"N_\mathrm{slipping}"),
-        Quantity("slipless", "1", "contacts that slip at no minimum; of a dynamics, that do not slip now",
+        Quantity("slipless", "1", "number of contacts that slip in no state of least power; in a dynamics: that do not"
+                 " slip at its end",
                  lambda a: count(a.solution.state, ContactState.SLIPLESS), r"N_\mathrm{slipless}"),
-        Quantity("tied", "1", "contacts that slip at some minima and not at others, proven",
+        Quantity("tied", "1", "number of contacts proven to slip in some states of least power and not in others",
                  lambda a: count(a.solution.state, ContactState.TIED)),
-        Quantity("undecided", "1", "contacts whose state is not proven, and whose slip and friction hint at different"
-                 " states",
+        Quantity("undecided", "1", "number of contacts of which neither a proof nor slip and force together say whether"
+                 " they slip",
                  lambda a: count(a.solution.state, ContactState.UNDECIDED)),
-        Quantity("states_proven", "1", "whether the state of every contact is proven",
+        Quantity("states_proven", "1", "whether it is proven of every contact that it slips, does not slip or is tied",
                  lambda a: a.solution.states_proven),
-        Quantity("unproven", "1", "contacts whose state is not proven",
+        Quantity("unproven", "1", "number of contacts of which it is not proven whether they slip",
                  lambda a: a.solution.unproven),
         Quantity("largest_slipless_slip", "length/time", "largest slip of a slipless contact",
                  _of_unique_slips(lambda a: _separation(a).largest_slipless)),
@@ -253,8 +259,8 @@ SAMPLES = _named(
                  _of_unique_slips(_decades)),
         Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
-        Quantity("largest_balance_residual", "force*length", "largest component of the torque out of balance on"
-                 " a free sphere; for packings divided by its radius",
+        Quantity("largest_balance_residual", "force*length", "largest component of the net torque on a free"
+                 " sphere, 0 where all torques balance; for packings divided by the radius of the sphere",
                  lambda a: a.solution.largest_balance_residual),
         Quantity("spin_top", "1/time", "spin of the top plane",
                  _fact("spin_top"), r"\omega_T"),
@@ -263,11 +269,11 @@ SAMPLES = _named(
         Quantity("normal_force", "force", "normal force at every contact",
                  _fact("normal_force"), "F_n"),
         Quantity("radius", "length", "radius of the spheres", _fact("radius"), "R"),
-        Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),
+        Quantity("version", "1", "version of the program that solved the sample", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force radius |spin_top|)",
                  _normalised, r"P\,/\,(F_n R\,\omega_T)"),
-        Quantity("minimum_is_unique", "1", "true: proven that no other slips have the least power; false: proven that"
-                 " others do",
+        Quantity("minimum_is_unique", "1", "true: proven that only these slips have the least power; false: proven that"
+                 " other slips have it too",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time", _at_end("time")),
         Quantity("duration", "time", "simulated time that was asked for",
@@ -282,102 +288,103 @@ SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of 
 FINDINGS = _named(
     [
         Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
-        Quantity("driven_power", "energy/time", "power of the contacts between driven spheres of a packing"),
-        Quantity("slipless_motions", "1", "independent motions without any slip, while the driven spheres rest, of"
-                 " the free"
-                 " spheres that contacts connect to driven ones; of packings"),
+        Quantity("driven_power", "energy/time", "packings: power dissipated by contacts between two driven spheres"),
+        Quantity("slipless_motions", "1", "packings: number of independent motions that cause no slip while the"
+                 " driven spheres rest, of the free spheres that contacts connect to driven ones"),
         Quantity("cut_is_unique", "1", "whether the minimum cut is the only one: every other cut is heavier"),
-        Quantity("next_cut_over_minimum", "1", "weight of the lightest other cut over that of the minimum cut"),
-        Quantity("step_error", "1", "estimated error of the spins due to the time step, over the largest spin"),
-        Quantity("accurate_time_step", "time", "time step that keeps that error below 0.01"),
+        Quantity("next_cut_over_minimum", "1", "power of the second weakest cut divided by that of the minimum cut"),
+        Quantity("step_error", "1", "estimated error of the spins due to the time step, divided by the largest spin"),
+        Quantity("accurate_time_step", "time", "time step with which step_error, an error of the spins, is below 0.01"),
         Quantity("elastic_share", "1",
-                 "largest elongation of a spring over the distance that the driven planes slid past each other"),
+                 "largest elongation of a spring, divided by the distance that the driven planes slid past each other"),
         Quantity("rest_time", "time", "simulated time at which the motion came to rest"),
         Quantity("yields", "1", "whether the torque is more than friction can withstand, so that the top moves"),
         Quantity("yield_torque", "force*length", "torque above which the top is proven to move"),
         Quantity("yield_torque_lower_bound", "force*length", "torque up to which friction is proven to hold the top"
                  " at rest"),
-        Quantity("amplitude", "1", "speed of the motion under the torque over the imposed one; 0 where friction holds"
-                 " the top"),
-        Quantity("newton_steps", "1", "matrix factorisations made by the method rigid-limit"),
+        Quantity("amplitude", "1", "spin of the top under the torque, divided by its imposed spin; 0 where friction"
+                 " holds the top at rest"),
+        Quantity("newton_steps", "1", "number of matrix factorisations made by the method rigid-limit"),
     ]
 )
 """Further numbers and words of samples, which some methods find (`Solution.findings`)."""
 
 STRUCTURE = {
     "minimum cut": [
-        Quantity("power_minimum_cut", "energy/time", "power of the minimum cut: the lightest interface of two rigid"
-                 " domains",
+        Quantity("power_minimum_cut", "energy/time", "power of the minimum cut: the least power if every sphere"
+                 " turns with the bottom or with the top",
                  lambda s: s.interface and s.interface.power, r"P_\mathrm{cut}"),
         Quantity("power_over_cut", "1", "power / power_minimum_cut",
                  lambda s: s.interface and _over(s.power, s.interface.power), r"P\,/\,P_\mathrm{cut}"),
-        Quantity("cut_is_unique", "1", "every other interface of two rigid domains is proven to be heavier",
+        Quantity("cut_is_unique", "1", "whether every other cut is proven to have a larger power than the minimum cut",
                  lambda s: s.interface and s.interface.unique),
-        Quantity("next_cut_over_cut", "1", "power of the lightest other interface over power_minimum_cut",
+        Quantity("next_cut_over_cut", "1", "power of the second weakest cut divided by power_minimum_cut",
                  lambda s: s.interface and _over(s.interface.next_power, s.interface.power),
                  r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
-        Quantity("cut_contacts", "1", "contacts of the minimum cut",
+        Quantity("cut_contacts", "1", "number of contacts of the minimum cut",
                  lambda s: s.interface and s.interface.contacts.sum(), r"N_\mathrm{cut}"),
         Quantity("slipping_contacts_are_the_cut", "1", "the contacts of the minimum cut slip, and no others",
                  lambda s: s.interface and np.array_equal(s.state == ContactState.SLIPPING, s.interface.contacts)),
     ],
     "slipless network": [
-        Quantity("slipless_fraction", "1", "slipless contacts over all that can slip",
+        Quantity("slipless_fraction", "1", "share of the contacts that do not slip",
                  lambda s: s.contacts_in(ContactState.SLIPLESS) / s.movable if s.movable else None,
                  r"N_\mathrm{slipless}\,/\,N_\mathrm{contacts}"),
-        Quantity("components", "1", "connected pieces of the slipless network", lambda s: s.network.components),
-        Quantity("spans", "1", "slipless contacts join bottom and top", lambda s: s.network.spans),
+        Quantity("components", "1", "number of connected pieces of the slipless network",
+                 lambda s: s.network.components),
+        Quantity("spans", "1", "whether slipless contacts join bottom and top", lambda s: s.network.spans),
         Quantity("reached_fraction", "1", "share of the free spheres that touch a slipless contact",
                  lambda s: s.network.reached_fraction),
         Quantity("spanning_fraction", "1", "share of the free spheres in the piece that joins bottom and top",
                  lambda s: s.network.spanning_fraction),
-        Quantity("shortest_path", "contacts", "length of the shortest slipless path from bottom to top",
+        Quantity("shortest_path", "contacts", "number of contacts on a shortest slipless path from bottom to top",
                  lambda s: len(s.network.path) - 1 if len(s.network.path) else np.nan, r"\ell_\mathrm{min}"),
-        Quantity("planes_crossed", "1", "lattice planes across x (and y) that the shortest path goes through",
+        Quantity("planes_crossed", "1", "number of lattice planes normal to x (and to y) that the shortest path visits",
                  lambda s: s.network.path_planes),
-        Quantity("disjoint_paths", "1", "slipless paths from bottom to top that share no contact",
+        Quantity("disjoint_paths", "1", "largest number of slipless paths from bottom to top that share no contact",
                  lambda s: s.network.disjoint_paths, r"N_\mathrm{paths}"),
-        Quantity("winds_x", "1", "slipless contacts form a loop around the periodic lattice along x",
+        Quantity("winds_x", "1", "whether slipless contacts form a loop around the periodic lattice along x",
                  lambda s: s.network.winds_around(0)),
-        Quantity("winds_y", "1", "slipless contacts form a loop around the periodic lattice along y",
+        Quantity("winds_y", "1", "whether slipless contacts form a loop around the periodic lattice along y",
                  lambda s: s.network.winds_around(1)),
         Quantity("spanning_winds_x", "1",
-                 "slipless contacts joined to bottom and top form a loop around the lattice along x",
+                 "whether slipless contacts joined to bottom and top form a loop around the lattice along x",
                  lambda s: s.network.winds_around(0, spanning=True)),
         Quantity("spanning_winds_y", "1",
-                 "slipless contacts joined to bottom and top form a loop around the lattice along y",
+                 "whether slipless contacts joined to bottom and top form a loop around the lattice along y",
                  lambda s: s.network.winds_around(1, spanning=True)),
     ],
     "rigid domains": [
-        Quantity("domains", "1", "rigid domains", lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
-        Quantity("domains_locked_to", "1", "rigid domains, by the driven planes that they are locked to",
+        Quantity("domains", "1", "number of rigid domains", lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
+        Quantity("domains_locked_to", "1", "number of rigid domains, for each kind of lock to the driven planes",
                  lambda s: s.rigid_domains.domains_of_kind()),
-        Quantity("free_spheres_locked_to", "1", "free spheres, by the driven planes that their rigid domain is locked"
-                 " to",
+        Quantity("free_spheres_locked_to", "1", "number of free spheres, for each kind of lock of their rigid domain"
+                 " to the driven planes",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
-        Quantity("largest_intermediate_domain", "1", "spheres of the largest rigid domain not locked to one plane",
+        Quantity("largest_intermediate_domain", "1",
+                 "number of spheres of the largest rigid domain that is not locked to one driven plane",
                  lambda s: s.rigid_domains.largest_intermediate),
-        Quantity("largest_domain", "1", "free spheres of the largest rigid domain",
+        Quantity("largest_domain", "1", "largest number of free spheres in one rigid domain",
                  lambda s: np.bincount(s.rigid_domains.domain[s.network.free]).max(initial=0)),
         Quantity("largest_spread_in_a_domain", "1/time", "largest difference of a spin from the mean of its rigid"
                  " domain",
                  lambda s: s.rigid_domains.spread),
     ],
     "bottlenecks": [
-        Quantity("connected_pairs", "1", "pairs of a bottom and a top sphere joined by slipless paths over free"
-                 " spheres",
+        Quantity("connected_pairs", "1", "number of pairs of a bottom and a top sphere that a slipless path over"
+                 " free spheres joins",
                  lambda s: s.bottlenecks.betweenness.pairs),
         Quantity("mean_distance", "contacts", "mean number of contacts on a shortest path from bottom to top",
                  lambda s: _if_spans(s, s.bottlenecks.betweenness.mean_distance), r"\langle \ell \rangle"),
-        Quantity("betweenness_is_exact", "1", "whether shortest paths were counted from all spheres, not only from"
-                 " some",
+        Quantity("betweenness_is_exact", "1", "whether shortest paths were counted from all driven spheres, not from"
+                 " a random sample of them",
                  lambda s: s.bottlenecks.betweenness.is_exact),
         Quantity("busiest_link_share", "1", "share of the shortest paths through the busiest contact",
                  lambda s: _if_spans(s, s.bottlenecks.share.max(initial=0.0))),
-        Quantity("backbone_links", "1", "contacts that lie on some slipless path from bottom to top",
+        Quantity("backbone_links", "1", "number of contacts that lie on some slipless path from bottom to top",
                  lambda s: s.bottlenecks.backbone.sum()),
-        Quantity("parting_links", "1", "contacts each of which alone, if removed, parts bottom and top (or two driven"
-                 " bodies)",
+        Quantity("parting_links", "1", "number of contacts each of which, if removed, leaves no slipless path from"
+                 " bottom to top (or between two driven bodies)",
                  lambda s: s.bottlenecks.parting.sum()),
         Quantity("effective_links", "1", "effective number of contacts that share the shortest paths (participation"
                  " number)",
@@ -386,14 +393,14 @@ STRUCTURE = {
                  lambda s: s.bottlenecks.most_loaded()),
     ],
     "forces": [
-        Quantity("self_stress_states", "1", "states of self-stress: independent slipless forces that balance; 0 if"
-                 " these forces are unique",
+        Quantity("self_stress_states", "1", "number of independent sets of forces on slipless contacts that balance"
+                 " without driving; 0 if the forces of slipless contacts are unique",
                  lambda s: s.self_stress),
-        Quantity("driving_torque", "force*length", "torque from top to bottom, by component",
+        Quantity("driving_torque", "force*length", "torque that the top passes to the bottom, for each spin component",
                  lambda s: s.torque_flow.total.tolist()),
         Quantity("slipless_share_of_torque", "1", "share of the torque that slipless contacts carry between layers",
                  lambda s: s.torque_flow.slipless_share),
-        Quantity("mean_saturation", "1", "mean share of their friction limit that slipless contacts bear",
+        Quantity("mean_saturation", "1", "mean of force / friction limit over the slipless contacts",
                  lambda s: s.mean_saturation),
     ],
 }
@@ -402,10 +409,10 @@ ANALYSED = _named(row for rows in STRUCTURE.values() for row in rows)  # the sam
 
 OF_SCANS = _named(
     [
-        Quantity("L", "1", "spheres along a side", symbol="L"),
+        Quantity("L", "1", "number of spheres along the height", symbol="L"),
         Quantity("stiffness", "force/length", "stiffness of the springs", symbol="K_t"),
         Quantity("damping", "force*time/length", "damping of the springs", symbol="A_t"),
-        Quantity("warnings", "1", "warnings: sentences on how the result could be misread"),
+        Quantity("warnings", "1", "warnings: sentences that say how the result could be misread"),
         Quantity("sample", "1", "name of the sample; equal settings give equal names"),
         Quantity("error", "1", "why the sample has no result"),
     ]

@@ -99,7 +99,7 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> F
             with stage(name):
                 scalars = [of["scalars"] for several in run_samples(units[:most], engines[name]) for of in several]
             if errors := [of["error"] for of in scalars if "error" in of]:
-                raise BearingsError(f"{name} has no result for a sample: {errors[0]}")
+                raise BearingsError(f"{name} could not solve a sample: {errors[0]}")
             return (time.perf_counter() - began) / number, float(np.mean([of["states_proven"] for of in scalars]))
 
         for name in known:  # every worker starts, and compiles what it needs

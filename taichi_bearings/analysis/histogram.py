@@ -125,7 +125,8 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> Samp
     first, bins = int(used.min()), int(np.ptp(used)) + 1
     if bins > MOST_POWER_BINS:
         raise InputError(
-            f"the powers of the samples span {bins / bins_per_decade:.3g} decades; no scan can hold so many"
+            f"the powers of the samples span {bins / bins_per_decade:.3g} decades, too many for one histogram; "
+            "use fewer bins per decade or fewer samples"
         )
     count = np.zeros((len(fine.count), bins), dtype=int)
     sample, column = np.nonzero(fine.count)

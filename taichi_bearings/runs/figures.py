@@ -15,6 +15,7 @@ from taichi_bearings.plots.spins import draw_power, draw_spins
 from taichi_bearings.plots.structure import draw_domains, draw_network
 from taichi_bearings.plots.style import describe, driving, mathematics
 from taichi_bearings.scene import Solution
+from taichi_bearings.words import counted
 
 FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
 """Functions that draw the figures of `bearings analyse`, by name, from the structure of a sample."""
@@ -51,9 +52,7 @@ def draw_figure(
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):
-        raise InputError(
-            f"replica is {sample}; the number of replicas in the run is {len(solution.state)}, counted from 0"
-        )
+        raise InputError(f"replica is {sample}; the run has {counted(len(solution.state), 'replica')}, numbered from 0")
     _check_page(kind, solution.scene.network.shape, page)
     if time is not None:
         return draw_snapshot(solution, sample, time, slip_threshold, page)

@@ -26,7 +26,7 @@ from taichi_bearings.scene import Bearing, Snapshots, Solution, Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.stopping import is_certified
-from taichi_bearings.words import html_table, listed
+from taichi_bearings.words import counted, html_table, listed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -253,7 +253,7 @@ class Result:
         ((2,), 'certified')
         """
         if not 0 <= number < len(self):
-            raise InputError(f"replica is {number}; the number of replicas in the run is {len(self)}, counted from 0")
+            raise InputError(f"replica is {number}; the run has {counted(len(self), 'replica')}, numbered from 0")
         solution, spin = self.solution.sample(number), self.started_from
         asked = self.asked.of_replica(solution.scene.seeds[0])
         one = spin if spin is None or self.scene.network.lattice is None else spin[[number]]

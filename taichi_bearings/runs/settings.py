@@ -230,7 +230,7 @@ class RunSettings:
         of_solving=True,
     )
     snapshots: str | None = motion(
-        None, TIME_LIST, "Simulated times at which the spins are kept.", unit="time", of_solving=True
+        None, TIME_LIST, "Simulated times at which all spins are stored.", unit="time", of_solving=True
     )
     checkpoint_every: float | None = option(
         None,

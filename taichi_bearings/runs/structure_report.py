@@ -16,37 +16,41 @@ from taichi_bearings.runs.run_layout import AXES
 
 # fmt: off
 ON_SPHERES = (
-    Quantity("domain", "1", "rigid domain, whose spheres turn as one by slipless contacts; number 0 is the largest",
+    Quantity("domain", "1", "number of the rigid domain (spheres that turn as one); 0 is the largest",
              lambda s: s.rigid_domains.domain.astype(np.int32)),
-    Quantity("component", "1", "connected piece of the slipless network; 0 holds the bottom plane or the first body",
+    Quantity("component", "1",
+             "number of the connected piece of the slipless network; 0 holds the bottom plane or the first body",
              lambda s: s.network.component.astype(np.int32)),
     Quantity("betweenness", "1", "share of the shortest slipless paths that go through the sphere",
              lambda s: s.bottlenecks and s.bottlenecks.visits),
-    Quantity("above_cut", "1", "1 on the side of the minimum cut that turns with the top (or the second driven body)",
+    Quantity("above_cut", "1",
+             "1 for spheres on the side of the minimum cut that turns with the top (or the second driven body)",
              lambda s: s.interface and s.interface.above),
 )
 ON_CONTACTS = (
-    Quantity("on_cut", "1", "contacts of the minimum cut, the lightest interface of two rigid domains",
+    Quantity("on_cut", "1",
+             "1 for contacts of the minimum cut, across which one sphere turns with the bottom, one with the top",
              lambda s: s.interface and s.interface.contacts),
     Quantity("betweenness", "1", "share of the shortest slipless paths from bottom to top that use the contact",
              lambda s: s.bottlenecks and s.network.on_contacts(s.bottlenecks.share)),
-    Quantity("backbone", "1", "contacts that lie on some slipless path from bottom to top",
+    Quantity("backbone", "1", "1 for contacts that lie on some slipless path from bottom to top",
              lambda s: s.bottlenecks and s.network.on_contacts(s.bottlenecks.backbone)),
-    Quantity("on_path", "1", "contacts of one shortest slipless path from bottom to top", lambda s: s.network.on_path),
+    Quantity("on_path", "1", "1 for contacts of one shortest slipless path from bottom to top",
+             lambda s: s.network.on_path),
 )
 """Columns of the spheres, of shape N, and of the contacts, (E,); None where a structure has no such column."""
 IN_FILES = {"above_cut": "minimum_cut/above", "on_cut": "minimum_cut"}
 """Names that differ in the file of a lattice, by column."""
 DOMAINS = (
-    Quantity("path", "1", "spheres along one shortest slipless path from bottom to top",
+    Quantity("path", "1", "indices of the spheres along one shortest slipless path from bottom to top, in order",
              lambda s: s.network.shortest_path),
-    Quantity("domains/spheres", "1", "spheres of each rigid domain, driven ones included",
+    Quantity("domains/spheres", "1", "number of spheres of each rigid domain, driven ones included",
              lambda s: s.rigid_domains.spheres),
-    Quantity("domains/staggered_spin", "1/time", "spin of each rigid domain, components {components}",
+    Quantity("domains/staggered_spin", "1/time", "staggered spin of each rigid domain, components {components}",
              lambda s: s.rigid_domains.staggered),
     Quantity("domains/lock", "1",
-             "planes to which each component is locked: 0 none, 1 the bottom, 2 the top, 3 both; components "
-             "{components}",
+             "driven planes with which each rigid domain turns, by component: 0 none, 1 the bottom, 2 the top, 3 both; "
+             "components {components}",
              lambda s: s.rigid_domains.lock.astype(np.int8)),
 )
 """Further arrays in the file of a lattice in D dimensions: a path of L spheres, (L, D), and one row for each rigid

@@ -111,7 +111,7 @@ def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[R
         if unwritten:
             raise WriteError(unwritten)
         if lost >= HOPELESS and not any_result:
-            raise BearingsError(f"{lost} workers ended one after the other without a result: {outcome.reason}")
+            raise BearingsError(f"{lost} worker processes in a row ended without a result: {outcome.reason}")
 
 
 class LocalEngine:

@@ -230,7 +230,8 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
     """
     if len(points) > MOST_CURVES:
         raise InputError(
-            f"{', '.join(request.by)} make {len(points)} curves, more than {MOST_CURVES}; choose some by --where"
+            f"{', '.join(request.by)} make {len(points)} curves; a figure can have at most {MOST_CURVES}, "
+            "so choose samples by --where"
         )
     curves = []
     for part, own in points.items():

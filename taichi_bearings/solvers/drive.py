@@ -555,7 +555,7 @@ class _Best:
         self.proof = np.array(state["proof"], dtype=float)
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.network.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
-            raise ValueError("proof does not hold the forces of the contacts of this scene")
+            raise ValueError("its forces (`proof`) do not fit the contacts of this scene, or are not finite")
         if not self.keeps_best or "best/staggered" not in state:
             return
         # the best state, refused if it is of another shape or not finite

@@ -18,7 +18,9 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.interrupts import GivenUp
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.proof.contact_state import SATURATED, decided
+from taichi_bearings.proof.enclosed import LEAST_SPEED
 from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.on_lattice import LEAST_SCALE, MOST_SCALE
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, UNDECIDED
@@ -77,7 +79,9 @@ def refuse_unjudged(judgement: Judgement) -> None:
     """Raise InputError for numbers that no arithmetic can judge."""
     if not judgement.can_be_judged:
         raise InputError(
-            "the imposed spins are too small or too large for a proof; the largest must be above 1e-100 length/time"
+            "the imposed spins or the coefficients are too small or too large for a proof; the largest radius * spin "
+            f"must be from {LEAST_SPEED} to {MOST_SCALE} length/time, "
+            f"the largest force from {LEAST_SCALE} to {MOST_SCALE}"
         )
 
 

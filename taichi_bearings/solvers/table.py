@@ -246,7 +246,7 @@ class InteriorPoint(MethodOptions):
     solves = _laws(attrgetter("holds"))
 
     settle: bool = how(
-        True, TRUTH, "Once certified, go on until it is known of every contact whether it slips.", rare=True
+        True, TRUTH, "Within the tolerance, continue until it is known of every contact whether it slips.", rare=True
     )
 
     @classmethod
@@ -344,7 +344,7 @@ class GradientDescent(MethodOptions):
     momentum: bool = how(
         True,
         TRUTH,
-        "Use momentum and smoothed friction, which is faster; without it the paper's plain method.",
+        "Use momentum and smoothed friction, which is faster than the paper's plain method.",
         rare=True,
     )
 

@@ -68,7 +68,7 @@ def test_a_film_of_a_packing_shows_its_snapshots(tmp_path):
     assert all(np.abs(before - after).mean() > 1 for before, after in pairwise(frames))
     with pytest.raises(InputError, match=r"time is 1; the run goes from 0 to 0\.05"):
         one.plot("spins", time=1.0)
-    with pytest.raises(InputError, match="replica is 2; the number of replicas in the run is 2, counted from 0"):
+    with pytest.raises(InputError, match="replica is 2; the run has 2 replicas, numbered from 0"):
         movie(path, tmp_path / "b.gif", replica=2)
 
 
@@ -89,7 +89,7 @@ def test_what_cannot_be_filmed_is_said_before_anything_is_drawn(discs, whirl, tm
             movie(whirl, tmp_path / "a.gif", frames_per_second=fps)
     with pytest.raises(InputError, match=r"must end in \.mp4 or \.gif"):
         movie(whirl, tmp_path / "a.avi")
-    with pytest.raises(InputError, match="replica is 2; the number of replicas in the run is 1"):
+    with pytest.raises(InputError, match="replica is 2; the run has 1 replica"):
         movie(whirl, tmp_path / "a.gif", replica=2)
     (tmp_path / "mine.gif").write_text("mine")
     with pytest.raises(FileError, match="already exists"):

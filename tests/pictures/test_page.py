@@ -60,6 +60,6 @@ def test_a_page_names_no_address_and_carries_the_licence_of_its_library(minimum,
 
 
 def test_a_run_of_a_packing_has_one_sample(packed, tmp_path):
-    with pytest.raises(InputError, match="replica is 1; the number of replicas in the run is 1, counted from 0"):
+    with pytest.raises(InputError, match="replica is 1; the run has 1 replica, numbered from 0"):
         view(packed, tmp_path / "page.html", replica=1)
     assert not list(tmp_path.iterdir())

@@ -97,7 +97,7 @@ def test_each_replica_has_its_own_rows(solved):
     for name in ("slip", "on_cut", "betweenness"):
         assert third.contacts[name].values == pytest.approx(alone.contacts[name].values)
     assert third.spheres["domain_kind"].values.tolist() == alone.spheres["domain_kind"].values.tolist()
-    with pytest.raises(InputError, match="replica is 3; the number of replicas in the run is 3"):
+    with pytest.raises(InputError, match="replica is 3; the run has 3 replicas"):
         points_and_lines(read_run(run), 3)
 
 

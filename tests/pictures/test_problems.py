@@ -163,7 +163,7 @@ def test_what_cannot_be_said_is_refused(solved, minimum, tmp_path):
     viscous = solved(shape=(5, 6), law="viscous", seed=4)
     with pytest.raises(InputError, match="law is viscous; the format fclib has friction only"):
         export_problem(viscous, "fclib", tmp_path / "a.hdf5")
-    with pytest.raises(InputError, match="replica is 1; the number of replicas in the run is 1"):
+    with pytest.raises(InputError, match="replica is 1; the run has 1 replica"):
         export_problem(minimum, "cbf", tmp_path / "a.cbf", replica=1)
     turned = solved(shape=(4, 5), torque=500.0)
     with pytest.raises(InputError, match="the run has a torque of 500"):

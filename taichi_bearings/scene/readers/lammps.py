@@ -234,7 +234,10 @@ def _contacts(
         of the atoms in the order of the spheres. spheres : centres and radii by name. asked : options of the user.
     """
     if frame.box is not None and rows.box is not None and not frame.box.is_as(rows.box):
-        raise FileError(f"{rows.path} has another box than {frame.path} at timestep {frame.step}; are they of one run?")
+        raise FileError(
+            f"the box in {rows.path} differs from that in {frame.path} at timestep {frame.step}; "
+            "are both dumps of one run?"
+        )
     strange = ~np.isfinite(rows.table).all(axis=1)
     if strange.any():
         line = rows.at(int(np.argmax(strange)))
