@@ -84,7 +84,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     folder = scan if scan.is_dir() and folder is None else folder  # goes on there
     merge, one_part, scheduler = asked["merge"], asked["part"] is not None, asked["scheduler"] is not None
     if scheduler and asked["workers"] is not None:
-        raise InputError("--scheduler brings the workers of its cluster; leave out --workers")
+        raise InputError("with --scheduler the Dask cluster provides the workers; leave out --workers")
     if merge and (one_part or scheduler):
         raise InputError("--merge only combines what is solved; leave out --part and --scheduler")
     if folder is None and (merge or one_part):

@@ -262,9 +262,9 @@ SAMPLES = _named(
         Quantity("largest_balance_residual", "force*length", "largest component of the net torque on a free"
                  " sphere, 0 where all torques balance; for packings divided by the radius of the sphere",
                  lambda a: a.solution.largest_balance_residual),
-        Quantity("spin_top", "1/time", "spin of the top plane",
+        Quantity("spin_top", "1/time", "imposed spin of the top plane",
                  _fact("spin_top"), r"\omega_T"),
-        Quantity("spin_bottom", "1/time", "spin of the bottom plane",
+        Quantity("spin_bottom", "1/time", "imposed spin of the bottom plane",
                  _fact("spin_bottom"), r"\omega_B"),
         Quantity("normal_force", "force", "normal force at every contact",
                  _fact("normal_force"), "F_n"),

@@ -65,7 +65,7 @@ def _solve(cell: Cell) -> dict[str, Any]:
     case, device, most = cell.case, cell.settings, MEMORY_SHARE * free_bytes()
     if (needed := bytes_of(cell)) > most:
         wanted, allowed = f"{needed / 1e9:.1f} GB", f"{most / 1e9:.1f} GB"
-        raise InputError(f"the solve needs about {wanted} of memory; it may take {allowed}")
+        raise InputError(f"the solve needs about {wanted} of memory; at most {allowed} is allowed")
     method = "auto" if cell.row.method == "auto" else ROWS[cell.row.method](**case.options)
     settings = {"time_limit": cell.most_seconds, "tolerance": TOLERANCE, **case.settings}
     settings |= {"arch": device.arch, "precision": device.precision, "threads": device.threads}

@@ -249,7 +249,7 @@ def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
             sample.spin = here + SHRINK * (here - before)  # spins are smooth functions of the barrier
             before = here
         if steps > MOST_STEPS:
-            raise ArithmeticError(f"the least power of {scene} is not enclosed after {steps} steps")
+            raise ArithmeticError(f"the bounds on the least power of {scene} are not close enough after {steps} steps")
     if upper < first * NOTHING:
         return Truth(Decimal(0), upper, _states(scene, sample, barrier), _nothing(scene).unit), barrier
     if upper - lower > upper * WANTED:

@@ -16,12 +16,12 @@ from taichi_bearings.runs.run_layout import AXES
 
 # fmt: off
 ON_SPHERES = (
-    Quantity("domain", "1", "number of the rigid domain (spheres that turn as one); 0 is the largest",
+    Quantity("domain", "1", "number of the rigid domain (spheres that turn as one) of each sphere; 0 is the largest",
              lambda s: s.rigid_domains.domain.astype(np.int32)),
     Quantity("component", "1",
              "number of the connected piece of the slipless network; 0 holds the bottom plane or the first body",
              lambda s: s.network.component.astype(np.int32)),
-    Quantity("betweenness", "1", "share of the shortest slipless paths that go through the sphere",
+    Quantity("betweenness", "1", "share of the shortest slipless paths from bottom to top that go through the sphere",
              lambda s: s.bottlenecks and s.bottlenecks.visits),
     Quantity("above_cut", "1",
              "1 for spheres on the side of the minimum cut that turns with the top (or the second driven body)",

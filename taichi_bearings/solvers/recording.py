@@ -199,4 +199,4 @@ class Recorder:
         if lengths and (len(lengths) > 1 or 0 in lengths):
             raise ValueError("history has columns of different lengths, or empty ones")
         if [np.shape(spin) for spin in self._snapshot_spins] != [spins] * len(self._snapshot_times):
-            raise ValueError(f"snapshots must hold spins of shape {spins}, one for each time")
+            raise ValueError(f"snapshots must hold one array of spins of shape {spins} for each time")

@@ -120,6 +120,6 @@ def test_the_command(tmp_path):
         (["--part", "3/2", "--out", folder], "--part is '3/2'"),
         (["--part", "1/2"], "need --out DIR"),
         (["--merge", "--part", "1/2", "--out", folder], "--merge only combines what is solved"),
-        (["--scheduler", "tcp://node:1", "--workers", "2"], "brings the workers of its cluster"),
+        (["--scheduler", "tcp://node:1", "--workers", "2"], "the Dask cluster provides the workers"),
     ):
         assert expected in refused("scan", file, *words)

@@ -103,7 +103,7 @@ def test_a_cell_beyond_the_memory_is_refused(monkeypatch):
     monkeypatch.setattr(cells, "MEMORY_SHARE", 1e-9)
     row = JUDGE.row(CELL, solve_cells([CELL])[0])
     assert row["outcome"] == REFUSED
-    assert "the solve needs about 0.2 GB of memory; it may take 0.0 GB" in row["reason"]
+    assert "the solve needs about 0.2 GB of memory; at most 0.0 GB is allowed" in row["reason"]
 
 
 @pytest.mark.parametrize("name", [name for name in AXES if name.endswith("-scale")])
