@@ -28,7 +28,8 @@ from taichi_bearings.scans.engine import LocalEngine, Record, Unit, run_samples
 from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
 from taichi_bearings.scans.sample import STATES, solve_samples, state_path
 from taichi_bearings.scans.stored_scans import attributes_of, columns_of, histograms_of, outdated_figures
-from taichi_bearings.scene import Status
+from taichi_bearings.scene import LAWS, Status
+from taichi_bearings.words import shown
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -115,6 +116,12 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
     found, used = dict[str, str](), set[str]()
     for group in groups_of(plan.samples):  # all but their seeds alike
         settings = group[0].settings
+        if not LAWS[settings.law].is_sum:
+            known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
+            raise InputError(
+                f"law is {shown(settings.law)}, a law of your own; scans allow {known}, as their processes do not "
+                "import the file that defines another law; solve its scenes with taichi_bearings.solve_many"
+            )
         if settings.is_packing:
             from taichi_bearings.runs.packing_run import refuse_packing
 

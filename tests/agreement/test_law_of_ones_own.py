@@ -12,6 +12,8 @@ from taichi_bearings.kernels.contact import FORCES
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
+from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.scans.scan import estimate, scan
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS, Law, Quantity
@@ -142,3 +144,12 @@ def test_a_law_that_contradicts_itself_is_refused(sentence):
         Scene.random((3, 4), law=law)
     assert sentence in str(told.value)
     assert "law is 'wrong', whose functions contradict each other at a contact with coefficient" in str(told.value)
+
+
+def test_a_scan_refuses_a_law_that_its_processes_would_not_know(page, tmp_path):
+    (tmp_path / "scan.toml").write_text('shape = [4, 5]\nlaw = "thickening"\n[scan]\nseed = { start = 0, stop = 2 }\n')
+    plan = read_plan(tmp_path / "scan.toml")
+    for asked in (lambda: estimate(plan, tmp_path / "out"), lambda: scan(plan, tmp_path / "out")):
+        with pytest.raises(InputError, match="law is 'thickening', a law of your own; scans allow coulomb, viscous, "):
+            asked()
+    assert not (tmp_path / "out").exists()
