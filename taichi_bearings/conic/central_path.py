@@ -62,7 +62,10 @@ def friction_stiffness(
 
 
 def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
-    """Return the next point along the central path: one step of predictor, corrector and recentring.
+    """Return the next point along the central path: one Newton step of predictor, corrector and recentring.
+
+    On the central path the product of slip bound and friction margin, friction * bound - slip . force, is the same for
+    all contacts; the path ends at the minimum, where it is 0.
 
     iterate : a point of the path; not changed. matrix : Newton matrix of its system, which is factorised anew.
 
@@ -107,7 +110,7 @@ def flowing(
 
 
 def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
-    """Return the point with its forces changed such that torques balance, up to rounding.
+    """Return a point of the central path with its contact forces changed such that torques balance, up to rounding.
 
     iterate : a point of the path; not changed. matrix : Newton matrix of its system, which is factorised anew.
 
@@ -132,8 +135,9 @@ class _Step:
 
     slot : 0 or 1, where the rows hold the changes of bounds, slips and forces.
     spins : (unknowns or more, S), changes of the spins.
-    found : (numbers, S), what the kernel found: the multiples of the step at which primal and dual points leave their
-        cones, then sums of products of which :meth:`Path._target` tells how the mean product changes.
+    found : (numbers, S), what the kernel found: the multiples of the step at which primal points (bound >= |slip|) and
+        dual points (friction >= |force|) leave their cones, then sums over the contacts from which the change of the
+        mean of friction * bound - slip . force follows.
     """
 
     slot: int
@@ -148,13 +152,16 @@ class _Step:
 
     @property
     def shorter(self) -> np.ndarray:
-        """(S,), the smaller one of both `lengths`. Letters: S samples."""
+        """(S,), the smaller one of the two multiples of the step at which primal and dual points of each of S samples
+        leave their cones.
+        """
         return self.lengths.min(axis=0)
 
     @property
     def reach(self) -> np.ndarray:
-        """(S,), sum of both `lengths`, each counted as 1 at most: the larger, the better the step. Letters: S
-        samples."""
+        """(S,), how good the step is for each of S samples, 0 to 2: the sum of the multiples of it at which primal and
+        dual points leave their cones, each counted as 1 at most.
+        """
         along, dual_along = self.within(1.0)
         return along + dual_along
 
@@ -164,7 +171,9 @@ class _Step:
         return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
-        """Return this step with spins and findings of `other` for the samples of the mask `kept` (S,)."""
+        """Return this step with the changes of the spins, and what the kernel found, of `other` for the samples of the
+        mask `kept` (S,).
+        """
         return replace(
             self,
             spins=np.where(kept, other.spins, self.spins),
@@ -175,15 +184,19 @@ class _Step:
 class Path:
     """Up to S samples of one system side by side, each at a point of its central path.
 
-    Their numbers stay in the rows of memory that kernels work on from step to step. Samples do not influence each
-    other.
+    On the path friction * bound - slip . force, called the product, is the same for all contacts. Numbers stay in the
+    rows of memory that kernels work on from step to step: one number for each contact and sample in a row. Samples do
+    not influence each other.
 
     samples : S.
     used : (S,) mask of the places that hold a sample.
     """
 
     def __init__(self, matrix: NewtonMatrix, samples: int = 1) -> None:
-        """Reserve places for `samples` samples (1 or LANES) of the system of a Newton matrix. All places are empty."""
+        """Reserve places for samples of the system of contacts of a Newton matrix; all places are empty.
+
+        samples : number of places, 1 or LANES, the number of lanes of a SIMD vector.
+        """
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
         self._given: list[Iterate | None] = [None] * samples
         self._spins = self._spins_before = np.zeros_like(self._rows.spins)
@@ -266,8 +279,10 @@ class Path:
         return taken
 
     def _target(self, step: _Step) -> np.ndarray:
-        """Return the product (S,) to aim at. The predictor `step` would leave a share x of the present mean product;
-        the target is x^2 / 4 of it (Mehrotra takes x^3; a smaller x is a more credible predictor). Letters: S samples.
+        """Return the product friction * bound - slip . force (S,) that the next step of each of S samples aims at.
+
+        The predictor `step`, which aims at 0, would leave a share x of the present mean product; the target is x^2 / 4
+        of it (Mehrotra takes x^3; a smaller x is a more credible predictor).
         """
         count = np.array([max(1, iterate.in_cones) if iterate else 1 for iterate in self._given])
         product, by_reach, by_dual_reach, by_both = step.found[kernels.PRODUCT :]
@@ -277,8 +292,8 @@ class Path:
         return np.minimum(1.0, remaining**2) * product / count / 4
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
-        """Return a step by one of Gondzio's correctors. Contacts whose product after a longer step would lie more than
-        a factor PRODUCT_SPREAD from the target are brought closer to it.
+        """Return a step of S samples by one of Gondzio's correctors. Contacts whose product, friction * bound - slip .
+        force, would after a longer step lie more than a factor PRODUCT_SPREAD from the target are brought closer to it.
 
         step : the present step. target : (S,), product to aim at. going : (S,) mask of the samples to correct; the
             others keep the step or, where it was `rejected` (S,), the better one before it, which is in the other slot.
@@ -291,8 +306,9 @@ class Path:
         return self._solved(1 - step.slot)
 
     def _refined(self, step: _Step) -> _Step:
-        """Return the step, solved again for the torques that rounding has left, as long as that at least halves them
-        and they are above STEP_TORQUE."""
+        """Return the step of all samples, solved again for the torques that rounding has left, as long as that at least
+        halves them and they are above STEP_TORQUE (in units of the mean friction); at most STEP_REFINEMENTS times.
+        """
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(STEP_REFINEMENTS):
             force = rows.two(kernels.FORCE)
@@ -325,8 +341,10 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """Compute the torque on each unknown of the forces in rows `row` and `row + 1` (one row a component), less what
-        accelerates the spheres to `spins` (unknowns or more, S), and write it into the spins of the rows."""
+        """Compute the torque on each unknown of the forces in rows `row` and `row + 1` of the contacts' numbers (one
+        row for each force component), less what accelerates the spheres to `spins` (unknowns or more, S), and write it
+        into the array of spins (unknowns or more, S) that belongs to the rows.
+        """
         rows = self._rows
         rows.torques(row)
         if self._moving:
@@ -335,8 +353,8 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """Return the step of bounds, slips and forces that belongs to the change of spins which stands in the rows, and
-        how far it may go.
+        """Return the step of bounds, slips and forces of S samples that belongs to the change of spins which was solved
+        for last, and how far it may go.
 
         slot : 0 or 1, where the rows get the step. With inertia or viscosity primal and dual points have to go equally
             far.
@@ -355,8 +373,9 @@ class Path:
         return float(self._excess[sample] / self._power[sample])
 
     def price_of_torques(self, sample: int) -> float:
-        """Return what unbalanced torques of a sample take from its lower bound at most, relative to its cost, as
-        :attr:`Iterate.price_of_torques`."""
+        """Return what unbalanced torques of sample number `sample` take from its lower bound at most, relative to its
+        cost: the sum of their sizes, which is a bound where no spin of a minimum exceeds the unit of spin.
+        """
         if self._viscosity is not None:
             return self.iterate(sample).price_of_torques
         if self._price is None:
@@ -394,5 +413,6 @@ class Path:
 
 
 def _in(slot: int, row: int) -> int:
-    """Return the number, among all rows, of row `row` of the step in slot 0 or 1."""
+    """Return the number, among all rows of the contacts' numbers, of row `row` of a step. slot : 0 or 1, which of the
+    two steps in memory."""
     return kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row

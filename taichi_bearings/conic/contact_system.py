@@ -33,7 +33,7 @@ OF_ROWS = ("operator", "transposed", "across", "feels")  # properties that do no
 
 
 def _nothing() -> np.ndarray:
-    """Return an empty array, for fields that only the system of a whole network has."""
+    """Return an empty array (0, 0), the value of fields that only the system of a whole network has."""
     return np.zeros((0, 0), dtype=np.int64)
 
 
@@ -60,7 +60,7 @@ class ContactSystem:
     known : (N, C), u = radius * spin where it is not unknown.
     sign : (N, C), factors +1 and -1 that turn u into unknowns; None for all 1.
     motions : number of motions without slip before one spin of each was held; None if undecided.
-    kept : what methods have made of the network, for other frictions on it.
+    kept : what methods have computed from the network alone, by key, to be used again for other frictions on it.
     """
 
     unknowns: int
@@ -201,12 +201,13 @@ class ContactSystem:
         return np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
 
     def of_contacts(self, bearing: Bearing, sample: int = 0) -> tuple[np.ndarray, ...]:
-        """Return the material constants of these contacts in one sample, (n,) each, in the order in which functions of
-        the contact law take them."""
+        """Return the material constants of the n contacts in one sample of a bearing, (n,) each, in the order in which
+        functions of the contact law take them: friction times normal force, then viscosity, force * time / length.
+        """
         return tuple(values[sample, self.contact] for values in bearing.material)
 
     def in_units(self, speed: float) -> "ContactSystem":
-        """Return the system with imposed spins and slips in units of a speed."""
+        """Return the system with imposed radius * spin and slips in units of a speed, length/time."""
         return self._with(offset=self.offset / speed, known=self.known / speed)
 
     def with_offset(self, offset: np.ndarray) -> "ContactSystem":
@@ -267,7 +268,7 @@ class ContactSystem:
 
     def copies(self, count: int) -> "ContactSystem":
         """Return a system of `count` copies of the contacts, each over spins of its own: the samples become parts of
-        one system that no contact joins. Needs `ends`."""
+        one system that no contact joins. Each slip must be a difference of two unknowns (`ends` is not None)."""
         if count == 1:
             return self
         assert self.ends is not None
@@ -306,7 +307,9 @@ class ContactSystem:
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
         """Return into how many connected pieces the contacts of the mask `chosen` (n,) join the unknowns, and the
-        number of the piece (unknowns,) of each unknown. Needs `ends`."""
+        number of the piece (unknowns,) of each unknown. Each slip must be a difference of two unknowns (`ends` is not
+        None).
+        """
         assert self.ends is not None
         below, above = self.ends[:, :, chosen].reshape(2, -1)
         both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
@@ -348,8 +351,8 @@ class ContactSystem:
 
 
 def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return for each row of the matrix `slips` (n, unknowns) its unknowns and factors, in the form of
-    :meth:`ContactSystem._unknowns_of`."""
+    """Return for each row of the matrix `slips` (n, unknowns) its unknowns and factors, as a list of pairs of arrays
+    (n,): first unknown and its factor, 0 if there is none; second unknown and its factor; and so on."""
     counts = np.diff(slips.indptr)
     row, most = np.repeat(np.arange(len(counts)), counts), int(counts.max(initial=1))
     place = np.arange(len(row)) - slips.indptr[row]

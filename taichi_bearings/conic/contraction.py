@@ -48,8 +48,10 @@ class Owners:
 
 
 def _largest(samples: int, owner: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the largest of the values of each owner, (samples,), 0 if it has none. owner : ascending number of the
-    sample of each value."""
+    """Return the largest of the values of each sample, (samples,), 0 if it has none.
+
+    samples : their number. owner : (k,) number of the sample of each value, ascending. values : (k,), none negative.
+    """
     begins, found = np.searchsorted(owner, np.arange(samples + 1)), np.zeros(samples)
     some = begins[1:] > begins[:-1]
     if some.any():
@@ -87,7 +89,8 @@ class Contraction:
         """Find and number the sets of spins that tied contacts join; sets `unknowns`, `number`, `imposed`,
         `contradicts` and the sample of each set.
 
-        whole, tied, samples : as in :meth:`__init__`.
+        whole : contacts of all samples. tied : (n,) mask of the tied ones, which make the spins at both ends equal.
+        samples : number of samples, of equal size.
         """
         assert whole.ends is not None
         (below, above), offset = whole.ends[:, :, tied], whole.offset[:, tied]
@@ -107,8 +110,9 @@ class Contraction:
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
     def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
-        """Return the numbers of those contacts, among `places`, that can still slip, and their system over the sets of
-        spins."""
+        """Return the numbers of those contacts, among the numbers `places` of contacts that are not tied, that can
+        still slip, and their system over the sets of spins. whole : the system before any contact was tied.
+        """
         assert whole.ends is not None
         ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
         (below, above), imposed = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
@@ -128,7 +132,7 @@ class Contraction:
         return found
 
     def span(self, sample: int) -> slice:
-        """Return the range of the new unknowns that belong to a sample."""
+        """Return the range of the new unknowns, one for each set of tied spins, that belong to sample number `sample`."""
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
     def order(self, sample: int) -> np.ndarray:
@@ -149,7 +153,7 @@ class Contraction:
 
     def _dissected(self, own: slice, place: np.ndarray) -> np.ndarray:
         """Return the order of the new unknowns `own` by nested dissection, with each set at the mean place of its
-        spins. place : (D, unknowns before).
+        spins. own : their range. place : (D, unknowns before), where each spin is, in D dimensions.
         """
         free = self.number >= 0
         number = self.number[free]
@@ -157,8 +161,9 @@ class Contraction:
         return order_by_place(self.system, centre, own)
 
     def contracted(self, spins: Pair) -> Pair:
-        """Return the mean of the spins of each set, (unknowns,), to twice the precision: one of the spins, plus the
-        mean difference of the others from it. spins : (unknowns before,), sum of two doubles."""
+        """Return the mean of the spins of each set that contacts tie together, (unknowns,), in twice the precision: one
+        of the spins, plus the mean difference of the others from it. spins : (unknowns before,), sums of two doubles.
+        """
         free = self.number >= 0
         number, one = self.number[free], np.zeros(self.unknowns)
         one[number] = spins[0][free]

@@ -28,7 +28,8 @@ DISTANT_GAP = 1e-4  # relative gap above which the price of leftover torques doe
 
 @dataclass
 class Sample:
-    """One sample on its way along the central path.
+    """One sample on its way along the central path, with n contacts. To settle the states of its contacts is to find
+    out which of them slip at the minimum.
 
     iterate : the point at which it is.
     unit : power of two near the mean coefficient, in which its friction is measured.
@@ -56,7 +57,8 @@ class Sample:
 
 
 class Descent:
-    """Samples of one system on their way along the central path, until the states of their contacts are settled.
+    """Samples of one system on their way along the central path, until the states of their contacts are settled: until
+    it is known which contacts slip at the minimum, and which rest.
 
     samples : all of them; each is done where nothing is left to gain for it.
     """
@@ -71,7 +73,8 @@ class Descent:
         settles: bool,
         asked: bool = True,
     ) -> None:
-        """Prepare a descent; the subclass sets `samples`.
+        """Prepare a descent; the subclass sets `samples`. To settle contact states is to find which contacts slip at
+        the minimum.
 
         shared : system, order of elimination and Newton matrix of all samples.
         spheres : number of spheres, by which the first gap for settling is chosen.
@@ -84,8 +87,8 @@ class Descent:
         self.step_seconds = 0.0  # duration of the last step
 
     def advance(self, steps: int) -> None:
-        """Take up to `steps` further steps of every sample that is not done, and settle contact states where it is
-        time.
+        """Take up to `steps` further Newton steps of every sample that is not done, and settle contact states (find
+        which contacts slip at the minimum) of samples near the end of their paths.
 
         Several small samples are stepped side by side; where one leaves, another takes its place. Samples near the end
         of their paths wait for others, as settling their states together takes half the time.
@@ -129,16 +132,19 @@ class Descent:
 
     @property
     def settles_at(self) -> float:
-        """Relative gap below which contact states are settled. In small samples it is one at which contacts that seem
-        to stick mostly do. In large ones there is no such gap; there a step costs more than following the last decades
-        of the path that much further, so SETTLING_GAP is used."""
+        """Relative gap, (cost - lower bound) / cost, below which contact states are settled.
+
+        In small samples it is one at which contacts that seem to stick mostly do. In large ones there is no such gap;
+        there a step costs more than following the last decades of the path that much further, so SETTLING_GAP is used.
+        """
         return min(SETTLING_GAP_FACTOR / self.spheres**2, FIRST_SETTLING_GAP) if self.small else SETTLING_GAP
 
     def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
-        """Note the gap that a sample has after a step, and whether it is done or its states are to be settled next.
+        """Store the relative gap that a sample has after a step, and whether it is done or its contact states are to be
+        settled next.
 
-        place : its place on the path. taken : False if the step could not be taken; then the sample is done, at the
-            point before.
+        path, place : the path on which it is, and its place among the samples there. taken : False if the step could
+            not be taken; then the sample is done, at the point before.
         """
         gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
@@ -162,7 +168,7 @@ class Descent:
         """Return the relative gap of a sample after a step, plus what unbalanced torques cost where that matters; not
         finite if it cannot be computed.
 
-        sample : the sample. path, place : where it is.
+        sample : the sample. path, place : the path on which it is, and its place among the samples there.
 
         Where the cost of unbalanced torques is more than the gap, forces are balanced first, except if the settling of
         states is about to balance them.
@@ -184,8 +190,9 @@ class Descent:
         return balanced.gap
 
     def _settle(self, samples: list[Sample]) -> None:
-        """Try to settle the contact states of some samples, and keep the better one of the minima found for each so
-        far."""
+        """Try to find which contacts of some samples slip at the minimum, and keep the better one of the minima found
+        for each so far.
+        """
         with stage("settling contact states", SETTLING_STEPS * self.step_seconds):
             resolved = resolve([s.iterate for s in samples], [s.before for s in samples], self.shared, self.small)
         for sample, found in zip(samples, resolved, strict=True):

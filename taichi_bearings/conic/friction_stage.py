@@ -36,7 +36,8 @@ EPS = np.finfo(np.float64).eps
 
 @dataclass(frozen=True)
 class StageEnd:
-    """Spins and forces at the end of a stage.
+    """Spins and forces at the end of a stage: a step in time, or in the method of multipliers, of n contacts with up
+    to d slip components whose springs friction limits.
 
     spins : (unknowns,), 1/time.
     force, held : (d, n), the whole contact force, and the force without its viscous part.
@@ -51,7 +52,8 @@ class StageEnd:
 
 @dataclass(frozen=True)
 class Friction:
-    """Laws of the n contacts of one sample in a stage.
+    """Laws of the n contacts of one sample in a stage: each bears the force of a spring, limited by friction, and a
+    viscous force.
 
     limit : (n,), largest force of friction; infinite for linear contacts.
     resistance : (n,), stiffness of the springs, force * time / length.
@@ -92,7 +94,8 @@ class Friction:
 
 
 class FrictionStage:
-    """Solver for stages over one system of contacts.
+    """Solver for stages over one system of contacts: finds spins at which springs limited by friction, viscous forces
+    and the inertia of the spheres balance.
 
     system : the contacts. matrix : factorises their Newton matrix.
     radius : radius R of the spheres, length.
@@ -108,15 +111,19 @@ class FrictionStage:
         spin_scale: float,
         force_scale: float,
     ) -> None:
-        """Take a system and its Newton matrix; nothing is factorised yet. The arguments are the attributes of the
-        class."""
+        """Take a system of contacts and its Newton matrix; nothing is factorised yet.
+
+        radius : of the spheres, length. spin_scale, force_scale : typical sizes of spins (1/time) and forces, by which
+            rounding is judged.
+        """
         self.system, self.matrix, self.radius = system, matrix, radius
         self.spin_scale, self.force_scale = spin_scale, force_scale
         self.factorisations = 0
         self._factorised: tuple[float, np.ndarray] | None = None  # inertia and stiffness
 
     def solve(self, friction: Friction, base: np.ndarray, start: np.ndarray, guess: np.ndarray) -> StageEnd | None:
-        """Return spins and forces at the end of a stage; None if Newton's method gets nowhere.
+        """Return spins and forces at the end of a stage, where forces and inertia balance; None if Newton's method gets
+        nowhere.
 
         friction : laws of the n contacts.
         base : (unknowns,), spins from which inertia acts.
@@ -232,7 +239,8 @@ class FrictionStage:
         gained = spins - base
 
         def slope(length: float) -> float:
-            """Return the derivative of the function of the stage along the step, at this length."""
+            """Return the derivative along the step, at this length (0 to 1), of the function whose minimum the stage
+            is."""
             force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
             work = float((force * change / friction.resistance).sum())
             return friction.inertia * float((gained + length * step) @ step) + work

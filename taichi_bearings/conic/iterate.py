@@ -20,7 +20,7 @@ class Inertia:
 
     The torques of the contacts then have to be weight * (spins - origin) instead of 0.
 
-    weight : moment of inertia over duration, in the units of friction over spin.
+    weight : moment of inertia over duration of the step, in units of friction over spin.
     origin : (unknowns,), spins before the step.
     """
 
@@ -99,12 +99,16 @@ class Iterate:
 
     @property
     def in_cones(self) -> int:
-        """Number of contacts in cones: those that are not `smooth`."""
+        """Number of contacts in cones (bound >= |slip|, friction >= |force|): all but those in the mask `smooth`, which
+        obey the law of friction exactly.
+        """
         return len(self.friction) - (0 if self.smooth is None else int(self.smooth.sum()))
 
     @property
     def complementarity(self) -> float:
-        """The product of the path: the mean over the contacts in cones of friction * bound - slip . force."""
+        """The mean over the contacts in cones of friction * bound - slip . force, which is the same for all contacts on
+        the central path and falls to 0 at its end.
+        """
         products = self.friction * self.bound + inner(self.difference, self.dual)
         products = products if self.smooth is None else np.where(self.smooth, 0.0, products)
         return float(products.sum()) / max(1, self.in_cones)

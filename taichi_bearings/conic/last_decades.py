@@ -41,7 +41,10 @@ EPS = np.finfo(np.float64).eps
 
 
 class LastDecades:
-    """A point of the central path whose spins are sums of two doubles.
+    """A point of the central path, whose spins are sums of two doubles, and the way on from it to its very end.
+
+    On the path slip times margin is about the same for all n contacts; the margin is the share of its friction that a
+    contact has left.
 
     point : the iterate; its field `spins` holds only the low parts of the spins.
     spins : (unknowns,), the whole spins as (high, low).
@@ -75,7 +78,10 @@ class LastDecades:
         return path
 
     def over(self, tied: Contraction) -> "LastDecades":
-        """Return this point over the contacts and unknowns that are left when some contacts are tied."""
+        """Return this point of the path over the contacts and unknowns that are left when some contacts are tied.
+
+        tied : those contacts, and one unknown for each set of spins that the other contacts make equal.
+        """
         spins, point = tied.contracted(self.spins), self.point
         friction, bound, difference, dual = (
             values[..., tied.kept] for values in (point.friction, point.bound, point.difference, point.dual)
@@ -137,6 +143,8 @@ class LastDecades:
 
     @property
     def _smooth(self) -> np.ndarray:
-        """(n,) mask of the contacts that have left their cones."""
+        """(n,) mask of the contacts that have left their cones and obey the law of friction exactly: all friction along
+        the slip.
+        """
         none = np.zeros(len(self.point.friction), dtype=bool)
         return none if self.point.smooth is None else self.point.smooth

@@ -34,7 +34,10 @@ SMALL_SPINS = 1e-8  # scale of the spins that are still to be found when the sta
 def settled_by_springs(
     point: Iterate, matrix: NewtonMatrix
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Settle the contact states at the end of a path by the method of multipliers (see the module).
+    """Find which contacts slip at the end of a path by the method of multipliers.
+
+    Each contact gets a stiff spring that slips where it would bear more than friction allows; the minimum with these
+    springs is found repeatedly, and each time a spring begins with the force that it bore at the last one.
 
     Returns spins (unknowns,), minus the contact forces (d, n), and masks (n,) of the slipping contacts and of the open
     ones: those that slip by more than rounding, but bear less than the friction limit. The masks are None, and the

@@ -82,7 +82,9 @@ class NewtonMatrix:
         self._kept = dict[int, ContactRows]()
 
     def compile(self, samples: int = 1) -> None:
-        """Compile the kernels for `samples` samples side by side, and for smaller systems, before the clock starts."""
+        """Compile the kernels for factorising one sample or several side by side, and those for smaller systems, so
+        that the measured time of a run does not include it. samples : number of samples side by side.
+        """
         _compile(self._choleskys[0].engine, samples)
         _compile(Engine.LAUNCH, 1)
 
@@ -168,8 +170,9 @@ class NewtonMatrix:
         """Factorise the matrices of the stiffnesses stored in `rows`. Return a mask (S,) of the `wanted` (S,) samples
         in which that succeeds, if need be with a raised diagonal.
 
-        inertia : stiffness of a spring at every spin. viscous : stiffnesses to add, as :func:`stacked` orders them,
-            (entries, S).
+        rows : numbers of all contacts, one row for each kind. inertia : stiffness of a spring at every spin. viscous :
+            stiffnesses to add, (d (d + 1) / 2 * n, S): upper triangles of the n contacts' matrices (d, d), all entries
+            [0, 0], then all [0, 1], and so on.
         """
         factor, diagonal = self._choleskys[0].factor(rows.samples), self._choleskys[0].pattern.diagonal
         rows.add_stiffnesses(factor.entries)
@@ -214,7 +217,8 @@ def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray)
     """Factorise with the diagonal raised by as little as helps. Return a mask (S,) of the `wanted` (S,) matrices in
     which that succeeds.
 
-    factor : holds the entries. diagonal : places of the diagonal among them.
+    factor : Cholesky factor whose `entries` hold the matrices. diagonal : (unknowns,) places of their diagonals among
+        the entries.
 
     Letters: S samples.
     """
@@ -234,8 +238,9 @@ def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray)
 
 @lru_cache
 def _compile(engine: Engine, samples: int) -> None:
-    """Compile the kernels of an engine for one sample or for several, on a lattice of 2 x 2 x 3: they are the same for
-    all."""
+    """Compile the kernels of an engine, a way to factorise, for one sample or several side by side, by factorising for
+    a lattice of 2 x 2 x 3 spheres: kernels are the same for all.
+    """
     lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
     system = lattice_system(lattice, spin_axes, np.ones(2))
     matrix = NewtonMatrix(system, dissect(lattice, spin_axes), engine=engine)

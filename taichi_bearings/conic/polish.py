@@ -100,7 +100,8 @@ def _balanced(
 
 
 class _PreciseSystem:
-    """Slips and torques of a system with tied contacts, in twice the precision.
+    """Slips and torques of a system with tied contacts, in twice the precision. A contact is tied if the spins at its
+    two ends are made equal, as one unknown; n contacts with up to d slip components are left.
 
     contracted : the contacts that are left, over the sets of tied spins. owners : sample of each of them.
     top : (unknowns before,), imposed spin of the top above each, sum of two doubles; None where imposed spins are
@@ -110,14 +111,17 @@ class _PreciseSystem:
     """
 
     def __init__(self, tied: Contraction, top: Pair | None) -> None:
-        """Take the contacts left in `tied`. top : imposed spin of the top above each unknown of a sample, as in
-        :func:`polished`."""
+        """Take the contacts that are left in `tied`. top : for each unknown of a sample the imposed spin of the top
+        above it, a sum of two doubles; None where imposed spins are doubles.
+        """
         self.contracted, self.owners, self._tied = tied.system, tied.owners, tied
         self.top = top and (np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number)))
         self.imposed = self._imposed()
 
     def _imposed(self) -> tuple[tuple[np.ndarray, ...], Pair]:
-        """Return the value of `imposed`."""
+        """Return where in slips (d, n) imposed spins contribute, as indices, and how much, as sums of two doubles: -1
+        or 1 times the jump between bottom and top.
+        """
         offset = self.contracted.offset
         places = np.nonzero(offset)
         if self.top is None:
@@ -200,7 +204,8 @@ def _along(friction: np.ndarray, difference: Pair) -> Pair:
 
 
 def _chosen(mask: np.ndarray, one: Pair, other: Pair) -> Pair:
-    """Return an array of Pairs: `one` where the mask is True, `other` elsewhere."""
+    """Return sums of two doubles: those of `one` where the mask is True, those of `other` elsewhere. All have one
+    shape."""
     if mask.all():
         return one
     return np.where(mask, one[0], other[0]), np.where(mask, one[1], other[1])

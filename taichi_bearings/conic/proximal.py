@@ -96,7 +96,9 @@ class OfLattice(Unknowns):
         self.rows = len(spin_axes)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the spins (R, unknowns) of the free spheres. Letters: R samples."""
+        """Return the spins (R, unknowns) of the free spheres in R samples, from staggered spins (C, R, *N) of all, with
+        C components and N the shape of the lattice.
+        """
         return free_spins(staggered)
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
@@ -143,8 +145,9 @@ class OfNetwork(Unknowns):
         self.order, self.rows = order_by_place(self.system), len(offset)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the unknowns (R, unknowns): u of each free sphere and component, times the root of its relative
-        inertia. Letters: R samples."""
+        """Return the unknowns (R, unknowns) of R samples: u = radius * spin of each free sphere and component, times
+        the root of its inertia over the mean one. staggered : u of all N spheres, (C, R, N), with C components.
+        """
         return np.asarray(self.root * np.moveaxis(staggered, 1, 0)[:, self.component, self.sphere])
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
@@ -154,7 +157,7 @@ class OfNetwork(Unknowns):
 
 
 class ProximalSteps:
-    """Implicit Euler steps of the samples of a scene.
+    """Implicit Euler steps in time of the samples of a bearing, each solved as a minimum.
 
     scene : the bearing. unknowns : its spins as one vector.
     unit : difference of spins that is counted as one. inertia : mean moment of inertia of the spheres; over radius
@@ -162,8 +165,11 @@ class ProximalSteps:
     """
 
     def __init__(self, scene: Bearing, unknowns: Unknowns, unit: float, inertia: float) -> None:
-        """Scale coefficients and inertia of every sample, and analyse the Newton matrix. The arguments are the
-        attributes of the class."""
+        """Scale coefficients and inertia of every sample, and analyse the Newton matrix.
+
+        scene : the bearing. unknowns : its spins as one vector. unit : difference of spins that is counted as one.
+        inertia : mean moment of inertia of the spheres; over radius squared if the unknowns are :class:`OfNetwork`.
+        """
         self.scene, self.unknowns, self.unit = scene, unknowns, unit
         self._system = unknowns.system
         self._matrix = NewtonMatrix(self._system, unknowns.order)

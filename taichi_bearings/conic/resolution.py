@@ -171,8 +171,8 @@ def resolve(
     iterates : points near the end of the central path, one for each sample; not changed.
     before : the points one step before, None where unknown.
     shared : system, order of elimination and Newton matrix of all samples.
-    small : True to guess the slipping contacts from the last step of the path at first (step 1 of the head of this
-        module); right mostly in small samples.
+    small : True to guess the slipping contacts at first, from how slips and margins changed in the last step of the
+        path; that is mostly right in small samples.
     """
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         steps = zip(iterates, before, strict=True)
@@ -213,15 +213,16 @@ def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resol
 
 
 def _seem_to_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
-    """(n,) mask of contacts that seem to stick. Over the last step of the path, from `before` to `iterate`, their slip
-    fell and their margin did not."""
+    """Return a mask (n,) of contacts that seem to stick: over the last step of the path, from `before` to `iterate`,
+    their slip fell and their margin, the share of friction that is left, did not."""
     slip, slip_before = length(iterate.difference), length(before.difference)
     apart = iterate.margin > DECIDED_RATIO * slip
     return apart & (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
 
 
 def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surroundings) -> Resolved | None:
-    """Return the minimum of one sample, found on the last decades of its path, or None.
+    """Return the minimum of one sample, found by following its central path on to the end of double precision; None if
+    it is not found.
 
     iterate, before : the last two points of the path; the second may be None.
     shared : what all samples share.
@@ -229,8 +230,8 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     The path is followed until few contacts are undecided. Then come trials, up to the first one whose states are sure;
     each is a minimum of the smooth power with balanced forces. Tied are contacts that surely stick:
 
-    - If minima can be unique: nothing tied, at FEW_DOUBTFUL undecided contacts; nothing tied, at none; those that stick
-      tied.
+    - If minima can be unique: nothing tied, with FEW_DOUBTFUL contacts left undecided; nothing tied, with none left
+      undecided; last, those that stick tied.
     - If there may be several minima (equal frictions): those that stick tied; then twice, to the end of the path, with
       those tied as well that stuck at the end of the trial before, as their stiffness blurs the forces of the others;
       last, nothing tied.
@@ -280,7 +281,8 @@ def _minimum_with_tied(
 
     iterate : the point at which the path was begun. path : the point that was reached; not changed.
     sticking : (n,) mask of the contacts to tie. shared : what all samples share.
-    to_the_end : follow the path until double precision ends, not only until every contact is decided.
+    to_the_end : True to follow the path until double precision ends, False until it is clear of every contact whether
+        it slips.
     returns : the minimum, None if there is none; (n,) mask of the further contacts that surely stick at the end.
 
     Forces of slipless contacts are looked for near those at the end of the path. Where minima may tie, a path with tied
@@ -308,8 +310,8 @@ def _minimum_with_tied(
 def _with_slipless_forces(
     iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[np.ndarray], shared: Surroundings
 ) -> list[Resolved | None]:
-    """Return minima completed by forces of the slipless contacts that balance all torques (step 3 of the head of this
-    module); None for a sample where no such forces are found.
+    """Return minima completed by forces of the slipless contacts, each within its friction, that balance all torques;
+    None for a sample where no such forces are found.
 
     iterates : for each sample the point of the path, whose frictions are used. minima : for each sample its minimum or
         None.
@@ -337,8 +339,8 @@ def _with_slipless_forces(
 def _smooth_minima(
     iterates: Sequence[Iterate], spins: Sequence[Pair], masks: Sequence[np.ndarray | None], shared: Surroundings
 ) -> list[Resolved | None]:
-    """Return the minimum of the smooth power of each sample: only some contacts may slip (step 2 of the head of this
-    module). None for a sample where it is not found.
+    """Return the minimum of the smooth power of each sample, found by Newton's method; None for a sample where it is
+    not found. That is the power while only some contacts may slip and the spins across all others are made equal.
 
     iterates : for each sample the point of the path, whose frictions are used.
     spins : for each sample (unknowns,) the spins to begin with, as sums of two doubles.

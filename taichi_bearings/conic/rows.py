@@ -80,15 +80,17 @@ class ContactRows:
         self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
-        """Return where the first `count` rows of each of the n contacts stand in consecutive rows of memory, (count *
-        n,), row by row."""
+        """Return the flat indices, (count * n,), of the numbers of the n contacts in `count` consecutive rows of
+        memory, all of the first row first. A row has `self._contacts` places, those that fill up SIMD blocks included;
+        `self._at` (n,) are the places of the n contacts in it.
+        """
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(
         self, kernel: tuple[Pass, Pass], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
     ) -> np.ndarray:
-        """Run a kernel over all contacts and return what it finds for each sample, (found, S): minima over the contacts
-        first, then sums.
+        """Run a kernel over all contacts and return what it finds for each of S samples, (found, S): minima over the
+        contacts first, then sums.
 
         kernel : two functions, for contacts with one slip component and for those with two.
         slots : the step (0 or 1) whose rows the kernel reads, and the step whose rows it writes.
@@ -130,7 +132,8 @@ class ContactRows:
     def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
         """Compute a product of a sparse matrix with numbers, and write it to `found`.
 
-        sums : the matrix, as :data:`Sums`. values : array that holds the numbers, flat in contacts or spins, from the
+        sums : the matrix; or, if its entries are all 1 or -1, two tables that say which numbers to add and to subtract.
+        values : array that holds the numbers, flat in contacts or spins, from the
             index `first` on. found : array for the result, which goes to the index `to` and on.
         """
         key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
@@ -176,7 +179,8 @@ def compile_passes() -> None:
 
 
 def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, shape: tuple[int, int]) -> Sums:
-    """Return a sparse matrix of the given shape in the form that suits its entries (:data:`Sums`).
+    """Return a sparse matrix of the given shape, in the form that suits its entries: two tables if they are all 1 or
+    -1, else a matrix of SciPy.
 
     row, column, sign : row, column and value of each entry. If all values are 1 or -1, tables for `kernels.add_up` are
         returned: where the terms of each row begin, and the columns of the terms, in rising order, those to be

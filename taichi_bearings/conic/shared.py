@@ -59,8 +59,8 @@ def surroundings_of(system: ContactSystem) -> Surroundings:
 
 
 def is_small(system: ContactSystem) -> bool:
-    """Return True for systems of which several samples are factorised in one launch. Their contact states are then
-    first guessed from the last step of the path, as `small` of :func:`resolution.resolve` says.
+    """Return True for systems of which several samples are factorised in one launch. Which of their contacts slip is
+    then first guessed from the last step of the central path.
 
     Over plain spins (`system.sign` is None) the number of unknowns decides; over signed spins, as on lattices, the
     number of spheres with an unknown spin.

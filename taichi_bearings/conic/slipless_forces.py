@@ -128,7 +128,8 @@ def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
 def _balanced(
     system: ContactSystem, matrix: NewtonMatrix, side: np.ndarray, springs: np.ndarray, going: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the dual after springs have taken its torques away, and the largest torque (samples,) before.
+    """Return the dual (minus the forces, (d, n, samples)) after springs have taken its torques away, and the largest
+    torque (samples,) before.
 
     system, matrix : contacts of one sample, and their matrix with the stiffnesses of the springs, factorised.
     side : minus the forces (d, n, samples). springs : (n, samples), their stiffnesses.
@@ -150,8 +151,11 @@ def _cut_and_balanced(
     going: np.ndarray,
 ) -> np.ndarray:
     """Return minus the forces (d, n, samples), none beyond its limit: forces are cut to their limit and balanced in
-    turn, as long as that reduces the torques. The arguments are those of :func:`_balanced`.
+    turn, as long as that reduces the torques.
 
+    system, matrix : contacts of one sample, and their matrix with the stiffnesses of the springs, factorised.
+    side : minus the forces (d, n, samples), with up to d slip components. springs : (n, samples), stiffnesses of the
+        springs that take torques away. going : (samples,) mask of samples to change.
     limit : (n, samples), friction of the n contacts that may rest at their limit, infinite for others.
     """
     last = np.full(len(going), np.inf)

@@ -71,7 +71,8 @@ class Lattice:
         return Lattice((*sides, gaps + 1), periodic=tuple(closed))
 
     def _check_periodic(self, axis: int) -> None:
-        """Raise InputError if this axis cannot close on itself."""
+        """Raise InputError if this axis cannot close on itself: the height, one that is not there, or one of odd
+        length."""
         name = AXIS_NAMES[axis]
         if axis >= self.height_axis:
             allowed = " and ".join(AXIS_NAMES[: self.height_axis])
@@ -119,7 +120,7 @@ class Lattice:
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
-        """For each axis, the slice of a flat array that holds its contacts."""
+        """For each axis, the slice of an array (E,) over all contacts that holds those along it."""
         ends = np.cumsum([math.prod(self.contact_shape(axis)) for axis in range(self.dimension)]).tolist()
         return tuple(slice(begin, end) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
 
@@ -129,14 +130,14 @@ class Lattice:
         return int(self.spans[-1].stop)
 
     def by_axis(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return values (..., E) on the contacts as a tuple of arrays (..., *contacts), one for each axis; these are
-        views. Letters: E contacts."""
+        """Return values (..., E) on all E contacts, first those along x, then y (then z), as a tuple of arrays (...,
+        *contacts), one for each axis, each with the shape of the contacts along it; these are views."""
         head = values.shape[:-1]
         return tuple(values[..., span].reshape(*head, *self.contact_shape(a)) for a, span in enumerate(self.spans))
 
     def flat(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """Return values (..., E) on the contacts, from one array (..., *contacts) for each axis: the inverse of
-        :meth:`by_axis`. Letters: E contacts."""
+        """Return values (..., E) on all E contacts as one array, first those along x, then y (then z), from one array
+        (..., *contacts) for each axis: the inverse of :meth:`by_axis`."""
         head = parts[0].shape[: parts[0].ndim - self.dimension]
         return np.concatenate([part.reshape(*head, -1) for part in parts], axis=-1)
 
@@ -172,8 +173,10 @@ class Lattice:
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
         """Return a view (R, planes, m, n) of values (R, ...) of the spheres, or of the contacts along one axis.
 
-        component : number of a spin component; the planes are the layers across its axis. The height is the last axis.
-        A square lattice is one plane.
+        R is the number of samples, the first axis; the axes after it are those of the lattice, the height last.
+
+        component : number of a spin component; the planes are the layers across its axis. A square lattice is one
+            plane.
         """
         return values[:, None] if self.dimension == 2 else np.moveaxis(values, 1 + component, 1)
 
@@ -185,8 +188,8 @@ class Lattice:
         return Lattice(tuple(self.shape[axis] for axis in axes), self.radius, closed)
 
     def tangential_mask(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return (C, E) True for the spin components that make a contact slip: all but the one along it. spin_axes :
-        axes of the C components. Letters: E contacts."""
+        """Return a mask (C, E), True for the spin components that make each of E contacts slip: all but the one along
+        it. spin_axes : axes of the C components."""
         return np.array(spin_axes)[:, None] != self.axis
 
     @cached_property
@@ -224,7 +227,7 @@ class Lattice:
 
 
 def axis_numbers(names: Sequence[str]) -> tuple[int, ...]:
-    """Return the numbers of axes that are given by name."""
+    """Return the numbers of axes that are given by name, 0 for "x" and so on."""
     return tuple(map(AXIS_NAMES.index, names))
 
 
@@ -254,8 +257,8 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
 
 
 def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, ...]:
-    """Return friction (..., E, 3), in 2D (..., E), as one array for each axis: (..., *contacts, 3) or (..., *contacts).
-    Letters: E contacts."""
+    """Return friction (..., E, 3), in 2D (..., E), on all E contacts of a lattice as one array for each axis: (...,
+    *contacts, 3) or (..., *contacts)."""
     if lattice.dimension == 2:
         return lattice.by_axis(friction)
     parts = zip(*map(lattice.by_axis, np.moveaxis(friction, -1, 0)), strict=True)
@@ -263,8 +266,8 @@ def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray
 
 
 def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return forces (C, R, E) along the spin difference from friction in the laboratory: inverse of
-    `laboratory_forces`.
+    """Return forces (C, R, E) along the difference of staggered spins from friction in the laboratory frame: with n the
+    direction of a contact and s = +1 or -1 the sign of its lower sphere, the f for which -s f x n is the friction.
 
     friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact. spin_axes : the C spin components that are
         wanted.

@@ -40,7 +40,8 @@ def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) 
 
 def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Return the difference of the staggered spins across every contact, (C, R, E), without its component along the
-    contact. The radius times its length over C is the slip speed (paper Eq. 2).
+    contact. The slip speed is the radius times the length of this vector, the root of the sum of the squares of its C
+    components (paper Eq. 2).
 
     staggered : (C, R, *N), spins by component, sample and sphere. spin_axes : axes of the C components.
 

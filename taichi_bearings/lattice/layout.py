@@ -22,7 +22,7 @@ from taichi_bearings.lattice.grid import Lattice
 class Rows(NamedTuple):
     """The places in memory of the numbers of an array (C, *shape): C rows, one for each component.
 
-    length : numbers from the begin of one row to that of the next.
+    length : how many numbers lie from the beginning of one row to that of the next.
     margin : numbers before the first one of a row.
     shape : shape of one component.
     order : for each place in a row, the number of the sphere or contact there; by default they stand in their own
@@ -40,7 +40,7 @@ class Layout:
     """Flat layout of several lattices of one shape in memory, one after another.
 
     replicas : number of lattices (samples). shape : of each, height last.
-    block : sites that a kernel works on together.
+    block : number of sites, the places of spheres, that a kernel works on together.
     periodic : axes that close on themselves.
     """
 
@@ -91,7 +91,7 @@ class Layout:
 
     def parts(self, spec: object) -> list[tuple[Any, Rows]]:
         """Return pairs of fields and the place of their rows in memory. Here all fields have the shape (C, R, *N), so
-        there is one pair. spec : names and numbers of components C of the fields.
+        there is one pair. spec : names of the fields, each with its number of components C.
 
         Letters: R samples, N the shape of the lattice.
         """

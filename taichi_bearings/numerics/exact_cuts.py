@@ -66,7 +66,8 @@ def whole_numbers(values: np.ndarray) -> np.ndarray:
 
 
 def _whole(weight: np.ndarray) -> np.ndarray:
-    """Return weights as whole numbers of Python: those already of dtype object as they are, floats in proportion."""
+    """Return weights (n,) as whole numbers of Python (dtype object): floats in exact proportion, whole numbers as they
+    are."""
     return weight if weight.dtype == object else whole_numbers(weight)
 
 
@@ -112,7 +113,8 @@ def cuts_between(
     """Find the lightest cuts of a graph of which the side of most nodes is known already.
 
     ends : (2, edges) nodes that each edge joins.
-    weight : (edges,) and rounding : relative error, both as in :func:`lightest_cuts`.
+    weight : (edges,) floats, or whole numbers of Python (dtype object), none negative. rounding : their relative error;
+        cuts that could be as light within three times this share of the least weight count as lightest.
     above : (nodes,) True on the far side (that of the last node) of one lightest cut.
     between : (nodes,) True for nodes that may lie on the other side in another one. All other nodes of a side are
         merged into one node.
@@ -124,13 +126,14 @@ def cuts_between(
 
 
 def with_exact_ties(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: float) -> MinimumCut:
-    """Return minimum cuts of lattices in which fewer spheres are left undecided between cuts that tie.
+    """Return minimum cuts of R lattices of shape N in which fewer spheres are left undecided between cuts that tie.
 
-    `cut.between` marks spheres that a flow in machine numbers could not put on one side. They are tried again here in
-    whole numbers of any size.
+    `cut.between` (R, *N) marks spheres that a flow in machine numbers could not put on one side. They are tried again
+    here in whole numbers of any size.
 
-    cut : answer of :func:`taichi_bearings.numerics.minimum_cut.minimum_cut`.
-    weight, rounding : the arguments that it was given.
+    cut : the cuts as :func:`taichi_bearings.numerics.minimum_cut.minimum_cut` found them from these weights.
+    weight : weights of the contacts, one array (R, *contacts) for each axis. rounding : their relative error; no cut
+        that could be as light within it is taken to be heavier.
     """
     between = cut.between.copy()
     for sample in np.flatnonzero(~cut.unique):

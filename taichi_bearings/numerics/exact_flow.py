@@ -39,7 +39,7 @@ class _Residual:
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:
-        """The four arrays, in the order of the fields."""
+        """The four arrays of capacities: there and back, (P,) each; fed and drained, (nodes,) each."""
         return self.there, self.back, self.fed, self.drained
 
 
@@ -69,7 +69,10 @@ def exact_flow(
 
 
 def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
-    """Return the number (nodes,) of the connected part that each node belongs to."""
+    """Return the number (nodes,) of the connected part of a graph that each node belongs to.
+
+    nodes : number of nodes. pairs : (2, P) the two nodes that each edge joins.
+    """
     graph = sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(nodes, nodes))
     return np.asarray(connected_components(graph, directed=False)[1])
 
@@ -77,10 +80,12 @@ def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
 def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> None:
     """Take a largest flow away from the capacity that is left, in place.
 
-    left : capacities. pairs : (2, P) nodes of each pair, lower and upper. part : (nodes,) connected part of each node.
+    left : capacities, whole numbers of any size. pairs : (2, P) nodes of each of P joined pairs, lower and upper.
+    part : (nodes,) number of the connected part of each node.
 
-    Each round works with the leading bits of all capacities, in a unit of each part; what a round leaves over bounds
-    the next one (see the head of this module).
+    Each round finds a largest flow of the leading bits of all capacities, in a unit of each part, and takes it away.
+    What can still flow is then less than a unit per edge of some cut; the next round cuts capacities down to that bound
+    and so works in a finer unit, until nothing is left.
     """
     count, nodes = int(part.max(initial=-1)) + 1, len(part)
     kind = left.there.dtype
@@ -126,8 +131,9 @@ def _flow_of_round(
     """Return a largest flow of short capacities (int64): net flow (P,) from the lower to the upper node of each pair,
     inflow and outflow (nodes,).
 
-    pairs : (2, P) nodes. there, back, fed, drained : capacities, as in :class:`_Residual`. Source and sink become two
-        more nodes, the first and the last one.
+    pairs : (2, P) nodes of each pair, lower and upper. there, back : (P,) capacities from the lower to the upper node,
+        and back. fed, drained : (nodes,) capacities from the source, and to the sink, at each node. Source and sink
+        become two more nodes, the first and the last one.
     """
     nodes, begins, ends = len(fed), np.flatnonzero(fed), np.flatnonzero(drained)
     taken, given = np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)

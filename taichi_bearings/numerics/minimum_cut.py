@@ -44,7 +44,7 @@ class MinimumCut:
     weight : (R,) weight of this cut.
     lower_bound : (R,) proven: no cut is lighter. It is good to about 1e-15 a contact, relative.
     next_weight : (R,) weight of the lightest other cut that leaves either side in one piece, as good as the bound; NaN
-        where it takes more than this cut to know (see :func:`next_cut`).
+        where this cut alone does not tell it; :func:`next_cut` then computes it.
     """
 
     above: np.ndarray
@@ -87,9 +87,10 @@ def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> Minimu
 
 
 def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCut:
-    """Find the same cuts as :func:`minimum_cut` by a largest flow, whatever the lattice; `next_weight` is NaN.
+    """Find lightest cuts between bottom and top plane of R lattices by a largest flow, whatever the lattice; their
+    field `next_weight`, the weight of the lightest other cut, is NaN.
 
-    weight : one array (R, *contacts) for each axis. rounding : relative error of each weight.
+    weight : one array (R, *contacts) for each axis, none negative. rounding : relative error of each weight.
 
     For planar grids this is slower than shortest paths, but shares no code with them.
     """
@@ -102,7 +103,8 @@ def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCu
 def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
     """Return the lightest cut other than `cut` that leaves either side in one piece: sides (R, *N) and weight (R,).
 
-    weight : one array (R, *contacts) for each axis, as :func:`minimum_cut` was given. cut : its answer.
+    weight : weights of the contacts of R lattices of shape N, one array (R, *contacts) for each axis.
+    cut : lightest cuts for these weights, the answer of :func:`minimum_cut`.
 
     Such a cut cannot hold all contacts of another one. So the lightest other one is the lightest of those that spare
     some contact of `cut`. That takes a flow for each contact of the cut, so this is for small lattices.
@@ -121,8 +123,10 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
 
 
 def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return the weight (R,) of the contacts between the two sides. above : (R, *N) True on one of them. weight : one
-    array (R, *contacts) for each axis."""
+    """Return the weight (R,) of the contacts between the two sides of a cut of each of R lattices of shape N.
+
+    above : (R, *N) True for spheres on one of the sides. weight : one array (R, *contacts) for each axis.
+    """
     replicas, lattice = range(len(above)), Lattice.of(weight)
     parts = ([values[r][_parted(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight))
     return np.sum(list(parts), axis=0)
@@ -132,8 +136,8 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
     """Find minimum cuts of R stacks of planar grids that no contact joins to each other, w columns and h rows each.
 
     sideways, upward : weights (R, planes, w - 1, h) along rows and (R, planes, w, h - 1) between rows.
-    returns : sides `above` and undecided spheres `between` (R, planes, w, h); proven weight and weight of the next cut
-        (R,): see :class:`MinimumCut`.
+    returns : masks (R, planes, w, h) of the spheres on the top side, and of those that are not on one side in all
+        lightest cuts; (R,) proven least weight of a cut; (R,) weight of the lightest other cut.
     """
     replicas, planes, columns, gaps = upward.shape
     sideways, upward = (np.ascontiguousarray(values).reshape(-1, *values.shape[2:]) for values in (sideways, upward))
@@ -238,8 +242,8 @@ def graph_of_lattice(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
     """Return the graph of a lattice in which the bottom plane is one node, the first, and the top plane another, the
     last.
 
-    returns : node of each sphere, of the shape of the lattice; both nodes (2, edges) of each contact, in the order of
-        :func:`edges_of`.
+    returns : node of each sphere, of the shape of the lattice; both nodes (2, edges) of each contact that is not
+        between two spheres of one of these planes, axis by axis, as :func:`edges_of` orders the values of contacts.
     """
     node = number_bodies(lattice.driven)
     pairs = []
@@ -265,9 +269,10 @@ def number_bodies(driven: np.ndarray) -> np.ndarray:
 
 
 def edges_of(values: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return the values of the contacts that take part in cuts, axis by axis, as one flat array.
+    """Return the values of the contacts that take part in cuts of a lattice, axis by axis, as one array (edges,).
 
-    Contacts between two spheres of the bottom or of the top plane do not. values : one array of contacts an axis.
+    Contacts between two spheres of the bottom or of the top plane do not take part. values : one array of contacts for
+    each axis, the height last.
     """
     *sideways, upward = values
     return np.concatenate([*(part[..., 1:-1].ravel() for part in sideways), upward.ravel()])
@@ -322,7 +327,11 @@ def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nda
 
 
 def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
-    """Return a largest flow (edges,) by Dinic's method of SciPy, for the arguments of :func:`largest_flow`.
+    """Return a largest flow (edges,) from the first to the last node of an undirected graph, positive from the lower to
+    the upper end, by Dinic's method of SciPy.
+
+    ends : (2, edges) nodes, lower and upper. capacity : int64 below 2^62, (edges,) of both ways, or (2, edges) from the
+        lower to the upper end and back. at_most : a number below 2^62 that no flow exceeds.
 
     SciPy's flows have 32 bits, so the leading bits go first. The capacity that is left then carries no more than the
     cut found, which fits into fewer bits, and so on: three or four rounds (capacity scaling; Gabow, J. Comput. System
@@ -354,8 +363,9 @@ def _shared_out(ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: 
     """Return a largest flow (edges,) by SciPy where several edges join the same two nodes: the flow of each pair of
     nodes is found first; then each edge of the pair takes what it can.
 
-    ends, capacity, at_most : as in :func:`largest_flow`. pairs : (2, P) the different pairs of nodes. own : (edges,)
-        the pair of each edge.
+    ends : (2, edges) nodes, lower and upper. capacity : (edges,) int64 below 2^62, of both ways. pairs : (2, P) the
+        different pairs of nodes. own : (edges,) number of the pair that each edge joins.
+    at_most : a number that no flow exceeds.
     """
     total = np.zeros(pairs.shape[1], dtype=np.int64)
     np.add.at(total, own, capacity)

@@ -51,8 +51,8 @@ class Motions:
     held : numbers of the unknowns that, held at 0, leave no slipless motion; as many as there are motions.
     decided : True where the slips of every motion are clearly rounding or clearly not.
     largest_slip : largest slip of a motion over its largest spin.
-    smallest_kept : smallest pivot that was eliminated.
-    fronts, unknowns : the elimination, and the number of unknowns; `basis` needs both.
+    smallest_kept : smallest pivot that was not taken as 0, the square of a slip over a spin.
+    fronts, unknowns : what elimination left of each set of unknowns, and the number of unknowns; `basis` needs both.
     whole : False where some motions that elimination found do slip, and were left out.
     """
 
@@ -153,9 +153,10 @@ def _relative_slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarra
 
 
 def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
-    """Return the numbers of the unknowns of each part of an elimination order. sphere : (unknowns,) sphere of each
-    unknown.
-    parts : spheres of each part, and the parts below it.
+    """Return the numbers of the unknowns of each part of an elimination order, one array for each part.
+
+    sphere : (unknowns,) number of the sphere that each unknown belongs to.
+    parts : for each part, children first, the numbers of its spheres, and of the parts below it.
     """
     order, own = np.concatenate([spheres for spheres, _ in parts]), [len(spheres) for spheres, _ in parts]
     place, part = np.empty(len(order), dtype=np.int64), np.repeat(np.arange(len(own)), own)
@@ -168,6 +169,8 @@ def _eliminated(
     matrix: sparse.csr_array, position: np.ndarray, own: np.ndarray, updates: list[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[_Front, np.ndarray]:
     """Eliminate the unknowns `own` of one front, by pivoted Cholesky factorisation.
+
+    A front is a dense symmetric matrix of its own unknowns and its border, the later unknowns that they are coupled to.
 
     matrix : K^T K, where K gives slips from spins. position : (unknowns,) place of each in the order of elimination.
     updates : for each front below this one its border, and the matrix (border, border) that it adds there.

@@ -18,8 +18,8 @@ def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice,
 
     sideways : weights (B, w, h) of contacts along the rows of B grids of w columns and h rows; the last column's are
         those with the first column. upward : weights (B, w, h - 1) of contacts between rows.
-    yields : the number of the grid as a slice, and its cut in the form of
-        :func:`taichi_bearings.numerics.planar.minimum_cuts`. `next_weight` is not known (NaN) where cuts do not tie.
+    yields : the number of the grid as a slice of length 1, and its cut: side of each sphere, flow, ties and weight. The
+        weight of the lightest other cut, `next_weight`, is not known (NaN) where cuts do not tie.
 
     A flow of rounded weights puts most spheres on one side of all lightest cuts. What lies between is cut again,
     exactly.

@@ -87,6 +87,11 @@ class Analysis:
     """
 
     def __init__(self, result: Result, threshold: float | None = None, sample: int = 0) -> None:
+        """Analyse all samples of a result.
+
+        threshold : slip speed, length/time, up to which contacts count as slipless; None for the contact states of the
+            result. sample : number of the sample whose structure is shown.
+        """
         began, solution, is_one = time.perf_counter(), result.solution, len(result.solution.state) == 1
         if threshold is not None and not 0 < threshold < np.inf:
             raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
@@ -122,9 +127,11 @@ class Analysis:
         raise AttributeError(f"an analysis has no {name!r}; it has {', '.join(known)}{meant(name, known)}")
 
     def __dir__(self) -> list[str]:
+        """Return the names of all attributes, with those of the rows of the report."""
         return [*super().__dir__(), *self.report]
 
     def __repr__(self) -> str:
+        """Return one line with size, law and four numbers, or the number of samples."""
         names = ("power_over_cut", "slipless_fraction", "spans", "domains") if len(self.arrays) == 1 else ()
         words = ", ".join(f"{name} = {self.report[name]}" for name in names) or f"{len(self.arrays)} samples"
         return f"<Analysis of {sized(self.report)} {self.report['law']}: {words}>"
@@ -231,7 +238,7 @@ def write_analysis(
     """
 
     def fill(group: h5py.Group) -> None:
-        """Write everything into the group."""
+        """Write the arrays of all samples, and the attributes, into a group of an HDF5 file."""
         listed = {key: value if isinstance(value, list) else [value] for key, value in attributes.items()}
         nested = {key for key, parts in listed.items() if any(isinstance(part, (dict, list)) for part in parts)}
         put_attributes(group, {key: value for key, value in attributes.items() if key not in nested})

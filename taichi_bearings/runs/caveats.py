@@ -34,7 +34,8 @@ UNFINISHED = {  # words for why a run ended early
 
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
-    """Return all warnings about an answer as sentences, each for all of its samples together. settings : of its run."""
+    """Return all warnings about an answer as sentences, each for all of its samples together. settings : those of its
+    run."""
     of_packings = (_without_power, _too_wide, _not_proven, _untouched, _tied)
     is_lattice = solution.scene.network.lattice is not None
     of_kind = (_torque_between, *(CAVEATS if is_lattice else of_packings))
@@ -58,7 +59,10 @@ def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield for each sample of a packing why its lower bound on the least power is not proven, or only in part."""
+    """Yield for each sample of a packing why its lower bound on the least power is not proven, or only in part.
+
+    settings : those of the run; not used.
+    """
     several = solution.scene.replicas > 1
     for seed, proof in zip(solution.scene.seeds, solution.findings["proof"], strict=True):
         if proof != "proven":
@@ -80,7 +84,10 @@ def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield why the least power of a packing is 0: no sphere is driven, or there are spins without any slip."""
+    """Yield why the least power of a packing is 0: no sphere is driven, or there are spins without any slip.
+
+    settings : those of the run; not used.
+    """
     idle = np.full(solution.scene.replicas, not len(solution.scene.network.bodies))
     still = (solution.objective == 0) & (solution.gap == 0) & ~idle
     if idle.any():
@@ -114,7 +121,7 @@ def _in_samples(which: np.ndarray) -> str:
 
 
 def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield which properties of a law that the user has defined its lower bounds assume."""
+    """Yield which properties of a law that the user has defined its lower bounds assume. settings : not used."""
     if not solution.scene.law.is_sum:
         yield (
             f"what is proven rests on the law {solution.scene.law.name!r} as it was given: that its potential is "
@@ -124,7 +131,7 @@ def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]
 
 
 def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield why the least power on a lattice is 0, where that is known beforehand."""
+    """Yield why the least power on a lattice is 0, where that is known beforehand. settings : not used."""
     scene = of_lattice(solution.scene)
     if scene.jump == 0:
         yield "the least power is 0: top and bottom are driven alike, so that all spheres turn in one bearing state"
@@ -165,7 +172,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield how many contact states are undecided, by reason."""
+    """Yield how many contact states are undecided, by reason. settings : not used."""
     number = int(count(solution.state, ContactState.UNDECIDED).sum())
     named = ~solution.proven & (solution.state != ContactState.UNDECIDED)
     uneven = too_uneven(solution) & ~named.any(axis=1)
@@ -212,14 +219,17 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield how many contacts slip at some minima and not at others."""
+    """Yield how many contacts slip at some minima and not at others. settings : not used."""
     tied = int(count(solution.state, ContactState.TIED).sum())
     if tied:
         yield f"minima tie exactly: {counted(tied, 'contact')} slip at some of them and not at others"
 
 
 def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a warning if the time step of a dynamics is too long for accurate spins before its end."""
+    """Yield a warning if the time step of a dynamics is too long for accurate spins before its end.
+
+    settings : those of the run; not used.
+    """
     error, advised = (solution.findings.get(name) for name in ("step_error", "accurate_time_step"))
     if error is not None and error.max() > ACCURATE_ERROR:
         words = f"the time step makes spins wrong by about {error.max():.1e} of the largest one on their way"
@@ -230,6 +240,8 @@ def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
 def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a warning if the springs of a dynamics are stretched by a noticeable part of the distance that the planes
     have slid.
+
+    settings : those of the run; not used.
     """
     share = solution.findings.get("elastic_share", np.zeros(1))
     largest = float(np.nanmax(share, initial=0.0))

@@ -89,7 +89,8 @@ def draw_snapshot(
     """Draw the spins of the snapshot that is nearest to a simulated time, and the contacts that slip in it.
 
     answer : what was solved. replica : number of the sample. time : simulated time; the title has that of the snapshot.
-    slip_threshold : as for :func:`moment_of`. page : how the figure is printed.
+    slip_threshold : slip speed, length/time, up to which contacts count as slipless; None if the run was not given
+        one. page : how the figure is printed: width, planes and view.
 
     Raises InputError if the run has no snapshots or does not reach that time.
     """

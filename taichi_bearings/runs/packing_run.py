@@ -67,7 +67,7 @@ def solve_packings(
     scene : the packing. start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N); None to
         take those that the settings name.
     monitors : functions that are called at each check. checkpoints : where and how often checkpoints are written, and
-        the one to continue from; None for none. others : as for :func:`solved_packing`.
+        the one to continue from; None for none. others : `density` of the spheres, mass / length^D, for dynamics.
 
     After Ctrl-C the result holds the samples that were begun. With checkpoints, from which the others can be solved
     later, KeyboardInterrupt is raised instead, unless all samples were begun.
@@ -109,8 +109,9 @@ def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
 
 
 def are_solved_together(settings: RunSettings, spheres: int) -> bool:
-    """Return True if samples of a packing are solved together, each with the same bits as alone. spheres : of the
-    packing.
+    """Return True if samples of a packing are solved together, each with the same bits as alone.
+
+    settings : of the run. spheres : number of spheres of the packing.
     """
     return minimises(settings) and settings.torque is None and spheres < InteriorPoint.alike_in_a_block
 
@@ -250,7 +251,8 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
     """Return the answer for a packing by the method that the settings name.
 
     start : initial spins; None to take those that the settings name.
-    others : `monitors` and `checkpoints` as for `solvers.drive.solve`, and `density` of :func:`_stepped`.
+    others : `monitors`, functions that are called at each check; `checkpoints`, where and how often they are written,
+        and the one to continue from; and, for dynamics alone, `density` of the spheres, mass / length^D.
     """
     row, given = row_of_packing(settings.method), settings.given
     device = {key: given[key] for key in ON_DEVICE if key in given}
@@ -290,10 +292,11 @@ def _stepped(
 ) -> Solution:
     """Return the answer for all samples of a packing by a dynamics or a descent.
 
-    options : the method with its options. start : initial spins, or their name or file, as for `initial_spin`. settings
-        : of the run.
-    density : of the spheres, mass / length^D, for dynamics alone (`Packing.inertias`). monitors, checkpoints : as for
-        `solvers.drive.solve`.
+    options : the method with its options. start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or
+        (R, N), 1/time; or their name, such as "linear", or the path of a file. settings : of the run.
+    density : of the spheres, mass / length^D, for dynamics alone, from which their inertia follows. monitors :
+        functions that are called at each check. checkpoints : where and how often checkpoints are written, and the one
+        to continue from; None for none.
     """
     from taichi_bearings.solvers.drive import solve  # and with it Taichi's kernels
     from taichi_bearings.solvers.dynamics import Dynamics

@@ -50,7 +50,7 @@ class PointsAndLines:
 
     structure : spheres, contacts and answer of the sample. Its properties that take long to compute, such as rigid
     domains, are not to be asked for; `drawn` has those that are known.
-    spheres, contacts : columns (N, ...) of the spheres, and (contacts E,) of the contacts, by name.
+    spheres, contacts : columns (N, ...) of the N spheres, and (E,) of the E contacts, by name, with units.
     time : simulated time at the end of a dynamics, else None.
     moments : its snapshots before the end, None if there are none.
     """
@@ -104,7 +104,8 @@ def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_thre
     """Return a sample as points and lines with all columns that are known.
 
     structure : the sample. drawn : known columns of its structure. time : simulated time at the end of a dynamics, else
-        None. slip_threshold : as for :func:`taichi_bearings.runs.figures.moment_of`.
+        None. slip_threshold : slip speed, length/time, up to which contacts of a snapshot count as slipless; None if
+        the run was not given one.
     """
     answer, moments = structure.answer, _moments(structure, time, slip_threshold)
     spheres, contacts, network, row = dict(drawn.spheres), dict(drawn.contacts), structure.whole, SPHERES["spin"]
@@ -146,8 +147,8 @@ def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
 def _moments(structure: Structure, end: float | None, slip_threshold: float | None) -> Moments | None:
     """Return the snapshots before the end of a dynamics, which the answer itself shows; None if there are none.
 
-    structure : the sample. end : simulated time at the end, None for other methods. slip_threshold : as for
-        :func:`taichi_bearings.runs.figures.moment_of`.
+    structure : the sample. end : simulated time at the end, None for other methods. slip_threshold : slip speed,
+        length/time, up to which contacts of a snapshot count as slipless; None if the run was not given one.
     """
     kept = structure.answer.snapshots
     if kept is None or end is None or not (early := np.flatnonzero(kept.time < end)).size:

@@ -66,11 +66,12 @@ class Result:
     solution : Solution
         What was found of all samples, arrays with an axis R, (R, E) on contacts.
     started_from : numpy.ndarray or None
-        Spins that it started from; None where these have a name or lie in its directory.
+        Laboratory spins, 1/time, that were given as an array to start from; None where they were given by name, such as
+        "linear", or are stored in the directory of the run.
     path : pathlib.Path or None
         Directory or file of the run; None if it is in none.
     command : str
-        What made it, for the record.
+        The command line that made it; empty if there is none.
     interrupted : bool
         Whether Ctrl-C or SIGTERM was heard.
     attributes : Mapping
@@ -289,6 +290,7 @@ class Result:
         return pool(count_powers(found.power_per_contact, found.state), found.slip_threshold)
 
     def __len__(self) -> int:
+        """Return the number R of samples."""
         return self.scene.replicas
 
     def __getitem__(self, number: int) -> "Result":
@@ -299,6 +301,7 @@ class Result:
         return self if samples == 1 else self.sample(number % samples)
 
     def __iter__(self) -> Iterator["Result"]:
+        """Yield the result of each sample alone, in their order."""
         return (self[number] for number in range(len(self)))
 
     def __repr__(self) -> str:
@@ -391,7 +394,7 @@ class Result:
 
 
 def _described(row: Quantity) -> str:
-    """Return the docstring of a quantity: its text and unit. row : of the table of quantities."""
+    """Return the docstring of a quantity: its text and unit. row : its row in the table of quantities."""
     unit = "" if row.unit == "1" else f", {row.unit}"
     return f"{row.text[0].upper()}{row.text[1:]}{unit}."
 
@@ -411,7 +414,9 @@ def _of_contacts(row: Quantity) -> property:
     """
 
     def found(result: Result) -> OfContacts:
-        """Return the values of the row in the shapes of users."""
+        """Return the values of the row's quantity on the contacts: a tuple with an array for each axis of a lattice,
+        one array for a packing, an empty tuple where nothing is known.
+        """
         values = row.of(result.solution)
         if values is None:
             return ()

@@ -94,8 +94,8 @@ def build_scene(settings: RunSettings) -> Scene:
 
 
 def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
-    """Return the class of the method that solves a scene; for "auto" the fastest that certifies its answers
-    (docs/methods.md).
+    """Return the class of the method that the settings name; for "auto" that of the fastest method which certifies its
+    answers to this scene.
     """
     if settings.method == "auto":
         arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
@@ -261,7 +261,9 @@ def solve_job(job: Job, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkp
     free = replace(settings, torque=None)
 
     def again(bearing: Bearing) -> Solution:
-        """Solve another scene with the same settings but without a torque."""
+        """Return the answer to another scene with the same settings, but with the top turned as imposed instead of by a
+        torque.
+        """
         scene = of_lattice(bearing)
         return solve_job(Job(free, scene, initial_spin(scene, "linear"), method.options.build()))
 
@@ -342,7 +344,8 @@ def written_or_rescued(
 def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Result:
     """Write a result, into a temporary folder if its own path cannot be written, and return it with its path.
 
-    found, write, otherwise : as for :func:`written_or_rescued`.
+    found : the result. write : function that writes its files and returns it. otherwise : end of the message if nothing
+        can be written. WriteError is raised then.
     """
     try:
         return write()
@@ -373,7 +376,7 @@ def resume(
     """Continue a run from its checkpoint, to the same bits as if it had never been stopped, and return the result.
 
     path : the run directory or its run.h5. changes : new values of settings that are named in CHANGEABLE.
-    monitors, title : as for :func:`run`.
+    monitors : functions that are called at each check. title : True for words above the figures.
 
     Raises FileError if there is no checkpoint that can be read, InputError for a change that is not possible.
     """
@@ -413,15 +416,17 @@ def _solve_with_checkpoints(
     """Solve a job in a run directory that exists and is locked by this process; write its files and return the result.
 
     path : the directory. job : the run. stored : its settings, with the names of files as they are in the directory.
-    arrays : the checkpoint to continue from, by name; None to start at the beginning. monitors, title : as for
-        :func:`run`.
+    arrays : the checkpoint to continue from, by name; None to start at the beginning. monitors : functions that are
+        called at each check. title : True for words above the figures.
 
     A KeyboardInterrupt that ends the solve has the path of the directory as its message.
     """
     from taichi_bearings.solvers.drive import Checkpoints
 
     def write(state: Mapping[str, np.ndarray]) -> None:
-        """Write a checkpoint; warn if that fails."""
+        """Write a checkpoint into the run directory; log a warning if that fails. state : of the method, arrays by
+        name.
+        """
         try:
             write_checkpoint(path, stored.to_toml(), versions(), state)
         except FileError as error:  # a full disk may have room again before the end
@@ -436,7 +441,7 @@ def _solve_with_checkpoints(
     found = replace(found, path=path, command=command())
 
     def complete() -> Result:
-        """Write the files of the finished run into its directory."""
+        """Write the files of the finished run into its directory, and return the result with that path."""
         with completed(path, _drawn(path)) as folder:
             write_run(folder, found)
         return found

@@ -257,7 +257,8 @@ def claimed(path: Path, force: bool = False) -> Iterator[None]:
 def writable_folder(path: Path, part: str = "") -> Iterator[None]:
     """Make a folder unless it exists, and lock it inside the block, so that no other process works in it.
 
-    part : as for :func:`in_use`. Raises FileError if the folder cannot be made, or if another process works in it.
+    part : name for one part of the work, to lock that part alone; empty for all work. Raises FileError if the folder
+        cannot be made, or if another process works in it.
     """
     refuse_name(path)
     make_folder(path)

@@ -174,6 +174,9 @@ class _Sets:
     """
 
     def __init__(self, path: Path, file: h5py.File, head: tuple[int, ...]) -> None:
+        """Take a file. path : its path, for messages. file : the opened file. head : (R,), or () if arrays have no axis
+        of samples.
+        """
         self.path, self.file, self.head = path, file, head
 
     def get(self, name: str, *expected: int | None) -> np.ndarray:
@@ -346,7 +349,9 @@ OWN_COEFFICIENTS = ("run.h5", "coefficients.npz")  # files that runs write: no n
 
 
 def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    """Return the scene on a lattice that a file holds, and how its data sets are read (see `_Found`).
+    """Return the scene on a lattice that a file holds, and how its data sets are read: their reader; a function that
+    returns a data set of the contacts by name, (samples R, contacts E, *parts); the shape of arrays over the spheres;
+    and that of a vector, (3,), or () in 2D.
 
     path, attributes : of the file. settings : of the run.
     """
@@ -365,7 +370,9 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], settings: RunSettings) -> _Found:
-    """Return the packing that a file holds, and how its data sets are read (see `_Found`).
+    """Return the packing that a file holds, and how its data sets are read: their reader; a function that returns a
+    data set of the contacts by name, (samples R, contacts E, *parts); the shape of arrays over the spheres; and that of
+    a vector, (3,), or () in 2D.
 
     path, attributes : of the file. settings : of the run.
     """
@@ -384,7 +391,9 @@ def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], 
     arrays = _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
 
     def of_contacts(name: str, *parts: int) -> np.ndarray:
-        """Return a data set of the contacts, (samples R, contacts E, *parts)."""
+        """Return a data set of the contacts, (samples R, contacts E, *parts). name : of the data set in the group of
+        the contacts. parts : shape of the value of one contact.
+        """
         return arrays.get(f"contact/{name}", scene.contacts, *parts)
 
     return scene, arrays, of_contacts, (scene.spheres,), () if scene.dimension == 2 else (3,)

@@ -53,7 +53,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, obje
     one = solution.scene.replicas == 1
 
     def fill(file: h5py.File) -> None:
-        """Write all data sets; whole numbers and vectors with many zeros are compressed."""
+        """Write all data sets into an opened HDF5 file; whole numbers and vectors with many zeros are compressed."""
         for name, values, unit, text in _rows(solution):
             values = values.astype(np.uint8) if values.dtype == bool else values
             sparse = values.dtype == np.uint8 or (name.endswith("/friction") and values.ndim == OF_VECTORS)

@@ -404,7 +404,7 @@ class RunSettings:
 
 
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the methods and of the laws that use an option."""
+    """Return the names of the methods, and those of the laws, that use an option of a run. item : the option."""
     methods = tuple(name for name, row in METHODS.items() if item.methods is None or item.methods(row))
     return methods, tuple(name for name, law in LAWS.items() if item.laws is None or item.laws(law))
 

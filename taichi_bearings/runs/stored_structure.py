@@ -72,7 +72,8 @@ class Drawn:
 class _Stored:
     """Reader of the stored structure of one sample.
 
-    group : /analysis of its file. structure, replica : as for `Drawn.stored`.
+    group : /analysis of its file. structure : spheres, contacts and spins of the sample. replica : number of the
+        sample; None if the file has no axis of samples.
     """
 
     group: h5py.Group

@@ -62,7 +62,7 @@ def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Find
     """Return the columns of the spheres, flat in C order, and those of the contacts, (contacts E,), by name."""
 
     def found(rows: Iterable[Quantity]) -> dict[str, Finding]:
-        """Return the columns that the structure has among these."""
+        """Return the columns that the structure has among some rows of the tables, by name, with units."""
         known = found_in(structure, {row.name: row for row in rows})
         return {row.name: Finding(values.ravel(), row.unit, row.text) for row, values in known}
 

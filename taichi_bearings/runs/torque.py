@@ -104,7 +104,13 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
 
 
 def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
-    """Return the four findings on a torque by name; arguments and findings are those of :func:`under_torque`."""
+    """Return four findings on a torque on the top, by name, (samples R,) each: `yields`, True if friction does not hold
+    it; `yield_torque` and `yield_torque_lower_bound`, force*length, above which it surely turns the top, and up to
+    which friction surely holds it; and `amplitude`, the strength of the motion.
+
+    solution : the answer at strength 1, with the top moved as imposed. torque : force*length. solve : function that
+        solves another scene or packing the same way.
+    """
     scene = solution.scene
     if scene.sides[1]:
         return _beside_driven(scene, torque, solve)
@@ -132,7 +138,11 @@ def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndar
 
 
 def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.ndarray]:
-    """Return the four findings on a torque by name if the bottom turns, too; arguments as for :func:`under_torque`.
+    """Return four findings on a torque on the top, by name, (samples R,) each, if the bottom turns, too: `yields`, True
+    if the torque exceeds `yield_torque`; two torques, force*length; and `amplitude`.
+
+    scene : what is solved, with the top moved as imposed. torque : force*length. solve : function that solves another
+        scene or packing the same way.
 
     yield_torque is that in the direction of the torque, and may be negative: a larger torque turns the top. Up to
     yield_torque_lower_bound the top turns by no more than HELD_TURN times the spin of the bottom. The amplitude is not
@@ -164,7 +174,9 @@ def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> floa
     short = False
 
     def excess(strength: float) -> float:
-        """Return the torque that a strength needs, less the given one; 0 once a solve has missed its tolerance."""
+        """Return the torque, force*length, that keeps the top in its imposed motion times `strength` going, less the
+        given torque; 0 once a solve has missed its tolerance.
+        """
         nonlocal short
         found = solve(scene.with_top(strength))
         short |= found.status is not Status.CERTIFIED

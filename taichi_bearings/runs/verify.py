@@ -136,7 +136,10 @@ class NewProof:
         return _judgements(self.run.solution)
 
     def of(self, name: str) -> np.ndarray:
-        """Return an attribute of the judgements for all samples as one array, (R, ...). name : of the attribute."""
+        """Return an attribute of the new proofs, called judgements, for all samples as one array, (samples R, ...).
+
+        name : of the attribute, such as "known", the proven contact states, or "price", what unbalanced torques cost.
+        """
         return np.concatenate([getattr(one, name) for one in self.judgements])
 
     @cached_property
@@ -269,7 +272,7 @@ class _NeedsAnother(Exception):
 
 
 def _no_other(_: object) -> Solution:
-    """Raise _NeedsAnother in place of solving."""
+    """Raise _NeedsAnother in place of solving a scene, since verifying makes no new solve. The argument is not used."""
     raise _NeedsAnother
 
 
@@ -347,7 +350,7 @@ def _allowed(name: str, said: Any, true: Any) -> bool:
     """Return True if the value of an attribute agrees with the true one: in type, and for numbers up to rounding.
 
     name : of the attribute. said, true : its value in the file, and the true one. A bound may be off only to the side
-        on which it still holds, see OUTWARDS.
+        on which it still holds: a lower bound may be smaller than the true one, an upper bound larger.
     """
     said = said.item() if isinstance(said, np.generic) else said
     if isinstance(said, np.ndarray) and not isinstance(true, list):

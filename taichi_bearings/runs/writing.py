@@ -74,7 +74,10 @@ def self_contained(
 
 
 def publish(directory: RunDirectory, found: "Result") -> "Result":
-    """Write a result into a new run directory, give the directory its name, and return the result with that path."""
+    """Write a result into a new run directory, give the directory its name, and return the result with that path.
+
+    directory : as it is being written, under a hidden name. found : the result.
+    """
     found = replace(found, path=directory.path)
     write_run(directory.partial, found)
     directory.publish()
@@ -82,7 +85,10 @@ def publish(directory: RunDirectory, found: "Result") -> "Result":
 
 
 def write_run(folder: Path, found: "Result") -> None:
-    """Write all files of a run except its figures. folder : the directory. found : the result."""
+    """Write all files of a run except its figures: run.h5, summary.json, scene.toml and the histogram.
+
+    folder : the directory. found : the result.
+    """
     from taichi_bearings.files.histogram_file import write_table
 
     with stage("writing"):

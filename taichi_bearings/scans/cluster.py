@@ -83,6 +83,9 @@ class DaskEngine(LocalEngine):
     """
 
     def __init__(self, client: "Client", work: Work, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
+        """Begin. client : of the cluster. work : function that solves a unit of samples. allowed : function that
+        returns the seconds that a unit may take.
+        """
         super().__init__(work, 1, allowed)
         self.client, self.workers, self.executor = client, 0, client.get_executor(pure=False)
         self._threads, self._looked, self._seen = 0, -LOOK, time.monotonic()

@@ -47,7 +47,11 @@ LONGEST_WAIT = 2e6  # seconds; the system counts milliseconds in 31 bits
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a unit of work: the records of its samples, or None and the reason why there are none."""
+    """The outcome of a unit of work.
+
+    unit : the samples, or other tasks, that were solved together. records : result of each, as JSON; None if there are
+    none. reason : why there are none, in words.
+    """
 
     unit: Unit
     records: list[Record] | None
@@ -124,6 +128,9 @@ class LocalEngine:
     """
 
     def __init__(self, work: Work, workers: int, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
+        """Begin without processes. work : function that solves a unit of samples. workers : largest number of units
+        that are solved at a time. allowed : function that returns the seconds that a unit may take.
+        """
         self.work, self.workers, self.allowed = work, workers, allowed
         self.name = uuid.uuid4().hex
         self.executor: Executor = ThreadPoolExecutor(workers)
@@ -218,7 +225,10 @@ class _Solver:
     _at_work: bool = False
 
     def solve(self, unit: Unit, seconds: float) -> Solved:
-        """Return the records of a unit, or None and the reason why there are none after at most so many seconds."""
+        """Return the records of a unit of samples, or None and the reason why there are none.
+
+        seconds : most that the process may take; then it is killed.
+        """
         self._at_work = True
         try:
             return self._solved(unit, seconds)
@@ -234,7 +244,10 @@ class _Solver:
                 self._pipe.close()
 
     def _solved(self, unit: Unit, seconds: float) -> Solved:
-        """Have the process solve a unit; what comes out is that of `solve`."""
+        """Have the process solve a unit of samples; return their records, or None and the reason why there are none.
+
+        seconds : most that the process may take.
+        """
         settings = unit[0].settings
         device = (settings.arch, settings.precision, settings.threads)
         if self.process is not None and (self._device != device or self._has_answer(0)):  # it has ended meanwhile

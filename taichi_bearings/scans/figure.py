@@ -225,8 +225,9 @@ def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
 
 
 def curves_of(points: Points, request: Request) -> list[Curve]:
-    """Return the curves to be drawn, one for each combination of values of the columns in `request.by`. points : their
-    points.
+    """Return the curves to be drawn, one for each combination of values of the columns in `request.by`.
+
+    points : for each such combination the points of its curve, with the numbers to draw.
     """
     if len(points) > MOST_CURVES:
         raise InputError(
@@ -242,7 +243,11 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points, request: Request) -> Look:
-    """Return labels, legend and title of the figure; the title says over what was averaged."""
+    """Return labels, legend and title of the figure; the title says over what was averaged.
+
+    scan : where the samples come from. columns : their table. points : what is drawn, by curve. request : which columns
+        are shown.
+    """
     used = {request.x, *request.by, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
     over = [key for key in scan.scanned if key in columns and key not in used and len(groups(columns, [key])) > 1]

@@ -99,7 +99,8 @@ def read_source(path: Path) -> Source:
 
 
 def _source_of_scan(scan: StoredScan) -> Source:
-    """Return the samples of a scan in the form that histograms are made from."""
+    """Return the samples of a stored scan in the form that histograms are made from: columns of numbers, and counts of
+    contacts by bins of power."""
     table, own = scan.table, np.flatnonzero(scan.reasons == "")
 
     def column(name: str) -> np.ndarray:
@@ -120,7 +121,8 @@ def _source_of_scan(scan: StoredScan) -> Source:
 
 
 def _source_of_run(run: Result) -> Source:
-    """Return the samples of a run in the form that histograms are made from."""
+    """Return the samples of a run in the form that histograms are made from: columns of numbers, and counts of contacts
+    by bins of power."""
     assert run.path is not None
     settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
@@ -167,7 +169,7 @@ def pooled(
     without a column.
 
     sources : runs and scans whose samples are pooled.
-    normalise : unit of power, a key of POWER_UNITS.
+    normalise : unit of power: "none", or "mean" for the mean power of a contact of the sample.
     by : name of the column whose values separate the histograms, or None.
     bins_per_decade : of power. For scans it must divide 20, as they store powers by 20 bins a decade; where samples
         have different units, each is shifted by whole such bins. Powers of runs are binned anew.
@@ -187,6 +189,7 @@ def pooled(
     place = np.cumsum(reasons == "") - 1  # of those with a result among themselves
 
     def of(rows: np.ndarray) -> PowerHistogram:
+        """Return the histogram of some samples. rows : their numbers among all that were asked for."""
         census, own = Census.of(reasons[rows].tolist()), place[rows[reasons[rows] == ""]]
         coarsest = float(threshold[own].max(initial=0.0))
         return pool(counts.of(own), coarsest, POWER_UNITS[normalise], disorder[own], census.left_out)
@@ -216,7 +219,8 @@ def histogram(
     paths : run directories and scans.
     out : folder; None for a new one.
     force : replace what stands there.
-    bins_per_decade, normalise, by : see :func:`pooled`.
+    bins_per_decade : of power; for scans it must divide 20. normalise : unit of power, "none" or "mean", the mean power
+        of a contact of the sample. by : name of the column whose values separate the histograms, or None.
     page : how the figure is printed.
     ending : png, pdf or svg.
 
@@ -244,7 +248,10 @@ def histogram(
 
 
 def _report(histograms: Histograms, by: str | None) -> Json:
-    """Return the numbers that `--json` prints: of all histograms together and, with `by`, of each."""
+    """Return the numbers that `--json` prints: of all histograms together and, with `by`, of each.
+
+    histograms : by the value of the column `by`, which separates them; None as the only key without a column.
+    """
     parts = list(histograms.values())
     edges = parts[0].edges
     report = _numbers_of(parts) | {

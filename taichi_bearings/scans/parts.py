@@ -43,10 +43,12 @@ class Part:
         return Part(int(found[2]), int(found[1]))
 
     def __str__(self) -> str:
+        """Return the part as users write it, such as "2/5"."""
         return f"{self.number}/{self.of}"
 
     @property
     def name(self) -> str:
+        """Name of the part in its files, such as "part-2-of-5"."""
         return f"part-{self.number}-of-{self.of}"
 
 
@@ -114,8 +116,8 @@ def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping
     """Return the parts that lack samples: for each a dictionary with `part`, as "i/n", and `missing`, how many of its
     samples have no result.
 
-    plan : of the whole scan. records : of the samples, by key. Parts are those of each number n that the journals in
-        the folder are named by.
+    plan : of the whole scan. records : results of the samples, by key. The number n of parts is taken from the names of
+        the journals in the folder; if there are several n, the parts of each are looked at.
     """
     found = []
     for of in sorted({int(match[1]) for file in journals_in(folder) if (match := JOURNAL.fullmatch(file.name))}):

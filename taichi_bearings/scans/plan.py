@@ -245,7 +245,8 @@ def _range(key: str, table: Mapping[str, object]) -> tuple[float, Callable[[int]
     """Return how many values a range has, and a function that gives each of them by its number from 0; whole numbers
     stay whole.
 
-    key : the setting, for messages. table : the range, with start, stop and other keys (see RANGES).
+    key : the setting, for messages. table : the range: start and stop, with an optional step (stop excluded), or with a
+        number and a spacing, "linear" or "log" (both ends included).
     """
     get: Any = table.get
     is_spaced = "number" in table

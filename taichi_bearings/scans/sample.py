@@ -188,10 +188,12 @@ class JobTask:
 
     @property
     def label(self) -> str:
+        """The job in words, for messages: its number and its scene."""
         return f"number {self.key}, {self.scene}"
 
     @property
     def settings(self) -> RunSettings:
+        """The settings of the run."""
         return self.job.settings
 
 

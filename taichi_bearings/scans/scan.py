@@ -141,7 +141,8 @@ def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | 
     """Return what a scan would cost, by name: `samples`, `missing` samples, `workers`, `seconds` (None if unknown) and
     `bytes`. Nothing is solved.
 
-    plan, folder, workers, part : as for :func:`scan`.
+    plan : the samples asked for. folder : of the scan, which may hold some of them. workers : most worker processes; 0
+        for one a processor. part : part of the scan that is counted alone; None for the whole scan.
     """
     refuse_unused(plan, folder)
     plan = plan.going_on_in(folder)
@@ -213,7 +214,8 @@ def scan(
 def merge(plan: ScanPlan, folder: Path) -> Json:
     """Write scan.h5 and scan.csv from the journals of all parts of a scan in `folder`, be they complete or not.
 
-    returns : the report of :func:`scan`, and `incomplete_parts`, the parts that lack samples and how many.
+    returns : the report that `--json` prints of a scan, with `incomplete_parts`, the parts that lack samples and how
+        many.
 
     Raises FileError if the folder has no samples of this scan.
     """
@@ -263,12 +265,16 @@ def _warn(text: str) -> None:
 class _Course:
     """A scan that is being solved: its missing samples, its records so far, its journal and its progress.
 
-    plan, folder, part, monitor : as for :func:`scan`.
+    plan : the samples asked for. folder : of the scan. part : part of the scan that is solved alone; None for the whole
+        scan. monitor : function that is called now and then with the progress.
     """
 
     def __init__(
         self, plan: ScanPlan, folder: Path, part: parts.Part | None = None, monitor: Monitor = lambda _: None
     ) -> None:
+        """Read what the folder holds, and find which samples are missing. The arguments are the plan, the folder of the
+        scan, the part that is solved alone, and a function that is called with the progress.
+        """
         self.began = time.monotonic()
         self.due = self.began + REWRITE  # when files are to be written again
         self.plan, self.folder, self.monitor = parts.part_of(plan, part), folder, monitor

@@ -83,7 +83,7 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
 
 
 def _refuse_lack(path: Path, names: Iterable[str], there: Collection[str]) -> None:
-    """Raise FileError if a file lacks some of the arrays `names`. there : names of the arrays that it has."""
+    """Raise FileError if the file `path` lacks some of the arrays `names`. there : names of the arrays that it has."""
     if lacking := [name for name in names if name not in there]:
         raise FileError(f"{path} lacks the array{'s' if len(lacking) > 1 else ''} {', '.join(lacking)}")
 

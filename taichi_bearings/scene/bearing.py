@@ -62,7 +62,9 @@ class Bearing(ABC):
     @property
     @abstractmethod
     def driving(self) -> Driving:
-        """The imposed spins, and how laboratory spins become carried ones."""
+        """The imposed spins, and how laboratory spins become carried ones, the numbers that solvers store: staggered
+        spins on lattices, radius * spin in other packings.
+        """
 
     @property
     @abstractmethod
@@ -82,7 +84,9 @@ class Bearing(ABC):
 
     @abstractmethod
     def with_top(self: Kind, strength: float) -> Kind:
-        """Return a copy whose top has its imposed spins multiplied by `strength`."""
+        """Return a copy whose top (of packings the driven body with the largest number) has its imposed spins
+        multiplied by `strength`, a pure number.
+        """
 
     @abstractmethod
     def with_friction_alone(self: Kind) -> Kind:
@@ -174,8 +178,8 @@ class Bearing(ABC):
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The largest imposed spin of the top, and that of all other driven spheres: 1/time on lattices, else radius *
-        spin, length/time.
+        """The imposed spins of top and bottom of a lattice, 1/time; of other packings the largest imposed radius * spin
+        of the top (the driven body with the largest number), and that of all other driven spheres, length/time.
         """
         return self.driving.sides
 
@@ -277,12 +281,13 @@ class Bearing(ABC):
         return np.zeros((2, len(spin_axes))) if found is None else found
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return spins clipped to the bounds of :meth:`box`, or as they are where no bounds are known.
+        """Return spins clipped to bounds between which some minimum has all its spins, or as they are where no bounds
+        are known. On lattices the bounds are the smallest and largest imposed spins.
 
         staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute. spin_axes :
             numbers of their C components.
 
-        Clipping never raises the power (equations.md, 4).
+        Clipping never raises the power (shown in docs/equations.md, 4).
         """
         box = self.driving.box(spin_axes)
         if box is None:
@@ -305,8 +310,8 @@ class Bearing(ABC):
         """Return for each sphere the sum (components C, samples R, spheres *N) of the forces of its contacts, by spin
         component; times the radius it is the torque.
 
-        force : (d, R, contacts E), contact forces along the d components of :meth:`differences`. spin_axes : numbers of
-            the C components.
+        force : (d, R, contacts E), contact forces along the d components of a slip: on lattices the spin components, in
+            other packings two tangents (of discs one). spin_axes : numbers of the C components.
         """
         return self.network.pulls(force, spin_axes)
 
@@ -338,7 +343,7 @@ class Bearing(ABC):
         return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def sample(self: Kind, number: int) -> Kind:
-        """Return a bearing with one of the R samples. number : of the sample, from 0."""
+        """Return a bearing with one of the R samples alone. number : that of the sample, from 0."""
         return self if self.replicas == 1 else self._as_samples(number, self.seeds[number : number + 1])
 
     def some(self: Kind, pick: slice) -> Kind:
@@ -423,7 +428,7 @@ class Bearing(ABC):
 
 
 def inverse(values: np.ndarray) -> np.ndarray:
-    """Return 1 / values, with 0 where a value is 0."""
+    """Return 1 / values, an array of their shape, with 0 where a value is 0."""
     return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
 
 

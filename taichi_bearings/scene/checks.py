@@ -36,8 +36,10 @@ def _refuse(bad: np.ndarray | np.bool, sentence: Callable[[int], str]) -> None:
 
 
 def places(values: ArrayLike) -> np.ndarray:
-    """Return the checked centres of the spheres, (spheres N, dimensions D), length; no two may be the same. values :
-    centres of the user.
+    """Return the checked centres of the spheres, (spheres N, dimensions D), length; raise InputError if they are no
+    such array of finite numbers, or if two are the same.
+
+    values : centres of the user.
     """
     center = own_array("centres", values)
     if center.ndim != 2 or center.shape[1] not in (2, 3) or not 1 <= len(center) <= MOST_SPHERES:
@@ -66,7 +68,10 @@ def _array(name: str, values: ArrayLike) -> np.ndarray:
 
 
 def _integers(name: str, values: ArrayLike) -> np.ndarray:
-    """Return a read-only copy in int64; floats are taken if each is a whole number. name : for messages."""
+    """Return a read-only copy of the values in int64, of their shape; floats are taken if each is a whole number.
+
+    name : what the values are called, for messages. Raises InputError for anything else.
+    """
     array = _array(name, values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
     if array.dtype.kind == "f":
         with np.errstate(invalid="ignore"):
@@ -87,9 +92,10 @@ def _integers(name: str, values: ArrayLike) -> np.ndarray:
 
 
 def pairs(values: ArrayLike, spheres: int) -> np.ndarray:
-    """Return the numbers (contacts E, 2) of the first and the second sphere of each contact, checked. values : of the
-    user.
-    spheres : number N of spheres.
+    """Return the numbers (contacts E, 2) of the first and the second sphere of each contact; raise InputError if they
+    are no such array of numbers of two different spheres.
+
+    values : what the user has passed. spheres : number N of spheres.
     """
     contact = _integers("contact", values)
     contact = contact.reshape(0, 2) if contact.size == 0 else contact
@@ -191,7 +197,11 @@ def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
 
 
 def misfit(size: float, reach: float) -> str:
-    """Return the words for what is wrong with a contact. size : distance of its centres. reach : sum of its radii."""
+    """Return the words for what is wrong with a contact whose spheres do not touch: their distance, and by how much
+    they overlap.
+
+    size : distance of its centres, length. reach : sum of its radii, length.
+    """
     apart = f"are {size:.6g} apart and their radii add up to {reach:.6g}"
     if size > reach:
         return apart
@@ -220,7 +230,8 @@ def normals(values: ArrayLike, packing: "Packing") -> tuple[np.ndarray, float]:
 
 
 def transposed(array: np.ndarray, shape: tuple[int, ...]) -> str:
-    """Return the end of a message if the array has this shape with its axes exchanged; else an empty text."""
+    """Return "; it looks transposed", the end of a message, if the array has this shape with its two axes exchanged;
+    else an empty text."""
     return "; it looks transposed" if array.ndim == 2 and array.T.shape == shape else ""
 
 

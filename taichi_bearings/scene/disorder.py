@@ -18,8 +18,8 @@ from taichi_bearings.words import meant, shown
 def _power_law(
     rng: np.random.Generator, shape: tuple[int, ...], low: float, high: float, exponent: float
 ) -> np.ndarray:
-    """Return numbers from `low` to `high` with a density proportional to a power, by inverting its cumulative
-    distribution. shape : of the array.
+    """Return random numbers x from `low` to `high` with a density proportional to x^exponent, by inverting its
+    cumulative distribution. rng : generator of random numbers. shape : that of the array returned.
     """
     level = rng.uniform(0.0, 1.0, shape)
     if abs(exponent + 1) < 1e-12:
@@ -29,7 +29,7 @@ def _power_law(
 
 
 def _bimodal(rng: np.random.Generator, shape: tuple[int, ...], low: float, high: float, fraction: float) -> np.ndarray:
-    """Return an array of numbers that are `high` with probability `fraction`, else `low`. shape : of the array."""
+    """Return random numbers that are `high` with probability `fraction`, else `low`. shape : that of the array."""
     return np.where(rng.uniform(0.0, 1.0, shape) < fraction, high, low)
 
 
@@ -106,10 +106,11 @@ class Distribution:
             raise InputError(f"fraction of distribution {self} is {values['fraction']}; it must be between 0 and 1")
 
     def __str__(self) -> str:
+        """Return the text that describes the distribution, such as "uniform:0.1,1"."""
         return f"{self.name}:{','.join(format(value, 'g') for value in self.parameters)}"
 
     def __call__(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-        """Return an array of numbers drawn from the distribution.
+        """Return an array of this shape with numbers drawn from the distribution. rng : generator of random numbers.
 
         Extreme parameters may give infinities, which scenes and packings refuse.
         """

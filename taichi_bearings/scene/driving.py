@@ -55,6 +55,9 @@ class Driving:
 
     That form is called *carried*: x = s l omega - x0 for each component of the spin omega. In this class x is the
     surface speed R omega, so l is the radius R, s = 1 and x0 = 0. The subclass for lattices has other s, l and x0.
+
+    In methods `spin_axes` are numbers of spin components, 0 to 2, and a Pair is a number in twice the precision: the
+    nearest double, and what its rounding leaves out.
     """
 
     driven_contacts_slip = True  # whether contacts between driven spheres may slip
@@ -66,7 +69,8 @@ class Driving:
 
         network : the spheres, their contacts, and which spheres are driven.
         spin : (spheres N, 3), or (N,) for discs, 1/time; imposed on driven spheres, ignored on others.
-        contact : (n,) numbers of the contacts that are present and have a free sphere.
+        contact : (n,) numbers of the contacts that are present and join spheres of which one at least is free (not
+            driven).
         """
         self.network, self.spin, self.contact = network, spin, contact
 
@@ -79,7 +83,7 @@ class Driving:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape *N of arrays over the spheres."""
+        """Shape *N of arrays over the spheres: (number of spheres,), since here they are a list."""
         return self.network.shape
 
     @property
@@ -91,8 +95,8 @@ class Driving:
 
     @property
     def slip_radius(self) -> float:
-        """Factor that turns a difference of carried spins, the form in which solvers compute, into a slip: 1, or on
-        lattices the radius.
+        """Factor that turns a difference of the numbers that solvers store into a slip speed, length/time: 1 here, as
+        they store surface speeds; on lattices, where they store spins, the radius.
         """
         return 1.0
 
@@ -110,33 +114,34 @@ class Driving:
 
     @property
     def places(self) -> list[Index]:
-        """Indices that pick the driven spheres out of an array (..., *N): one index here; on lattices one for each
-        driven plane.
+        """Indices that pick the driven spheres out of an array (..., spheres *N): here one, with a mask of all of them;
+        on lattices two, the bottom and the top plane.
         """
         return [(..., self.network.is_driven)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
-        """Return the imposed spins in the form in which solvers compute, in twice the precision: a list with one pair
-        for each index in `places`.
+        """Return the imposed surface speeds R omega of all driven spheres, length/time, in twice the precision: a list
+        with one pair, since `places` has one index.
 
-        Each pair has the doubles, (C, n) for n driven spheres or (C, *plane) on lattices, and what their rounding
-        leaves out. spin_axes : numbers of the C components.
+        The pair has the doubles, (components C, n) for n driven spheres, and what their rounding leaves out: 0 here.
+        spin_axes : not used; here all C components are solved for. The subclass for lattices picks the ones it names.
         """
         u = self.speed[self.network.is_driven].T
         return [(u, np.zeros_like(u))]
 
     def origin(self, spin_axes: tuple[int, ...]) -> Pair | None:
-        """Return the offset x0 of the carried spins s l omega - x0 in twice the precision, (C, 1, spheres *N) or with
-        axes of length 1; None where it is 0, as here.
+        """Return the offset x0 of the numbers s l omega - x0 that solvers store for spins omega: None, as it is 0 here.
 
-        spin_axes : numbers of the C components.
+        The subclass for lattices returns it in twice the precision, (C, 1, spheres *N) or with axes of length 1.
+        spin_axes : numbers of the C components; not used here.
         """
         return None
 
     def unsolved_component(self, component: int) -> np.ndarray:
         """Return spins (spheres *N) for a component that is not solved for, in the form in which solvers compute: 0
         here.
-        component : its number.
+
+        component : its number, 0 to 2; not used here.
         """
         return np.zeros(self.shape)
 
@@ -160,6 +165,7 @@ class Driving:
         held = ~self.network.free
         if not held.any():
             return 0.0
+        # mask (spheres,) of the pieces with odd loops, and signs (spheres,) that alternate elsewhere
         odd, sign = odd_pieces(self.network.spheres, *self.network.contact[:, self.contact])
         turned = (sign[:, None] * self.speed)[held]
         both = np.concatenate([turned, -turned[odd[held]]])
@@ -172,7 +178,9 @@ class Driving:
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The largest imposed surface speed R omega of the top, and that of all other driven spheres, length/time."""
+        """The largest imposed surface speed R omega of the top, the driven body with the largest number, and that of
+        all other driven spheres, length/time.
+        """
         speed, top = np.linalg.norm(self.speed, axis=1), self.is_top
         return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
 
@@ -193,33 +201,34 @@ class Driving:
         return float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray | None:
-        """Return bounds (2, C), lower and upper: some minimum has all spins, in the form in which solvers compute,
-        between them; None where none are known.
+        """Return None: no bounds on the spins at a minimum are known here, since contact normals may be oblique.
 
-        Here none are known, since normals may be oblique. spin_axes : numbers of the C components.
+        The subclass for lattices returns bounds (2, C), lower and upper, in the form in which solvers compute.
+        spin_axes : numbers of the C components; not used here.
         """
         return None
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (samples R,), True where the present contacts join no spheres of different imposed spins.
+        """Return a mask (samples R,), True where present contacts are known to join no spheres of different imposed
+        spins, so that nothing need slip. That is not looked into here: all are False.
 
-        present : (R, contacts E) mask of these contacts. Where it is not known, as here, the mask is False.
+        present : (R, contacts E) mask of the present contacts; only its length R is used here.
         """
         return np.zeros(len(present), dtype=bool)
 
     def impose(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Give driven spheres their imposed values in an array of spins, in place; return the same array.
 
-        carried : spins (C, samples R, spheres *N) in the form in which solvers compute. spin_axes : numbers of their C
-        components.
+        carried : spins (C, samples R, spheres *N) in the form in which solvers compute.
+        spin_axes : numbers of their C components.
         """
         for place, (high, _) in zip(self.places, self.imposed(spin_axes), strict=True):
             carried[place] = high[:, None]
         return carried
 
     def carried(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins s l omega - x0, (components C, samples R, spheres *N), of laboratory spins omega;
-        driven spheres get their imposed ones.
+        """Return laboratory spins omega in the form that solvers store, (components C, samples R, spheres *N): the
+        numbers s l omega - x0 with `sign` s, `length` l and `origin` x0. Driven spheres get their imposed values.
 
         spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres. spin_axes : numbers of the C
             components.
@@ -284,20 +293,22 @@ class Driving:
         return self.impose(found.reshape(-1, network.components).T[:, None].copy(), self.every)
 
     def with_exact_imposed(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
-        """Replace the laboratory spins of driven spheres by exactly those that the user gave; their rounding errors
-        become 0.
+        """Replace the laboratory spins of driven spheres by exactly those that the user gave; what their rounding
+        leaves out becomes 0.
 
-        spin, rounding : (samples R, spheres *N) or (R, *N, 3), changed in place and returned.
+        spin, rounding : spins, 1/time, and what their rounding leaves out, (samples R, spheres *N) of discs or (R, *N,
+            3) of spheres; changed in place and returned.
         """
         held = self.network.is_driven
         spin[:, held], rounding[:, held] = self.spin[held], 0.0
         return spin, rounding
 
     def absolute(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return carried spins (C, samples R, spheres *N), the form in which solvers compute, plus their offset x0, as
-        kinetic energies need them.
+        """Return spins in the form that solvers store, but measured from 0, as kinetic energies need them: on lattices
+        solvers measure them from the state of the bottom plane, which is added here.
 
-        spin_axes : numbers of the C components.
+        carried : spins as solvers store them, (C, samples R, spheres *N); so is the result. spin_axes : numbers of the
+            C components.
         """
         origin = self.origin(spin_axes)
         return carried if origin is None else carried + origin[0]
@@ -337,8 +348,10 @@ class BearingState:
 class Planes(Driving):
     """Bearing states A + C x that are imposed on the top and the bottom plane of a lattice.
 
-    Solvers store the spin times the sign of the sublattice, +1 or -1, less the state of the bottom plane: the bottom is
-    then at rest, and the top has the difference of the two states.
+    In a bearing state the spin of a sphere at position x is A + C x times the sign of its sublattice, +1 or -1 in turn;
+    no contact slips then. Solvers store the spin times this sign less the state of the bottom plane: the bottom is then
+    at rest, and the top has the difference of the two states. A Pair is a number in twice the precision: the nearest
+    double, and what its rounding leaves out.
     """
 
     driven_contacts_slip = False
@@ -355,11 +368,12 @@ class Planes(Driving):
     ) -> None:
         """Store the states that are imposed on the two planes.
 
-        bottom : state of the bottom plane.
+        bottom : state of the bottom plane: the vector A, 1/time, and the number C, 1/(time length).
         difference : state of the top plane less that of the bottom.
-        unit : array of one number in twice the precision, 1/time, near the size of the difference.
+        unit : array of one number in twice the precision, 1/time, near the size of the difference; solvers that scale
+            spins divide by it.
         in_units : the difference divided by `unit` where it is the same on the whole top, else None.
-        given : the imposed spins of top and bottom, 1/time, where both planes turn about one axis, else None.
+        given : the imposed spins (top, bottom), 1/time, where both planes turn about one axis, else None.
         """
         self.lattice, self.bottom, self.difference, self.unit = lattice, bottom, difference, unit
         self.in_units, self.given = in_units, given
@@ -371,6 +385,7 @@ class Planes(Driving):
         top, bottom : their spins, 1/time. direction : the axis, of any length but 0; ignored in 2D, where spins point
             along z.
         """
+        # all in twice the precision: difference = top - bottom, its size as unit, and its direction
         axis = _unit_vector(np.array([0.0, 0.0, 1.0] if lattice.dimension == 2 else direction))
         at_rest, sign = exactly(np.zeros(1)), np.sign(top - bottom)
         low = BearingState(multiply(exactly(np.array([bottom])), axis), at_rest)
@@ -381,7 +396,11 @@ class Planes(Driving):
 
     @classmethod
     def by_states(cls, lattice: Lattice, top: tuple[float, ...], bottom: tuple[float, ...]) -> "Planes":
-        """Return the driving of planes in bearing states A + C x. top, bottom : (A_x, A_y, A_z, C), or in 2D (A_z,)."""
+        """Return the driving of planes in bearing states: staggered spins A + C x at position x, at which nothing
+        slips.
+
+        top, bottom : (A_x, A_y, A_z, C) of the plane, or in 2D (A_z,); A in 1/time, C in 1/(time length).
+        """
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (top, bottom))
         (high, rise), (low, fall) = ((np.array(state[:3]), np.array(state[3:])) for state in padded)
         states = BearingState(exactly(low), exactly(fall)), BearingState(two_sum(high, -low), two_sum(rise, -fall))
@@ -390,31 +409,36 @@ class Planes(Driving):
 
     @property
     def shape(self) -> tuple[int, ...]:
+        """Shape *N of arrays over the spheres: numbers of spheres along the axes of the lattice, the height last."""
         return self.lattice.shape
 
     @property
     def sign(self) -> np.ndarray:
+        """(spheres *N) sign of the sublattice, +1 and -1 in turn, by which solvers multiply spins."""
         return self.lattice.parity
 
     @property
     def length(self) -> None:
+        """None: on lattices solvers store spins, multiplied by no radius."""
         return None
 
     @property
     def slip_radius(self) -> float:
+        """Radius of the spheres, length: it turns a difference of staggered spins into a slip speed."""
         return self.lattice.radius
 
     @property
     def every(self) -> tuple[int, ...]:
+        """Numbers of all spin components: (2,) for discs, (0, 1, 2) for spheres."""
         return self.lattice.all_spin_axes
 
     @cached_property
     def minimum_spin_axes(self) -> tuple[int, ...]:
         """Numbers of the spin components that have to be solved for; some minimum has no slip from the others.
 
-        A component in which top and bottom agree is constant at a minimum (equations.md, 3). The component along the
-        height of a cubic lattice is constant in each layer: contacts along the height do not slip by it. If no
-        component is left, the first one is taken.
+        A component in which top and bottom agree is constant at a minimum (shown in docs/equations.md, 3). The
+        component along the height of a cubic lattice is constant in each layer: contacts along the height do not slip
+        by it. If no component is left, the first one is taken.
         """
         every, height = self.lattice.all_spin_axes, self.lattice.height_axis
         jumps = [bool(jump.any()) for jump in self.imposed_on_top(every)[0]]
@@ -423,13 +447,27 @@ class Planes(Driving):
 
     @property
     def places(self) -> list[Index]:
+        """Indices that pick the bottom and the top plane out of an array (..., spheres *N), whose last axis is the
+        height.
+        """
         return [(..., 0), (..., -1)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
+        """Return the imposed spins of bottom and top, 1/time, in twice the precision: two pairs of doubles and what
+        their rounding leaves out, (C, *plane) each.
+
+        Spins are staggered and measured from the bottom: 0 there, on the top the difference of the imposed states.
+        spin_axes : numbers of the C components.
+        """
         top = self.imposed_on_top(spin_axes)
         return [(np.zeros_like(top[0]), np.zeros_like(top[0])), top]
 
     def origin(self, spin_axes: tuple[int, ...]) -> Pair:
+        """Return the state of the bottom plane, from which solvers measure spins, at all spheres: (C, 1, spheres *N),
+        or with axes of length 1 where it is the same everywhere; 1/time, in twice the precision.
+
+        spin_axes : numbers of the C components.
+        """
         return self.bottom_state(spin_axes)
 
     def unsolved_component(self, component: int) -> np.ndarray:
@@ -448,6 +486,11 @@ class Planes(Driving):
         return self.imposed_on_top(self.every)[0][:, None, ..., None] * height
 
     def with_exact_imposed(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
+        """Return laboratory spins and what their rounding leaves out as they are: imposed spins of planes are known in
+        twice the precision, so that nothing has to be replaced.
+
+        spin, rounding : 1/time, (samples R, spheres *N) of discs or (R, *N, 3) of spheres.
+        """
         return spin, rounding
 
     @cached_read_only
@@ -479,7 +522,9 @@ class Planes(Driving):
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The imposed spins of top and bottom, 1/time; of bearing states the largest sizes on the two planes."""
+        """The imposed spins of top and bottom, 1/time: as given where both turn about one axis, with their signs; else
+        the largest size of the spin vector on each of the two planes.
+        """
         if self.given is not None:
             return self.given
         axes = self.lattice.all_spin_axes
@@ -492,7 +537,7 @@ class Planes(Driving):
 
     @property
     def fastest(self) -> float:
-        """The larger size of the two spins in `sides`, 1/time."""
+        """The larger size of the imposed spins of top and bottom, 1/time."""
         return max(map(abs, self.sides))
 
     @property
@@ -505,23 +550,26 @@ class Planes(Driving):
 
     @property
     def largest_spin(self) -> float:
+        """The larger size of the imposed spins of top and bottom, 1/time."""
         return self.fastest
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return bounds (2, C), lower and upper: some minimum has all spins, in the form in which solvers compute,
-        between them (equations.md, 4).
+        """Return bounds (2, C), lower and upper, 1/time: some minimum has all spins between them (shown in
+        docs/equations.md, 4).
 
-        They are the smallest and largest of 0, the value of the bottom, and the values of the top. spin_axes : numbers
-        of the C components.
+        Spins are in the form in which solvers compute: times the sign of the sublattice, less the state of the bottom.
+        The bounds are the smallest and largest of 0, the value of the bottom, and the values of the top.
+        spin_axes : numbers of the C components.
         """
         top = self.imposed_on_top(spin_axes)[0].reshape(len(spin_axes), -1)
         return np.stack([top.min(axis=1, initial=0.0), top.max(axis=1, initial=0.0)])
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (samples R,), True where the present contacts do not connect the two planes in any component of
-        `minimum_spin_axes`.
+        """Return a mask (samples R,), True where the present contacts do not connect bottom and top in any spin
+        component that has to be solved for.
 
-        In each component only those contacts count that slip by it. present : (R, contacts E) mask of the contacts.
+        In each component only those contacts count that slip by it: all but those along its axis.
+        present : (R, contacts E) mask of the present contacts.
         """
         if present.all():
             return np.zeros(len(present), dtype=bool)
@@ -541,11 +589,12 @@ class Planes(Driving):
         return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])
 
     def _of_layers(self, state: BearingState, spin_axes: tuple[int, ...], shape: tuple[int, ...]) -> Pair:
-        """Return a bearing state at the spheres of the first layers along each axis, (C, *shape), 1/time, in twice the
-        precision.
+        """Return a bearing state A + C x at the spheres of the first layers along each axis, (C, *shape), 1/time, in
+        twice the precision: one array of doubles, one of what their rounding leaves out.
 
-        state : the state. spin_axes : numbers of the C components. shape : number of layers along each axis; without
-            the height for the top plane, where the component along the height is that of the last layer.
+        state : the vector A and the number C. spin_axes : numbers of the components. shape : number of layers along
+            each axis; without the height for the top plane, where the component along the height is that of the last
+            layer.
         """
         found = np.empty((2, len(spin_axes), *shape))
         for slot, k in enumerate(spin_axes):
@@ -576,7 +625,8 @@ class Planes(Driving):
         """Return the imposed spins of the top plane divided by `unit`, (C, nx, ny), in 2D (C, nx), in twice the
         precision.
 
-        They are in the form in which solvers compute. spin_axes : numbers of the C components.
+        They are in the form in which solvers compute: times the sign of the sublattice, less the state of the bottom.
+        spin_axes : numbers of the C components.
         """
         if self.in_units is not None:
             return self._of_layers(self.in_units, spin_axes, self.lattice.shape[:-1])
@@ -612,7 +662,8 @@ def as_one_driving(u: np.ndarray) -> np.ndarray:
 
 
 def _unit_vector(vector: np.ndarray) -> Pair:
-    """Return the unit vector (3,) along a vector that is not 0, in twice the precision."""
+    """Return the unit vector along a vector (3,) that is not 0: two arrays (3,), the nearest doubles and what their
+    rounding leaves out."""
     vector = np.asarray(vector, dtype=np.float64)
     vector = np.ldexp(vector, -int(np.frexp(np.abs(vector).max())[1]))
     squares = two_product(vector, vector)

@@ -22,9 +22,9 @@ State = tuple[Decimal, Decimal, Decimal, Decimal]
 
 @dataclass(frozen=True)
 class ExactDriving:
-    """The bearing states that are imposed on the two planes of a lattice.
+    """The bearing states A + C x that are imposed on the two planes of a lattice, to 300 digits.
 
-    bottom, top : the states, four numbers of 300 digits each.
+    bottom, top : the states, four numbers each: A_x, A_y, A_z in 1/time and C in 1/(time length).
     """
 
     lattice: Lattice
@@ -46,7 +46,10 @@ class ExactDriving:
 
     @classmethod
     def by_states(cls, lattice: Lattice, top: tuple[float, ...], bottom: tuple[float, ...]) -> "ExactDriving":
-        """Return the driving of planes in these bearing states: (A_x, A_y, A_z, C), in 2D (A_z,)."""
+        """Return the driving of planes in these bearing states: staggered spins A + C x at position x.
+
+        top, bottom : (A_x, A_y, A_z, C), in 2D (A_z,); A in 1/time, C in 1/(time length).
+        """
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (bottom, top))
         low, high = (tuple(Decimal(part) for part in state) for state in padded)
         return cls(lattice, low, high)  # type: ignore[arg-type]
@@ -67,13 +70,17 @@ class ExactDriving:
 
     @cached_property
     def unit(self) -> float:
-        """A power of two near the largest component of the jump on the top plane, 1/time; 1 where the jump is 0."""
+        """A power of two near the largest component of the jump on the top plane, 1/time; 1 where the jump is 0. The
+        jump is the state of the top less that of the bottom.
+        """
         jumps = [high - low for k in self.lattice.all_spin_axes for low, high in zip(*self.in_layers(k), strict=True)]
         return power_of_two(max(abs(float(jump)) for jump in jumps))
 
     @cached_property
     def jump(self) -> dict[int, list[Decimal]]:
-        """Component k of the jump divided by `unit`, by k: one value for each layer along k, or one for all."""
+        """Component k of the jump, the state of the top less that of the bottom, divided by `unit`, by k: one value of
+        300 digits for each layer of spheres along k, or one for all.
+        """
         with localcontext() as context:
             context.prec = DIGITS
             unit, every = Decimal(self.unit), self.lattice.all_spin_axes
@@ -81,7 +88,9 @@ class ExactDriving:
 
     @cached_property
     def jump_size(self) -> float:
-        """Largest size of the jump on the top plane, 1/time, as a rounded double."""
+        """Largest size of the jump, the state of the top less that of the bottom, on the top plane, 1/time, as a
+        rounded double.
+        """
         return math.sqrt(sum(max(float(v) * float(v) for v in jump) for jump in self.jump.values())) * self.unit
 
 

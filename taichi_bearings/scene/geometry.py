@@ -96,6 +96,9 @@ class _Contacts:
     """
 
     def __init__(self, center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: np.ndarray | None) -> None:
+        """Compute distances, directions and masks. center : (spheres N, dimensions D), length. contact : (E, 2),
+        numbers of spheres. radius : (N,), length. normal : (E, D), unit vectors of the user, or None.
+        """
         self.center, self.contact, self.radius, self.given = center, contact, radius, normal
         self.vector = center[contact[:, 1]] - center[contact[:, 0]]
         self.size, self.reach = np.linalg.norm(self.vector, axis=1), radius[contact].sum(axis=1)
@@ -109,8 +112,8 @@ class _Contacts:
         """Return words for a known mistake of the user, such as diameters given as radii, that would explain the
         contacts which do not fit.
 
-        Of several mistakes it is the one whose correction makes most contacts direct (see the class). The text is empty
-        if none makes more contacts direct than already are.
+        Of several mistakes it is the one whose correction makes most contacts direct: spheres that touch, with a normal
+        along their centres. The text is empty if none makes more contacts direct than already are.
         """
         turned = self.touches & (np.linalg.norm(self.along + self.normal, axis=1) <= SAME_LINE)
         found = [(int(turned.sum()), "normals seem to point from the second sphere to the first, so turn their signs")]
@@ -132,8 +135,8 @@ class _Contacts:
         return f"; {words}" if explained > self.is_direct.sum() else ""
 
     def refuse_mistakes(self) -> None:
-        """Raise InputError for a known mistake (:meth:`remedy`), and for touching spheres whose normal is not along
-        their centres.
+        """Raise InputError for a known mistake, such as diameters given as radii, and for touching spheres whose normal
+        is not along their centres.
 
         Two spheres with several contacts are not judged here, as one of these may cross a periodic side.
         """
@@ -150,7 +153,7 @@ class _Contacts:
 
     def refuse_strange_images(self) -> None:
         """Raise InputError if the contacts that are not direct cannot all be contacts across periodic sides of
-        one box.
+        one box. A contact is direct if its spheres touch and its normal is along their centres.
         """
         # where the image of the other sphere is, from either end of the contact: no sphere may be there already
         across = np.flatnonzero(~self.is_direct)

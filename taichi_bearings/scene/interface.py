@@ -75,10 +75,11 @@ def _state(center: np.ndarray, signed_speeds: np.ndarray, own: np.ndarray) -> np
 class Interface:
     """The lightest interface between two rigid domains of one sample: a minimum cut.
 
-    If every sphere signed_speeds with the bottom or with the top (in a packing with the first or the second driven
-    body), all slip would be at the interface of the two domains, and the lightest interface would dissipate least. In
+    If every sphere turns with the bottom or with the top (in a packing with the first or the second driven body),
+    all slip would be at the interface of the two domains, and the lightest interface would dissipate least. In
     2D with Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
-    (equations.md, 5).
+    (docs/equations.md, 5). The objective is what the stationary state minimises: the power, or the dissipation
+    potential of a law whose power is no multiple of that.
 
     power : energy/time, that the two rigid domains dissipate.
     contacts : (contacts E,) mask of the contacts that slip between them.
@@ -88,8 +89,7 @@ class Interface:
         or so nearly that rounding hides the difference. If there are none, every other interface is proven heavier.
     lower_bound : energy/time, proven, of lattices alone: no two rigid domains have a smaller objective.
     next_power : objective, energy/time, of the lightest other interface of which both domains are in one piece; NaN
-        where it is not known, as in 3D and in packings (see
-        :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
+        where it is not known, as in 3D and in packings.
     spins : of packings alone: u of the two rigid domains, (N, components C), length/time.
     """
 
@@ -103,14 +103,15 @@ class Interface:
 
     @property
     def unique(self) -> bool:
-        """True if this interface has a power above 0 and every other one is proven to be heavier."""
+        """True if this interface has a power above 0 and every other one is proven to have a larger objective."""
         return self.power > 0 and not self.between.any()
 
     @classmethod
     def of(cls, bearing: Bearing) -> "Interface | None":
         """Return the lightest interface of a packing with one sample.
 
-        None if there are not two driven bodies in bearing states, or if no contact between them has a weight.
+        None if there are not two driven bodies in bearing states (spins at which no contact would slip), or if no
+        contact between them has a weight (what it adds to the objective if it slips between the domains).
         """
         states = bearing_states(bearing)
         if states is None:
@@ -154,7 +155,8 @@ def _needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:
-    """Return a bound on the error of the sum of the weights of some contacts, energy/time.
+    """Return a bound on the error of the sum of the weights of some contacts, energy/time. The weight of a contact is
+    what it adds to the objective, the power or dissipation potential, if it is on the interface of two rigid domains.
 
     contact : (n,) numbers of the contacts. across : (contacts E,) slip of each contact if it is on the interface,
     length/time.
@@ -202,7 +204,8 @@ def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
 
 
 def _interface_slips(scene: Scene) -> np.ndarray:
-    """Return the slip (contacts E,) that each contact of a lattice has if it is on the interface, length/time.
+    """Return the slip (contacts E,), length/time, that each contact of a lattice has if one of its spheres rolls with
+    the bottom and the other with the top.
 
     It is computed from the difference of the two imposed states: laboratory spins would lose its digits where it is
     small.
@@ -213,8 +216,8 @@ def _interface_slips(scene: Scene) -> np.ndarray:
 
 
 def cut_of(scene: Scene) -> MinimumCut:
-    """Return the minimum cuts of all samples of a lattice: the lightest interfaces, with weights in units of
-    :func:`cut_unit`.
+    """Return the minimum cuts of all samples of a lattice: the lightest interfaces between a domain that rolls with the
+    bottom and one that rolls with the top. Weights times :func:`cut_unit` are energy/time.
     """
     weight, rounding = scene.lattice.by_axis(cut_weights(scene)), cut_rounding(scene)
     cut = minimum_cut(weight, rounding)
@@ -222,7 +225,7 @@ def cut_of(scene: Scene) -> MinimumCut:
 
 
 def cut_rounding(scene: Scene) -> float:
-    """Return the relative rounding error of the weights of :func:`cut_weights`.
+    """Return the relative rounding error of the weights that :func:`cut_weights` gives contacts of a lattice.
 
     It is 0 for discs with a law of one coefficient, as the weight then is the coefficient.
     """
@@ -230,7 +233,7 @@ def cut_rounding(scene: Scene) -> float:
 
 
 def _cut_speed(scene: Scene) -> float:
-    """Return the unit, 1/time, of the spin differences in :func:`cut_weights`.
+    """Return the unit, 1/time, of the spin differences from which the weights of contacts in a cut are computed.
 
     For discs it is the difference between top and bottom itself, if that is not 0; else a number near it.
     """
@@ -241,7 +244,8 @@ def _cut_speed(scene: Scene) -> float:
 
 def cut_weights(scene: Scene) -> np.ndarray:
     """Return the weight (samples R, contacts E) of each contact of a lattice: what it adds to the objective if it is on
-    the interface, in units of :func:`cut_unit`.
+    the interface between a domain that rolls with the bottom and one that rolls with the top, in units of
+    :func:`cut_unit`, energy/time.
 
     Such a contact slips by r |J x n|, with r the radius, n its axis, and J the difference of the two imposed states at
     its place. J is taken without the component along the height, which can change from bottom to top layer by layer

@@ -49,6 +49,9 @@ FRICTION, DAMPING = Quantity("friction", "1"), Quantity("damping", "force*time/l
 class Law:
     """The law F(v) = holding force + viscosity * v, or one of the two terms alone; a subclass may define another law.
 
+    F is the size of the force at a contact that slips with speed v; the holding force is the largest one that it bears
+    without slipping. The potential of the law is the integral of F from 0 to v.
+
     name : as users write it in the option `law`.
     quantities : its one or two coefficients. Users give the first as `coefficient`, the second as `viscosity`.
     minimises : "power" or "potential", of which lower bounds and gaps are: the objective.
@@ -61,6 +64,7 @@ class Law:
     share: float = 1.0
 
     def __str__(self) -> str:
+        """Return the name of the law."""
         return self.name
 
     @property

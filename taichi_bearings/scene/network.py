@@ -43,7 +43,7 @@ OF_LATTICE: dict[str, Callable[[Lattice], np.ndarray]] = {
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Spheres and their contacts; arrays are read-only.
+    """Spheres and their contacts, at fixed places, and which spheres are driven; arrays are read-only.
 
     center : (spheres N, dimensions D), length. radius : (N,), length.
     contact : (2, contacts E), numbers of the first and the second sphere of each contact.
@@ -178,14 +178,17 @@ class Network:
     def whole(self) -> sparse.csr_array:
         """The sparse matrix K, (d * E, N * C), that turns radius * spin of all spheres into the slips of all contacts.
 
-        Column = sphere * C + component; see :meth:`operator` for the rows.
+        Column = sphere * C + component. Rows are the slips of the E contacts along their first tangents, then along the
+        second ones (d is the number of tangents, 1 of discs, 2 of spheres).
         """
         every = np.arange(self.spheres * self.components).reshape(-1, self.components)
         return self.operator(np.arange(self.contacts), every)
 
     @cached_property
     def whole_transposed(self) -> sparse.csr_array:
-        """The transpose of `whole`, (N * C, d * E)."""
+        """Sparse matrix (N * C, d * E) that turns forces along the d tangents of all E contacts into their sums on all
+        N spheres, by spin component: the transpose of `whole`.
+        """
         return self.whole.T.tocsr()
 
     def differences(self, spins: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -207,8 +210,8 @@ class Network:
         """Return the sum of the contact forces on each sphere, (C, samples R, spheres *N); times the radius it is a
         torque.
 
-        force : (tangents d, R, contacts E), along the vectors of :meth:`differences`. The result is minus the transpose
-            of that linear map. spin_axes : numbers of the C components.
+        force : (tangents d, R, contacts E), along the components of the slips that :meth:`differences` returns: the
+            result is minus the transpose of that linear map. spin_axes : numbers of the C components.
         """
         if self.lattice is not None:
             return torques(force, self.lattice, spin_axes)
@@ -217,7 +220,8 @@ class Network:
         return -(self.whole_transposed @ columns).reshape(shape).transpose(1, 2, 0)
 
     def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
-        """Return an upper bound on the eigenvalues of M^-1 K^T W K over the free spheres.
+        """Return an upper bound on the eigenvalues of M^-1 K^T W K over the free spheres, where K turns radius * spin
+        of spheres into slips of contacts, and W and M are diagonal.
 
         weight : diagonal of W, (contacts E,), one number for all tangents of a contact. inertia : diagonal of M,
         (spheres N,).
@@ -321,8 +325,8 @@ class Network:
     def motions(self, slips: sparse.csr_array, sphere: np.ndarray, contact: np.ndarray, free: np.ndarray) -> Motions:
         """Return the motions without slip: spins that the matrix `slips` maps to 0.
 
-        slips : (rows, unknowns), a matrix of :meth:`operator`. sphere : (unknowns,), number of the sphere of each
-            unknown. contact : (n,) numbers of contacts; free : (spheres N,) mask of the free spheres, both as for
-            :meth:`order`.
+        slips : (rows, unknowns), sparse, from unknown spin components to slips, as :meth:`operator` returns it.
+        sphere : (unknowns,), number of the sphere of each unknown. contact : (n,) numbers of contacts, of which those
+            between two free spheres couple unknowns. free : (spheres N,) mask of the free spheres.
         """
         return slipless_motions(slips, sphere, self.order(contact, free))

@@ -123,6 +123,9 @@ class Packing(Bearing):
     seeds: tuple[int, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        """Check all fields, store them as read-only arrays, and find or draw what is not given; raise InputError for
+        what makes no packing.
+        """
         object.__setattr__(self, "normals_given", self.normal is not None)
         object.__setattr__(self, "schematic", bool(np.any(self.schematic)))
         put = self._put
@@ -384,6 +387,7 @@ class Packing(Bearing):
         return other
 
     def __repr__(self) -> str:
+        """Return one line with the numbers of spheres, contacts and driven spheres, and the law."""
         what = "discs" if self.dimension == 2 else "spheres"
         held = int((self.driven >= 0).sum())
         return f"<Packing of {self.spheres:,} {what}, {self.contacts:,} contacts, {held:,} driven, {self.law}>"
@@ -692,12 +696,14 @@ class Packing(Bearing):
 
     @staticmethod
     def read(path: str | Path, contacts: str | Path | None = None) -> dict[str, np.ndarray]:
-        """Return the arrays of such files by name, without those that the files lack.
+        """Return the arrays of the file of a packing by name, without those that it lacks.
 
         Parameters
         ----------
-        path, contacts : str or Path
-            As of :meth:`load`.
+        path : str or Path
+            An npz or HDF5 file with arrays named as the fields, or a table (.csv) of centres.
+        contacts : str or Path, optional
+            Beside a table of centres, a table of contacts.
 
         Returns
         -------

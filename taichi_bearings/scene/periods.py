@@ -13,9 +13,9 @@ MOST_SIDE = 1e15  # the largest bound of a box, length
 
 @dataclass(frozen=True)
 class Box:
-    """A parallelepiped.
+    """A parallelepiped that holds spheres, of which some pairs of opposite sides may be periodic.
 
-    origin : (3,), length, the corner from which the edges start. edges : (3, 3), length, one edge vector a row.
+    origin : (3,), length, the corner from which the edges start. edges : (3, 3), length, one edge vector in each row.
     periodic : for each edge, whether it is a period; None where the file does not say.
     """
 

@@ -188,6 +188,9 @@ class Scene(Bearing):
         return f"coefficients of {self.file}" if self.file else "coefficients given"
 
     def __post_init__(self) -> None:
+        """Check all fields and store them in their final form, arrays as read-only copies; raise InputError for values
+        that make no scene.
+        """
         object.__setattr__(self, "law", law_named(self.law))
         for name in ("spin_top", "spin_bottom", "normal_force", "radius"):
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
@@ -249,7 +252,8 @@ class Scene(Bearing):
     def _check(self, kind: str, coefficients: tuple[np.ndarray, ...]) -> None:
         """Raise InputError if coefficients have a wrong shape or a value out of range.
 
-        kind : "coefficients" or "viscosities", for messages. coefficients : one array an axis.
+        kind : "coefficients" or "viscosities", for messages. coefficients : one array for each axis, with a leading
+            axis of samples if there are several.
         """
         for axis, values in enumerate(coefficients):
             name, one = AXIS_NAMES[axis], self.lattice.contact_shape(axis)
@@ -266,6 +270,7 @@ class Scene(Bearing):
                 )
 
     def __repr__(self) -> str:
+        """Return one line with shape, law, source of the coefficients, and what is imposed on top and bottom."""
         shape = "x".join(map(str, self.lattice.shape))
         seeds = f"{self.replicas} samples" if self.replicas > 1 else self.source
         top, bottom = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.top, self.bottom)
@@ -392,8 +397,8 @@ class Scene(Bearing):
         """Return the imposed spin of the top plane, (C, nx, ny), in 2D (C, nx), 1/time, in the form that solvers store.
 
         That is the *staggered* spin, times +1 or -1 so that it has one sign for neighbours that roll on each other,
-        measured from the bearing state of the bottom, in which no contact slips (equations.md, 1). So slips keep their
-        digits even if bottom and top are driven nearly alike. spin_axes : numbers of the C components.
+        measured from the bearing state of the bottom, in which no contact slips (docs/equations.md, 1). So slips keep
+        their digits even if bottom and top are driven nearly alike. spin_axes : numbers of the C components.
         """
         return self.driving.imposed_on_top(spin_axes)[0]
 

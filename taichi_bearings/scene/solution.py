@@ -38,10 +38,10 @@ class Status(Enum):
     STATIONARY = "stationary"  # a dynamics has come to rest: power, slips and torques no longer change
     FINISHED = "finished"  # a dynamics has gone on for the simulated time that was asked for
     STALLED = "stalled"  # the method can get no closer in this precision
-    STEP_LIMIT = "step-limit"
-    TIME_LIMIT = "time-limit"
-    INTERRUPTED = "interrupted"
-    NOT_FINITE = "not-finite"
+    STEP_LIMIT = "step-limit"  # the largest number of iterations was reached before that
+    TIME_LIMIT = "time-limit"  # the largest wall time was reached before that
+    INTERRUPTED = "interrupted"  # by Ctrl-C or SIGTERM
+    NOT_FINITE = "not-finite"  # some numbers have become infinite or not-a-number
 
     @property
     def reached(self) -> bool:
@@ -112,8 +112,8 @@ class Progress:
     contacts, C spin components, d slip components, *N the shape of arrays over the spheres.
 
     iteration : iterations so far.
-    staggered : spins (components C, R, spheres *N) in the form that solvers store (scene/driving.py). spin_axes :
-        numbers of their components.
+    staggered : spins (components C, R, spheres *N) in the form that solvers store: staggered spins, 1/time, on
+        lattices, radius * spin, length/time, in other packings. spin_axes : numbers of their components.
     rest : (C, R, *N), small numbers to add to them, from a method that knows its spins beyond rounding, else None.
     force : contact forces (slip components d, R, contacts E), along the spin differences of the contacts.
     objective : (R,), energy/time, at these spins. lower_bound : (R,), energy/time, on the minimum of the objective.
@@ -214,9 +214,9 @@ class Solution:
         leaves out; the sum of both is the spin.
     slip, power_per_contact, force : (R, contacts E): slip speed, length/time; power, energy/time; size of the force.
     friction : force on the upper sphere of each contact of a lattice, or on the second one in a packing, laboratory
-        frame, (R, E, 3); in 2D (R, E), the component along z x n (lattice.grid.laboratory_forces). The lower bound
-        follows from these forces: none exceeds the friction force of its contact, and they are in balance where such
-        forces prove as much as others (certificate.certifying_forces).
+        frame, (R, E, 3); in 2D (R, E), the component along z x n, with n the normal from the first to the second
+        sphere. The lower bound follows from these forces: none exceeds the friction force of its contact, and they are
+        in balance where such forces prove as much as others.
     state : (R, E), values of `ContactState`. proven : (R, E) mask of the contacts whose state is proven, and of those
         that are absent or between driven spheres.
     power : (R,), energy/time. objective : (R,), energy/time.

@@ -132,7 +132,10 @@ class Contacts(ABC):
         raise NotImplementedError
 
     def answered(self, ended: Ended) -> Solution | None:
-        """Return the solution of a run on a packing that ended; None for a lattice: that is computed in drive.py."""
+        """Return the solution of a run on a packing that ended; None for a lattice, whose solution drive.py computes.
+
+        ended : how the run ended, and the best that it has reached.
+        """
         return None
 
     def state(self) -> dict[str, np.ndarray]:
@@ -140,7 +143,7 @@ class Contacts(ABC):
         return {}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call."""
+        """Continue from the arrays by name that `state` returned in an earlier call; here there are none."""
         assert not self.state()
 
 
@@ -177,7 +180,7 @@ class Stepped(Contacts):
     def allocate(self, spec: AnySpec, viscosity: np.ndarray | None) -> None:
         """Allocate the fields, and load the coefficients of the law into them.
 
-        spec : names and sizes of the fields, as from `field_spec`.
+        spec : names of the fields, with the numbers that each sphere (in packings also each contact) has in them.
         viscosity : (R samples, E contacts), viscosity of each contact of a law with friction and viscosity, in the unit
             of the kernels; None for other laws.
         """
@@ -230,7 +233,8 @@ class Stepped(Contacts):
         divided by the square of the radius.
 
         options : options of a method, with `mass` and `inertia`.
-        density : of the spheres of a packing, as for `Packing.inertias`; not used by lattices.
+        density : of the spheres of a packing, mass / length^D in D dimensions, one number or (N,), from which their
+            masses follow; None to use the mass in the options. Not used by lattices.
         """
 
     @abstractmethod
@@ -240,7 +244,8 @@ class Stepped(Contacts):
 
         A sphere of another moment I has this one over I in `is_free`.
 
-        inertia : as from `inertias`.
+        inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice,
+            mass in a packing.
         """
 
     @abstractmethod
@@ -250,7 +255,8 @@ class Stepped(Contacts):
         The first is the decay rate by viscosity, 1/time, 0 without. The second, 1/mass, is that of contacts that all
         stick, with the largest eigenvalue lambda of the network's Laplacian, radius R and moment of inertia I.
 
-        inertia : as from `inertias`.
+        inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice,
+            mass in a packing.
         """
 
     @abstractmethod
@@ -259,7 +265,8 @@ class Stepped(Contacts):
 
         spin_axes : numbers of the axes of the spin components that move.
         unit : unit of the unknowns in the solve: 1/time on a lattice, length/time in a packing.
-        inertia : as from `inertias`.
+        inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice,
+            mass in a packing.
         """
 
     def stopped_spins(self, component: int, spins: np.ndarray) -> np.ndarray | None:

@@ -47,8 +47,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
     start_spin : largest spin at the start, 1/time.
     team, sweeps : threads and kernel.
     before_last : the state, by name, before a shorter last step; None if none was made.
-    balance_before : (R samples,) work of the contacts, (R,) energy injected, (R,) power and (C components, R, *N
-        spheres) forces on spheres before such a step; None without.
+    balance_before : (R samples,) work of the contacts, (R,) energy that driven spheres gave, (R,) power of the contacts
+        and (C components, R, *N spheres) forces on spheres, all before a shorter last step; None if none was made.
     """
 
     state_names = WATCH_NAMES
@@ -179,7 +179,9 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return [name for name in self.fields.names if name not in CONSTANT]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from a checkpoint, by what `state` returned; raise InputError if it has another time step."""
+        """Continue from a checkpoint: the arrays by name that `state` returned in an earlier call. Raise InputError if
+        it has another time step.
+        """
         if float(state["time_step"]) != self.time_step:
             raise InputError(
                 f"time_step is {self.time_step!r}, but the run to be resumed has {float(state['time_step'])!r}; "
@@ -310,8 +312,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.balance(staggered, spring)
 
     def _work(self, staggered: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the energies (R samples,) since the start that contacts took from the spins, and (R,) that driven
-        spheres gave.
+        """Return two energies since the start for each of R samples, (R,) each: what the contacts took from the spins,
+        and what the driven spheres gave. If the last step was shorter than the others it is added on its own.
 
         staggered, force : spins (C components, R, *N spheres) and contact forces (C, R, E contacts) at the end of the
             last step.

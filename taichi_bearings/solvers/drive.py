@@ -77,7 +77,7 @@ class Checkpoints:
         arrays = dict(self.resume or {})
 
         def of(begin: str) -> Checkpoints:
-            """Return the checkpoints of the sample whose arrays have names that begin with `begin`."""
+            """Return the checkpoints of the sample whose arrays have names that begin with the text `begin`."""
 
             def write(state: Mapping[str, np.ndarray]) -> None:
                 """Write the arrays of all samples, after those of this sample have been replaced by `state`."""
@@ -129,7 +129,12 @@ def solve(
 
 @dataclass(frozen=True)
 class _Asked:
-    """The arguments of :func:`solve` that are the same for all samples; each is explained there."""
+    """What was asked of a solve, the same for all samples.
+
+    stop : when to end. monitors : functions that are called with a `Report` each time that the progress is read.
+    slip_threshold : slip speed, length/time, up to which a contact counts as slipless; None for the smallest slip that
+        the method can resolve. recording : simulated times at which a dynamics is recorded.
+    """
 
     stop: StopRule
     monitors: Sequence[Monitor]
@@ -161,7 +166,9 @@ def _apart(
     As many samples as pays are stepped side by side. After Ctrl-C the answer holds only the samples that were begun;
     with checkpoints, from which the others can be continued, KeyboardInterrupt is raised instead if some are missing.
 
-    asked : the arguments of :func:`solve` that all samples share; the others are as of :func:`solve`.
+    scene : the packing. method : what solves it. spin : (R samples, N spheres, 3), of discs (R, N), laboratory spins to
+        start from, 1/time. checkpoints : where the state is saved, or None. asked : when to end, who is told, and what
+        is recorded.
     """
     from taichi_bearings.solvers.together import samples_at_once  # and with it the lists of packings
 
@@ -189,7 +196,7 @@ def _apart(
 def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
     """Return the answers to some samples that are stepped side by side, each with an equal share of the seconds.
 
-    asked : the arguments of :func:`solve` that they share.
+    asked : when to end, who is told of the progress, and what is recorded.
     """
     began, threshold = time.perf_counter(), asked.slip_threshold
     options = samples[0].method.options
@@ -302,7 +309,8 @@ class Course:
         """Begin at the start, or where a checkpoint leaves off; raise FileError if that does not fit the method.
 
         method : one whose `begin` was called.
-        stop, recording, checkpoints : as of :func:`solve`.
+        stop : when to end. recording : simulated times at which a dynamics is recorded. checkpoints : where the state
+            is saved, and from which to continue; None for none.
         interrupt : tells whether Ctrl-C was pressed.
         """
         self.scene, self.method, self.stop, self.recording = method.scene, method, stop, recording
@@ -395,7 +403,7 @@ class Course:
                 self._write_if_due()
 
     def _aim(self, iteration: int) -> None:
-        """Choose the iteration at which the progress is read next.
+        """Set `target`, the iteration at which the progress is read next.
 
         For a dynamics it depends on the state only, not on when it was read before, so that a resumed run has the same
         bits.

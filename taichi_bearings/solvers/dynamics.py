@@ -85,7 +85,7 @@ class RestWatch:
         return self.quiet_checks >= REST_CHECKS
 
     def look(self, found: Progress, time: float, radius: float, tolerance: float, believed: bool) -> None:
-        """Check whether the dynamics has changed since the last check, if one is due.
+        """Check whether the dynamics has changed since the last check, if one is due, and count in `quiet_checks`.
 
         No change means: the objective has changed by at most `tolerance`, as many contacts slip, and the largest torque
         left on a sphere is at most 1000 * tolerance times radius times largest contact force.
@@ -122,8 +122,10 @@ class Dynamics(Method):
     aim : the next simulated time at which a state is recorded; infinity for none.
     end : the simulated time at which the run ends; infinity if there is none.
     halted : True if no further step can be made.
-    density : of the spheres of a packing, as for `Packing.inertias`; it is set before the method begins.
-    inertia : moments of inertia, as from `Contacts.inertias`.
+    density : of the spheres of a packing, mass / length^D in D dimensions, one number or (N,); None to use the mass in
+        the options. It is set before the method begins.
+    inertia : moments of inertia of the free spheres, one number or (N,): mass * length^2 on a lattice; in a packing
+        over the squared radius, mass.
     """
 
     contacts: Stepped
@@ -163,7 +165,7 @@ class Dynamics(Method):
         return own | self.contacts.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call; called after `begin`."""
+        """Continue from the arrays by name that `state` returned in an earlier call; called after `begin`."""
         for name in ("iteration", "time", *self.state_names):
             *path, last = name.split(".")
             owner: Any = reduce(getattr, path, self)
@@ -171,7 +173,7 @@ class Dynamics(Method):
         self.contacts.restore(state)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return further results at the end by name, (R samples,) each; here none. last : the progress at the end."""
+        """Return further results at the end by name, (R samples,) each; here none. last : not used."""
         return {}
 
     def may_be_at_rest(self, found: Progress) -> bool:
@@ -299,7 +301,9 @@ class SpringDynamics(Dynamics):
         return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}
 
     def progress(self) -> Progress:
-        """Return the progress now, with bounds, energies and slipping contacts, and whether the dynamics is at rest."""
+        """Return the progress now: spins, forces, bounds on the objective, energies, numbers of slipping contacts, and
+        whether the dynamics is at rest.
+        """
         scene, stiffness = self.scene, self.options.stiffness
         staggered, force, stretch = self.motion()
         springs = force  # the lower bound follows from the forces without those of the dampers

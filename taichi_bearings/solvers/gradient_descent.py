@@ -149,7 +149,10 @@ class GradientDescentMethod(Swept):
             self.fields.load(name, staggered)
 
     def _begin_epoch(self, length: int) -> None:
-        """Begin an epoch with empty averages. length : its iterations."""
+        """Begin an epoch, a stretch of sweeps of constant step length, with empty averages of spins and forces.
+
+        length : number of its iterations.
+        """
         self.epoch_start, self.epoch_length, self.averaged = self.iteration, length, 0
         if self.averages:
             self.fields.clear("spin_sum")
@@ -192,7 +195,7 @@ class GradientDescentMethod(Swept):
         return fields | numbers | {"last_smooth": self.last_smooth} | self.contacts.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call."""
+        """Continue from the fields and numbers by name that `state` returned in an earlier call."""
         for name in self._changing:
             self.fields.load(name, state[name])
         for name in self.state_numbers:
@@ -203,8 +206,8 @@ class GradientDescentMethod(Swept):
     def _step_and_sharpness(self) -> tuple[float, float]:
         """Return the step length that the kernel takes, and the last argument of the force of the law on the device.
 
-        That argument is the inverse of the spin difference up to which friction grows, or the radius for laws without
-        friction (FORCES in kernels/contact.py).
+        That argument is the inverse of the spin difference, 1/time, up to which friction grows, or the radius for laws
+        without friction.
         """
         if not self.scene.law.holds:
             return 0.5, self.scene.slip_radius
@@ -215,7 +218,8 @@ class GradientDescentMethod(Swept):
         sweeps.
 
         Without momentum it is that of the average of the epoch; an epoch that has ended is followed by one of twice the
-        length and a step shorter by a factor sqrt(2). With momentum see `_adapt`.
+        length and a step shorter by a factor sqrt(2). With momentum the width over which friction is smoothed is halved
+        once it causes half the gap.
         """
         scene = self.scene
         if self.averaged:

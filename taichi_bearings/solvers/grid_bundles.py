@@ -81,7 +81,7 @@ class GridBundles(Part):
         return iteration + -(-len(self.bundles) // MOST_CHECKS)
 
     def advance(self, steps: int) -> None:
-        """Solve the next `steps` bundles."""
+        """Solve the next `steps` bundles of planes, grids of one layer and sample each."""
         with one_thread():
             for slot, planes in self.bundles[self.iteration : self.iteration + steps]:
                 self._solve(slot, planes)
@@ -142,7 +142,8 @@ class GridBundles(Part):
 
 
 def _laplacian(plane: Lattice, first: np.ndarray, second: np.ndarray) -> csc_array:
-    """Return the weighted Laplacian of the free nodes of B planes, one block for each.
+    """Return the weighted Laplacian (B m (n - 2), B m (n - 2)), sparse, of the free nodes of B planes of m x n nodes,
+    one block for each plane.
 
     plane : grid of m x n nodes; the first and last of each row along the height are held.
     first, second : (B, ...), weights of its contacts along either axis.

@@ -24,5 +24,5 @@ class InteriorPointMethod(Minimiser):
     resumes = True
 
     def part_of(self) -> Part:
-        """Return the central paths of all samples of this scene."""
+        """Return the central paths of all samples of this scene, which make the steps of the method."""
         return self.contacts.paths(self.start, self.options.settle)

@@ -61,7 +61,8 @@ def _skeleton(*alike: Any) -> _Skeleton:
     For small lattices, of which many are solved, it is kept for the next call. Each thread has its own, as the matrix
     holds the numbers of its factorisation.
 
-    alike : the arguments of `_made` after the first.
+    alike : the lattice; the numbers of the axes of the C spin components that are computed; and the imposed spins of
+        the top plane less those of the bottom, (C, *plane), in units, as the bytes of an array.
     """
     if alike[0].sites < KEPT_SITES:
         return _made(threading.get_ident(), *alike)
@@ -233,10 +234,10 @@ class LatticePaths(Paths):
         return found[0], found[1]
 
     def _lower_bound(self, force: np.ndarray, objective: np.ndarray) -> np.ndarray:
-        """Return lower bounds (R samples,) on the objective.
+        """Return lower bounds (R samples,) on the objective, energy/time.
 
-        A sample has the quick bound until it has ended, and also then if the gap to that is small enough. Otherwise the
-        slower bound of the certificate is computed.
+        A sample has the bound that follows quickly from its forces until it has ended, and also then if the gap to that
+        is small enough. Otherwise the bound with which answers are certified is computed, which takes longer.
 
         force : (C components, R, E contacts), contact forces.
         objective : (R,), at the spins of now.

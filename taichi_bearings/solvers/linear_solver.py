@@ -12,5 +12,5 @@ class LinearSolverMethod(Minimiser):
     """The linear solver. An iteration is one bundle of planes of a lattice, or all samples of a packing."""
 
     def part_of(self) -> Part:
-        """Return what solves the linear systems of this scene."""
+        """Return what solves the linear systems of this scene, in which viscous forces balance."""
         return self.contacts.linear_systems(self.start)

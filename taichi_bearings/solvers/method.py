@@ -72,7 +72,7 @@ class Method:
         raise NotImplementedError
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call; called after `begin`."""
+        """Continue from the arrays by name that `state` returned in an earlier call; called after `begin`."""
         raise NotImplementedError
 
     def found(self) -> list[Found]:
@@ -163,14 +163,15 @@ class Minimiser(Method):
 
     @property
     def iteration(self) -> int:  # type: ignore[override]
+        """Number of iterations so far."""
         return self.part.iteration
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration of the next look. iteration : that of this one."""
+        """Return the iteration at which to read the progress next. iteration : the one at which it was read now."""
         return self.part.next_check(iteration)
 
     def advance(self, steps: int) -> None:
-        """Make `steps` iterations."""
+        """Make `steps` iterations, by the part for lattices or that for packings."""
         self.part.advance(steps)
 
     def progress(self) -> Progress:
@@ -186,7 +187,7 @@ class Minimiser(Method):
         return self.part.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call."""
+        """Continue from the arrays by name that `state` returned in an earlier call."""
         self.part.restore(state)
 
 

@@ -92,11 +92,12 @@ def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
 
 
 def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
-    """Return the spins u (unknowns,) from the levels of all nodes, as sums of two doubles.
+    """Return the spins u = radius * spin (unknowns,) of a minimum, as sums of two doubles, from the nodes of a graph.
 
-    A spin with a twin is half the difference of the two copies.
+    Each free spin is a node, or two of opposite values (twins) in parts with odd loops; then it is half the difference
+    of the two.
 
-    cover : the graph.
+    cover : the graph, with the sorted driven values that nodes can have.
     place : (nodes,), the number of the value of each node (its level).
     sign : (unknowns,), sign of each unknown, by which neighbours differ.
     """
@@ -180,7 +181,7 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
 
     A limit is friction coefficient times normal force; a normal force that all contacts have is part of the unit.
 
-    contact : numbers of the contacts, an array of the length of the result.
+    packing : one sample. contact : (n,), numbers of the contacts; the limits are (n,), dtype object.
     """
     normal = np.broadcast_to(packing.normal_force, packing.contacts)[contact]
     same = bool((normal == normal[:1]).all())

@@ -127,7 +127,7 @@ class OnLists(Stepped):
     def run(self, team: Team, sweeps: Sweeps, launch: Launch) -> None:
         """Call a kernel as often, and with the constants, as a launch says.
 
-        team : threads. sweeps : the kernel.
+        team : threads. sweeps : the kernel. launch : how often (`turns`) and with which constants (`numbers`).
         """
         self.load_numbers(launch)
         sweeps.run(self.fields, team, launch.turns, NOTHING)
@@ -177,7 +177,8 @@ class OnLists(Stepped):
         """Return the moments of inertia of the spheres over the squares of their radii, (N spheres,), mass.
 
         options : options of a method, with `mass` and `inertia`.
-        density : of the spheres, as for `Packing.inertias`.
+        density : of the spheres, mass / length^D in D dimensions, one number or (N,), from which their masses follow;
+            None to use the mass in the options.
         """
         return self.scene.inertias(options.mass, options.inertia, density)
 
@@ -196,7 +197,7 @@ class OnLists(Stepped):
         They are rigorous, by the theorem of Collatz and Wielandt on matrices without negative entries. The first is 0
         without viscosity.
 
-        inertia : (N spheres,), as from `inertias`, mass.
+        inertia : (N spheres,), moments of inertia over squared radii, mass.
         """
         network, viscosities, each = self.scene.network, self.scene.viscosities, np.asarray(inertia)
         decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], each)
@@ -208,7 +209,7 @@ class OnLists(Stepped):
 
         spin_axes : not used, as all components of a packing move.
         unit : unit of u in the solve, length/time.
-        inertia : (N spheres,), as from `inertias`, mass.
+        inertia : (N spheres,), moments of inertia over squared radii, mass.
         """
         return OfNetwork(self.scene, unit, np.asarray(inertia))
 
@@ -266,7 +267,7 @@ class OnLists(Stepped):
         }
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call."""
+        """Continue from the arrays by name that `state` returned in an earlier call."""
         bounds = self.bounds
         bounds.proven, bounds.looked = float(state["bounds.proven"]), int(state["bounds.looked"])
         bounds.witness = np.array(state["bounds.witness"])

@@ -164,7 +164,8 @@ class OnStrides(Stepped):
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
         """Call a kernel as often, and with the constants, as a launch says.
 
-        team : threads. sweeps : the kernel.
+        team : threads. sweeps : the kernel. launch : how often (`turns`), from which turn on (`first`), and with which
+            constants (`numbers`).
         """
         sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
 
@@ -187,7 +188,7 @@ class OnStrides(Stepped):
     def common_inertia(self, inertia: Inertia) -> float:
         """Return the moment of inertia of all spheres as a number, which the kernel takes as one of its constants.
 
-        inertia : as from `inertias`, mass * length^2.
+        inertia : that moment, mass * length^2.
         """
         return float(inertia)
 

@@ -63,7 +63,8 @@ class OnSystem(Contacts):
         return Found(np.zeros(self.system.unknowns), np.zeros_like(self.system.offset), method, steps=steps)
 
     def paths(self, spin: np.ndarray, settle: bool) -> Part:
-        """Return the central paths of all samples, which start where they like and always settle contact states.
+        """Return the central paths of all samples, for the interior-point method. They choose their own starts, and
+        always go on until it is known which contacts slip.
 
         spin, settle : not used.
         """
@@ -77,7 +78,7 @@ class OnSystem(Contacts):
         """
 
         def cut(number: int) -> Found:
-            """Return the exact minimum of a sample."""
+            """Return spins and forces of the sample with this number at its exact minimum."""
             (high, low), force = nested_cuts.least_power(self.system, self.samples[number])
             return Found(high, force, "planar-cut", rest=low, steps=1)
 
@@ -131,7 +132,8 @@ class OnSystem(Contacts):
             )  # fmt: skip
 
     def _stacked(self, ends: Sequence[Found]) -> tuple[np.ndarray, np.ndarray]:
-        """Return u = radius * spin (C components, R samples, N spheres) and forces (d tangents, R, E contacts).
+        """Return u = radius * spin (C components, R samples, N spheres), length/time, and forces (d tangents, R, E
+        contacts) of all samples.
 
         ends : spins and forces of each sample.
         """
@@ -164,7 +166,10 @@ class OnSystem(Contacts):
         return np.zeros(self.scene.replicas)
 
     def answered(self, ended: Ended) -> Solution:
-        """Return the answer to all samples, judged together."""
+        """Return the answer to all samples of a run that ended, with what is proven of them.
+
+        ended : how the run ended, with the spins and forces that were reached.
+        """
         stop = ended.stop
         with one_thread():
             found = answers(self.system, self.samples, *self.judgement(ended.found()), ended.while_wanted)

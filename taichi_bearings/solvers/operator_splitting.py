@@ -159,7 +159,7 @@ class OperatorSplittingMethod(Method):
         return fields | {"iteration": np.array(self.iteration), "stiffness": self.stiffness}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call."""
+        """Continue from the fields and numbers by name that `state` returned in an earlier call."""
         for name in self.changing:
             self.fields.load(name, state[name])
         self.iteration, self.stiffness = int(state["iteration"]), np.array(state["stiffness"])
@@ -314,10 +314,13 @@ class TorqueBalance:
     fields : the fields of the method. kernels : the kernels of the solve.
     weight : stiffness of the springs sideways.
     products : type of the numbers in the products on a CPU: single precision, or that of the fields if that is less.
-    sines, chains, modes : matrix of the sines, factors of the chains, and scratch, as `BalanceKernels` takes them.
-    measures : whole numbers by which kernels find spheres.
+    sines : matrix of the sine transform along a column of nz spheres: (nz, nz), 0 for driven ones; on a GPU (nz - 2, nz
+        - 2). chains : flat, inverse pivots by which the chains, one for each mode, are solved. modes : flat, the
+        transformed field, where solutions replace pulls.
+    measures : whole numbers by which kernels find spheres: length of a row in memory, strides and the like.
     workers, each : number of threads, 0 on a GPU; and a function like `map` that shares calls among them.
-    pulls, potentials : for each thread, planes of `pull` and of `potential` with the same planes of the modes.
+    pulls, potentials : for each thread a list of pairs: some planes of `pull`, or of `potential`, and the same planes
+        of the modes.
     is_rough : True if the products are less precise than the fields.
     is_small : True if the BLAS library would use no threads of its own.
     """

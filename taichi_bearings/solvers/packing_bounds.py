@@ -40,7 +40,7 @@ class PackingBounds:
         self.proven, self.witness, self.looked = 0.0, np.zeros((packing.network.components, 1, packing.spheres)), 0
 
     def is_at_rest(self) -> np.ndarray:
-        """Return (1,) True if a state without any slip is proven to exist."""
+        """Return a mask (1,) for the one sample, True if spins without any slip are proven to exist."""
         system = self.system
         spins, rest = rolled(
             system, self.packing, exactly(np.zeros(system.unknowns)), np.ones(len(system.numbers), dtype=bool)

@@ -116,7 +116,9 @@ class PackingPaths(Paths):
         return Strengths(held / force, viscosity * speed / force, force)
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration of the next look: after every step, but for small samples at the end alone."""
+        """Return the iteration at which to read the progress next: that after the next step, but in small samples that
+        at the end. iteration : the one at which it is read now.
+        """
         return iteration + (MOST_STEPS if self.small else 1)
 
     def advance(self, steps: int) -> None:
@@ -131,7 +133,9 @@ class PackingPaths(Paths):
                         self.ends[number] = self._end(number)
 
     def _end(self, number: int) -> Found:
-        """Return what the path of a sample leads to, or the balance of its viscous forces if it has no path."""
+        """Return the spins and forces that the path of a sample leads to, or those at which its viscous forces balance
+        if it has no path. number : of the sample.
+        """
         if number not in self.strengths:
             return self.contacts.flowing(number)
         way = self.samples[list(self.strengths).index(number)]
@@ -142,7 +146,7 @@ class PackingPaths(Paths):
         return [self.ends.get(number) or self._now(number) for number in self.numbers]
 
     def _now(self, number: int) -> Found:
-        """Return the spins and forces of the point of the path where a sample is now."""
+        """Return the spins and forces of the point of the path where a sample, given by its number, is now."""
         if number not in self.strengths:
             return self.contacts.at_rest()
         way = self.samples[list(self.strengths).index(number)]
@@ -166,7 +170,7 @@ def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix
     """Return the start of the path of one sample: the spins that would balance if friction were viscous.
 
     system, contacts : the contacts of the packing, and those of the path.
-    of : friction and viscosity.
+    of : friction and viscosity (A,) of the A contacts of the packing, scaled to about 1, and their unit.
     matrix : Newton matrix of the path.
     """
     own = np.searchsorted(system.numbers, contacts.numbers)
@@ -181,11 +185,12 @@ def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix
 
 
 def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
-    """Return what a path has found: with the contact states that it has settled, or else settled by multipliers.
+    """Return the spins and forces that a path has found, in the units of the packing, with its contact states: those
+    that the path has settled, or else those found by springs that slip at the friction limit (method of multipliers).
 
     system : the contacts of the packing.
     way : the sample at the end of the path.
-    of : friction and viscosity.
+    of : friction and viscosity (A,) of the A contacts, scaled to about 1, and their unit.
     matrix : Newton matrix of the path.
     fastest : unit of the spins, length/time.
     """
@@ -226,7 +231,8 @@ def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.nd
 
 
 def _everywhere(own: np.ndarray, of: np.ndarray, count: int) -> np.ndarray:
-    """Return values (A,) of all contacts from those of some; False or 0 for contacts that couple no unknown.
+    """Return values (A,) on all A contacts of a packing from those on the n contacts of its path; False or 0 for
+    contacts that no unknown spin makes slip, which are not on the path.
 
     own : (n,), numbers of the n contacts among the A.
     of : (n,), their values.

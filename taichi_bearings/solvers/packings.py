@@ -72,8 +72,9 @@ def least_power(
 ) -> Solution:
     """Return the minima of samples of a packing in which the same contacts take part.
 
-    method : "auto", or the name of a method; InputError is raised if it does not solve this packing. stop, monitors,
-    checkpoints : as of `solvers.drive.solve`.
+    method : "auto", or the name of a method; InputError is raised if it does not solve this packing. stop : when to
+        end. monitors : functions that are called with a report each time that the progress is read. checkpoints : where
+        the state is saved, and from which to continue; None for none.
     """
     row = METHODS[_able(scene, method)]
     return solve(scene, row().build(), scene.imposed_spins()[0][None], stop, monitors, None, None, checkpoints)

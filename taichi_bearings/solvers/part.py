@@ -10,7 +10,9 @@ from taichi_bearings.solvers.found import Found
 
 
 class Part(ABC):
-    """The part of a method that solves a network of one kind. iteration : how many iterations were made."""
+    """The part of a method that solves scenes of one kind: lattices, or packings. iteration : how many iterations were
+    made.
+    """
 
     iteration: int
 
@@ -20,11 +22,11 @@ class Part(ABC):
 
     @abstractmethod
     def advance(self, steps: int) -> None:
-        """Make `steps` iterations."""
+        """Make `steps` further iterations, or fewer if nothing is left to do."""
 
     @abstractmethod
     def progress(self) -> Progress:
-        """Return the state now, with its bounds."""
+        """Return spins and forces now, with the bounds on the objective that they prove."""
 
     def found(self) -> list[Found]:
         """Return the spins and forces that each sample of a packing has reached."""
@@ -35,5 +37,8 @@ class Part(ABC):
         raise NotImplementedError
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call; raise ValueError if it does not fit the scene."""
+        """Continue from the arrays by name that `state` returned in an earlier call.
+
+        Raises ValueError if they do not fit the scene.
+        """
         raise NotImplementedError

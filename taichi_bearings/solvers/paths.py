@@ -17,10 +17,13 @@ OF_A_MINIMUM = ("spins", "difference", "dual", "slipping", "at_limit", "heads", 
 
 
 class Paths(Descent, Part):
-    """Samples on their central paths. A Newton step of every sample that is not yet done is an iteration."""
+    """Samples on their central paths: the part of the interior-point method that makes its iterations. One iteration is
+    a Newton step of every sample that is not yet done.
+    """
 
     @property
     def iteration(self) -> int:  # type: ignore[override]
+        """Number of Newton steps so far, the largest of all samples."""
         return max((sample.steps for sample in self.samples), default=0)
 
     def state(self) -> dict[str, np.ndarray]:
@@ -40,7 +43,10 @@ class Paths(Descent, Part):
         return found
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call; raise ValueError where it is none of these paths."""
+        """Continue from the arrays by name that `state` returned in an earlier call.
+
+        Raises ValueError where they are not those of these paths.
+        """
         for number, sample in enumerate(self.samples):
             points: list[Any] = [
                 {name: np.array(state[f"{number}/{place}/{name}"]) for name in OF_A_POINT}

@@ -12,5 +12,5 @@ class PlanarCutMethod(Minimiser):
     """The planar cut. Its only iteration cuts all grids of a lattice, or all samples of a packing."""
 
     def part_of(self) -> Part:
-        """Return what cuts the network of this scene."""
+        """Return what finds the minimum cuts of the network of this scene."""
         return self.contacts.cuts(self.start)

@@ -105,7 +105,7 @@ class RigidLimitMethod(Dynamics):
             return 1.0  # no contact acts on a free sphere, and any step is exact
 
         def mean(coefficient: np.ndarray) -> float:
-            """Return the mean coefficient of the contacts with a free sphere."""
+            """Return the mean of a coefficient (samples R, contacts E) over the contacts with a free sphere."""
             return float(coefficient[:, scene.network.has_free_end].mean())
 
         force = scene.strength * mean(scene.coefficient) * (1.0 if scene.law.holds else fastest)
@@ -255,6 +255,6 @@ class RigidLimitMethod(Dynamics):
         return {"rest_time": rest_time, "newton_steps": np.full(self.scene.replicas, self.newton_steps)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from what `state` returned in an earlier call."""
+        """Continue from the arrays by name that `state` returned in an earlier call."""
         super().restore(state)
         self._set_up_steps()

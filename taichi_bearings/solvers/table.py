@@ -198,7 +198,17 @@ def register(row: Row) -> Row:
 @register
 @dataclass(frozen=True, kw_only=True)
 class PlanarCut(MethodOptions):
-    """Exact minimum cuts of planes: Coulomb discs, and spheres driven about x or y alone."""
+    """Exact minimum cuts of planes: Coulomb discs, and spheres driven about x or y alone.
+
+    It has no options. Packings of discs with friction are solved too, and those of spheres in which each contact
+    couples one spin component.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> tb.solve(tb.Scene.random((4, 5), seed=3), tb.PlanarCut(), threads=1).status
+    'certified'
+    """
 
     name = "planar-cut"
     implementation = "taichi_bearings.solvers.planar_cut:PlanarCutMethod"
@@ -234,7 +244,19 @@ class PlanarCut(MethodOptions):
 @register
 @dataclass(frozen=True, kw_only=True)
 class InteriorPoint(MethodOptions):
-    """Primal-dual central path: a proven minimum to round-off in about twenty Newton steps."""
+    """Primal-dual central path: a proven minimum to round-off in about twenty Newton steps.
+
+    Parameters
+    ----------
+    settle : bool
+        True to go on, once the gap is certified, until it is known of every contact whether it slips.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> tb.solve(tb.Scene.random((4, 5), seed=3), tb.InteriorPoint(settle=False), threads=1).status
+    'certified'
+    """
 
     name = "interior-point"
     keeps_checkpoints = True
@@ -283,7 +305,16 @@ class InteriorPoint(MethodOptions):
 @register
 @dataclass(frozen=True, kw_only=True)
 class OperatorSplitting(MethodOptions):
-    """Operator splitting with fast Poisson solves: rough answers of large scenes."""
+    """Operator splitting with fast Poisson solves: rough answers of large scenes.
+
+    It has no options of its own; the gap that ends it is the option `tolerance` of a run.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> tb.solve(tb.Scene.random((4, 5), seed=3), tb.OperatorSplitting(), tolerance=1e-3, threads=1).status
+    'certified'
+    """
 
     name = "operator-splitting"
     keeps_checkpoints = True
@@ -305,7 +336,16 @@ class OperatorSplitting(MethodOptions):
 @register
 @dataclass(frozen=True, kw_only=True)
 class LinearSolver(MethodOptions):
-    """Sparse factorisations of the viscous law: exact to round-off."""
+    """Sparse factorisations of the viscous law: exact to round-off.
+
+    It has no options.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> tb.solve(tb.Scene.random((4, 5), seed=3, law="viscous"), tb.LinearSolver(), threads=1).status
+    'certified'
+    """
 
     name = "linear-solver"
     implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
@@ -327,7 +367,19 @@ class LinearSolver(MethodOptions):
 @register
 @dataclass(frozen=True, kw_only=True)
 class GradientDescent(MethodOptions):
-    """The paper's first method, with step lengths that provably converge."""
+    """The paper's first method, with step lengths that provably converge.
+
+    Parameters
+    ----------
+    momentum : bool
+        True for momentum and smoothed friction, which is faster; False for the paper's plain method.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> tb.solve(tb.Scene.random((4, 5), seed=3), tb.GradientDescent(), tolerance=1e-2, threads=1).status
+    'certified'
+    """
 
     name = "gradient-descent"
     keeps_checkpoints = True
@@ -398,6 +450,25 @@ class RigidLimit(Motion):
     """Dynamics without springs, in implicit steps of any length.
 
     At rest once the power falls by less than rest_tolerance in a step and the proven gap is below 1e-9.
+
+    Parameters
+    ----------
+    mass : float
+        Mass of a sphere; in packings that of one with the mean radius.
+    inertia : float or None
+        Moment of inertia, mass * length^2. Default: m R^2 / 2 of a disc, 2 m R^2 / 5 of a sphere.
+    time_step : float or None
+        Fixed length of the steps, time. Default: each is chosen by its error.
+    error_tolerance : float
+        Root mean square error of the spins in a step, relative to the largest spin, where steps are chosen by it.
+    rest_tolerance : float
+        Relative change of the power in a step below which the motion counts as at rest.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> tb.solve(tb.Scene.random((4, 5), seed=3), tb.RigidLimit(mass=2.0), threads=1).status
+    'certified'
     """
 
     name = "rigid-limit"
@@ -430,6 +501,36 @@ class CundallStrack(Motion):
     At rest once, over three checks in a row, the power changes by less than rest_tolerance, no contact changes between
     sticking and slipping, and the torque on each free sphere is below 1000 rest_tolerance times the typical one of
     friction.
+
+    Parameters
+    ----------
+    mass : float
+        Mass of a sphere; in packings that of one with the mean radius.
+    inertia : float or None
+        Moment of inertia, mass * length^2. Default: m R^2 / 2 of a disc, 2 m R^2 / 5 of a sphere.
+    time_step : float or None
+        Fixed length of the steps, time. Default: 0.8 of the computed stability limit.
+    stiffness : float
+        Tangential stiffness K_t of a contact, force / length.
+    damping : float
+        Tangential damping A_t of a contact, force * time / length.
+    slipping_spring : str
+        What a spring does while its contact slips: "reset", it carries the friction alone at once, as in the paper;
+        "relax", it approaches that through its damper, so that results converge for short time steps.
+    rest_tolerance : float
+        Relative change of the power below which the motion counts as at rest.
+    static_ratio : float
+        Ratio of static to kinetic friction, 1 or more.
+    gear_order : int
+        Number of time derivatives that Gear's predictor keeps, 2 to 5.
+    energy : bool
+        True to record the energy balance; a time step takes a third longer.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> tb.solve(tb.Scene.random((4, 5), seed=3), tb.CundallStrack(stiffness=1e6), threads=1).status
+    'certified'
     """
 
     name = "cundall-strack"

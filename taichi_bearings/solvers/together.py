@@ -89,13 +89,17 @@ class Together:
 
 
 def _contacts(method: "Swept") -> OnLists:
-    """Return the contacts of a method that steps a packing."""
+    """Return the contacts of a method that steps a packing, which lie in lists."""
     assert isinstance(method.contacts, OnLists)
     return method.contacts
 
 
 def _rest_of_plan(launch: Launch | None, turns: int, plan: Iterator[Launch]) -> Launch | None:
-    """Return what is left of a launch after `turns` turns, else the next launch of the plan; None at its end."""
+    """Return what is left of a launch after `turns` turns, else the next launch of the plan; None at its end.
+
+    launch : some calls of a kernel with the same constants; None to begin. turns : how many of them were made.
+    plan : the launches that follow.
+    """
     if launch is None or launch.turns == turns:
         return next(plan, None)
     return replace(launch, turns=launch.turns - turns, first=launch.first + turns)

@@ -124,8 +124,9 @@ class DenseFront:
     def _work(self, calls: list[Call], panel: int | None = None) -> bool:
         """Make some calls; return False if a pivot is not positive.
 
-        calls : each with the panel that it has to wait for. panel : number of the panel that is complete after the
-            calls, None for none.
+        calls : each a tuple (number of the panel of own columns that it has to wait for, -1 for the last one, None for
+            none; routine; its arguments).
+        panel : number of the panel that is complete after the calls, None for none.
         """
         for before, routine, arguments in calls:
             if self._done and before is not None:
@@ -145,6 +146,9 @@ class DenseFront:
 def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fault: ctypes.c_int) -> list[Call]:
     """Return the calls that factorise a panel: some own columns of a front, from `first` on. They subtract products
     with the panels before it, factorise its diagonal block, and divide what is below by that.
+
+    A front is a dense symmetric matrix: the columns of its own unknowns first, then those of the later unknowns that
+    they are coupled to. Each call is a tuple: number of the panel that it waits for, or None; routine; arguments.
 
     own, rows : number of own columns, and of rows from the diagonal of this panel down.
     height : doubles from one column to the next.
@@ -170,6 +174,10 @@ def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target
     """Return the calls that subtract the product of the own columns of a front from one sheet: some columns of its
     update.
 
+    A front is a dense symmetric matrix: the columns of its own unknowns first, then those of the later unknowns that
+    they are coupled to; the block of the later ones is the update. Each call is a tuple: number of the panel of own
+    columns that it waits for, -1 for the last one, None for none; routine; arguments.
+
     own, rows : number of own columns, and of rows of the sheet.
     height, pitch : doubles from one own column, and from one column of the sheet, to the next.
     left, target : addresses of the sheet's first row in the own columns, and of the sheet.
@@ -190,9 +198,10 @@ def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target
 def _product(
     rows: int, width: int, depth: int, left: object, right: object, ld: object, target: object, ld_target: object
 ) -> tuple[Any, ...]:
-    """Return the arguments of `dgemm` for target (rows, width) -= left (rows, depth) right (width, depth)^T.
+    """Return the arguments of BLAS' `dgemm` for target (rows, width) -= left (rows, depth) right (width, depth)^T.
 
-    ld, ld_target : distance from one column of left and right, and of target, to the next.
+    left, right, target : addresses of the three matrices, stored column by column. ld, ld_target : distance from one
+        column of left and right, and of target, to the next, in doubles.
     """
     return (
         _LEFT_OUT, _TRANSPOSED, _count(rows), _count(width), _count(depth), _MINUS_ONE, left, ld, right, ld, _ONE,

@@ -30,7 +30,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
     known: dict[tuple[object, ...], np.ndarray] = {}
 
     def numbers(region: Region) -> np.ndarray:
-        """Return the numbers of all unknowns in a region."""
+        """Return the numbers (n,) of all unknowns in a region, which has a box of spheres for each spin component."""
         found = [np.zeros(0, dtype=np.int64)]
         for component, (low, high) in region.items():
             inside = sphere[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
@@ -38,7 +38,10 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
         return np.concatenate(found)
 
     def eliminated(region: Region) -> np.ndarray:
-        """Return the order of elimination of a region. Regions that differ by a shift alone have the same, shifted."""
+        """Return the order of elimination (n,) of the n unknowns in a region: a box of spheres for each spin component.
+
+        It is made once for all regions that differ by a shift alone, and then shifted.
+        """
         corner = tuple(np.min([low for low, _ in region.values()], axis=0).tolist())
         moved = {c: (_less(low, corner), _less(high, corner)) for c, (low, high) in region.items()}
         alike = tuple(moved.items())
@@ -47,8 +50,9 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
         return known[alike] + sphere[corner] * len(spin_axes)
 
     def divided(region: Region) -> np.ndarray:
-        """Return the order of elimination of a region: one side, the other side, then the unknowns that
-        separate them."""
+        """Return the order of elimination (n,) of the n unknowns in a region, which has a box of spheres for each spin
+        component: one side, the other side, then the unknowns that separate them; as they come if the region is small.
+        """
         division = divide(region, len(shape)) if _size(region) > leaf else None
         if division is None:
             return numbers(region)
@@ -68,7 +72,8 @@ def divide(region: Region, dimension: int) -> tuple[Region, Region, Region] | No
     """Divide a region of a lattice by the middle plane of spheres whose unknowns are fewest; None if no plane divides
     it.
 
-    region : for each spin component a box of spheres. dimension : of the lattice.
+    region : for each spin component a box of spheres: its lower corner, and its upper corner (exclusive).
+    dimension : number of axes of the lattice.
     returns : the region below the plane, the separator (the plane without the component along its normal), the region
         above.
     """

@@ -33,24 +33,31 @@ class Batch:
 
 
 class Layout:
-    """The places of all numbers among the `size` doubles of a factorisation. A front has columns of its own unknowns
-    and, after their elimination, an update of its border, the later unknowns.
+    """The places of all numbers among the `size` doubles of a sparse Cholesky factorisation by fronts.
 
+    A front is a set of unknowns that are eliminated together, its own ones, with its border, the later unknowns that
+    they are coupled to. It has a column for each own unknown and, after their elimination, an update: a matrix (border,
+    border) that the front above it in the elimination tree takes. All arrays hold int64.
+
+    own, border : (fronts,) numbers of own unknowns, and of unknowns of the border.
     columns : (fronts,) where the own columns of a front begin; they are (height, own) in Fortran order.
     update : (fronts,) where the update of its border begins. It is stored in panels of SHEET_COLUMNS columns from the
         diagonal down, of update_height rows and less; the first one begins at row `skip` of the front. Only lower
         triangles are used.
     pivots : (unknowns,) where the diagonal entries are.
-    tables : the integers that kernels read.
-    batches : of fronts, children first.
+    tables : int32, flat, for kernels: a header with where each table begins; 14 integers of each front; where each
+        entry of the matrix goes; where each row of an update goes in the front above, and each number of a solution;
+        work items; and the branches of each stage.
+    batches : fronts that are worked on at once, children first; none without threads.
     stages : begin and end among branches of the tree that can be solved at once, children first.
     vector : length of the right-hand side together with what fronts leave for their borders.
     """
 
     def __init__(self, pattern: Pattern, unit: int = 1, apart: bool = False) -> None:
-        """Place all numbers, and make the tables.
+        """Place all numbers, and make the tables; raise MemoryError if there are more than 32 bits can count.
 
-        pattern : symbolic factorisation.
+        pattern : the fronts (sets of unknowns that are eliminated together), their borders (the later unknowns that
+            they are coupled to), and the stored entries of the matrix.
         unit : rows that make a SIMD vector; columns begin at multiples of it.
         apart : True if threads share the work; else fronts are worked on one by one.
         """
@@ -100,6 +107,8 @@ class Layout:
     def _work(self, batches: list[np.ndarray], updates: np.ndarray) -> tuple[np.ndarray, list[Batch]]:
         """Split the assembly of the fronts into items of at least ASSEMBLY_NUMBERS numbers, which threads share.
 
+        A front is a dense symmetric matrix; assembly fills it with matrix entries and what the fronts below it leave.
+
         batches : for each batch the numbers of its fronts. updates : (fronts,) doubles of the update of each front.
         returns : items (n, 3), a front, its first column and the end of its columns; the batches with their items.
         """
@@ -123,9 +132,12 @@ def whole(count: np.ndarray, unit: int) -> np.ndarray:
 
 
 def update_size(border: Integers, height: Integers) -> Integers:
-    """Return how many doubles an update takes that is stored in panels from the diagonal down. border : number of its
-    columns.
-    height : rows of its first panel.
+    """Return how many doubles the update of a front takes in memory.
+
+    The update is what the elimination of a front adds to the symmetric matrix of its border, the later unknowns that it
+    is coupled to. It is stored in panels of SHEET_COLUMNS columns, each from its diagonal down.
+
+    border : number of its columns. height : number of rows of its first panel.
     """
     width = tuning.SHEET_COLUMNS
     before = border // width * width
@@ -133,8 +145,10 @@ def update_size(border: Integers, height: Integers) -> Integers:
 
 
 def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return (fronts,) the sum of the values of each front and of all fronts below it. parent : (fronts,) front above
-    each, or -1. values : (fronts,)."""
+    """Return (fronts,) the sum of the values of each front and of all fronts below it in the elimination tree.
+
+    parent : (fronts,) number of the front above each one, or -1; children come before parents. values : (fronts,).
+    """
     total = values.tolist()
     for n, above in enumerate(parent.tolist()):
         if above >= 0:
@@ -144,6 +158,9 @@ def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
     """Return the fronts that are worked on at once, as arrays of their numbers, children first.
+
+    A front is a set of unknowns that are eliminated together; its update is what that adds to the matrix of later
+    unknowns, and waits in memory until the front above takes it.
 
     pattern : the fronts. size : (fronts,) doubles of the update of each front.
     most : largest number of doubles in all updates of a subtree that is worked on depth by depth; above such subtrees
@@ -161,6 +178,8 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
 
 def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> tuple[np.ndarray, int]:
     """Return where each update lies until its parent has taken it, (fronts,), and the most doubles in use at a time.
+
+    The update of a front is the matrix that its elimination adds to that of the later unknowns it is coupled to.
     Memory is taken at the first free stretch that is long enough.
 
     parent : (fronts,) front above each, or -1. size : (fronts,) doubles of each update. batches : fronts worked on at
@@ -191,11 +210,11 @@ def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> 
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:
-    """Return branches of the tree that can be solved at once, stage by stage, children first: arrays (n, 2) of the
-    first front and the end of each branch.
+    """Return branches of the elimination tree that can be solved at once, stage by stage, children first: arrays (n, 2)
+    of the first front and the end of each branch.
 
-    pattern : the fronts. entries : (fronts,) doubles of the own columns of each. Small branches go whole, in the first
-        stage; the fronts above follow depth by depth.
+    pattern : the fronts, which are sets of unknowns that are eliminated together. entries : (fronts,) doubles of the
+        own columns of each. Small branches go whole, in the first stage; the fronts above follow depth by depth.
     """
     small = _sums_of_branches(pattern.parent, entries) <= tuning.BRANCH_SHARE * entries.sum()
     roots = np.flatnonzero(small & ~((pattern.parent >= 0) & small[pattern.parent]))

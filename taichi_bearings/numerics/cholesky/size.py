@@ -35,8 +35,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return float(total)
 
     def tree(region: Region) -> Tree:
-        """Return the sizes of a region's factor and updates (see `Tree`); regions of one shape and border
-        share them."""
+        """Return the doubles of a region's factor, the most that its updates (what fronts leave for later unknowns)
+        hold at a time, and all its updates by depth, root first. Regions of one shape and border share them."""
         corner = np.min([low for low, _ in region.values()], axis=0)
         moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
         border = neighbours(region)
@@ -46,8 +46,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return the sizes of a region (see `Tree`) from those of its halves. border : number of unknowns that touch
-        it."""
+        """Return the doubles of a region's factor, the most that its updates hold at a time, and all its updates by
+        depth, from those of its halves. border : number of unknowns outside that touch the region."""
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:

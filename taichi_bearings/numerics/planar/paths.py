@@ -91,7 +91,10 @@ def through(
     """Return the lengths of the shortest walks from left to right outside across each contact, in each of its
     directions.
 
-    inner, upward, from_left, from_right : lengths and distances as in :class:`ShortestPaths`.
+    inner, upward : lengths of the contacts of B grids of w columns and h rows: along rows without the end rows, (B, w -
+        1, h - 2), and between rows, (B, w, h - 1).
+    from_left, from_right : (B, w + 1, h - 1) distances of each face from the left and the right outside; the outsides
+        are the first and the last column.
     returns : rightward and leftward across upward contacts (B, w, h - 1); climbing and falling across inner ones
         (B, w - 1, h - 2).
     """
@@ -108,7 +111,10 @@ def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
     """Return the graph of all faces of B grids, column by column, then the left and the right outside, which edges only
     leave: a sparse matrix of lengths (faces + 2, faces + 2).
 
-    inner, upward : lengths of the contacts, (B, w - 1, h - 2) and (B, w, h - 1).
+    The faces of a grid, between its w columns and h rows, are the nodes; each contact joins the two faces beside it.
+
+    inner, upward : lengths of the contacts, (B, w - 1, h - 2) along rows without the end rows, and (B, w, h - 1)
+        between rows.
     """
     batch, columns, gaps = upward.shape
     shape = (batch, columns - 1, gaps)
@@ -134,10 +140,11 @@ def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
 def _trace(
     before: np.ndarray, last: np.ndarray, shape: tuple[int, int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Walk back along the shortest paths of all grids at once.
+    """Follow the shortest paths of B grids back from the right outside to the left one, all grids at once.
 
-    before : (faces,) predecessor of each face in the tree from the left. last : (B,) gap in which each path ends. shape
-        : of the faces, (B, w - 1, h - 1).
+    before : (faces,) predecessor of each face in the tree of shortest paths from the left outside.
+    last : (B,) gap between rows in which each path ends.
+    shape : that of the faces of grids of w columns and h rows, (B, w - 1, h - 1).
     returns : masks of the inner and of the upward contacts that are crossed; position (faces,) of each face on its
         path, counted from 1, and 0 off it; position (B,) of the right outside.
     """
@@ -167,10 +174,11 @@ def _trace(
 
 
 def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return the position on the path of the last face of it on the way from the left outside to each face, 0 for none.
+    """Return for each face, (faces,), where the shortest way to it from the left outside leaves the shortest path to
+    the right outside: the position of the last face that both share, 0 for none.
 
-    before : (faces,) predecessors. order : (faces,) position on the path, 0 off it. Each pass of the loop doubles how
-        far back every face looks.
+    before : (faces,) predecessor of each face on the way from the left outside. order : (faces,) position of a face on
+        the path, counted from 1, 0 off it. Each pass of the loop doubles how far back every face looks.
     """
     faces = len(before)
     ancestor = np.where(order > 0, np.arange(faces, dtype=np.int32), before)

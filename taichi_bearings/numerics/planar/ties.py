@@ -29,8 +29,12 @@ def equal_paths(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find a lightest path of each grid, and the contacts that are in some but not in all lightest paths.
 
-    inner, upward : weights (B, w - 1, h - 2) and (B, w, h - 1). unit : (B,) unit to which they were rounded down for
-        `path`, the shortest paths.
+    A path leads from the left to the right outside of a grid of w columns and h rows, from face to face across
+    contacts; these are a cut of the grid between bottom and top.
+
+    inner, upward : weights of the contacts, along rows without the end rows, (B, w - 1, h - 2), and between rows, (B,
+        w, h - 1).
+    unit : (B,) unit to whose multiples weights were rounded down for `path`, the shortest paths.
     returns : mask of the upward contacts of a lightest path; masks of the inner and of the upward contacts with weight
         that are in some but not in all lightest paths.
     """
@@ -87,7 +91,10 @@ def _steps_in_doubt(
 def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list[int]]:
     """Return the numbers of the steps of a lightest path, and of steps that are in some but not in all lightest paths.
 
-    steps : (face left, face entered, weight) of each. left, right : faces where paths begin and end.
+    A step crosses one contact from a face of a grid to a neighbouring face.
+
+    steps : of each step the number of the face it leaves, that of the face it enters, and its weight, a whole number.
+    left, right : numbers of the faces where paths begin and end.
     """
     from_left, before = _distances(steps, left)
     from_right, _ = _distances([(head, tail, weight) for tail, head, weight in steps], right)
@@ -111,8 +118,10 @@ def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list
 
 
 def _distances(steps: list[Step], start: int) -> tuple[dict[int, int], dict[int, int]]:
-    """Return the distance of each face from `start`, by Dijkstra's method, and the number of the last step on the way
-    there.
+    """Return the distance of each face that can be reached from the face `start`, by Dijkstra's method, and the number
+    of the last step on the way there, -1 for `start` itself.
+
+    steps : of each step the face it leaves, the face it enters, and its length, a whole number.
     """
     onward = defaultdict[int, list[int]](list)
     for number, (tail, _, _) in enumerate(steps):

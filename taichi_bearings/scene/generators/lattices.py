@@ -82,7 +82,9 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
     """Return the body of each sphere, (spheres N,): 0 for the bottom, 1 for the top, -1 for free spheres.
 
     place : (N, dimensions D), diameters. closed : numbers of the periodic axes.
-    driven : "planes", "walls" or "shaft:r", as of `Packing.lattice`; InputError is raised for anything else.
+    driven : which spheres are driven: "planes", the lowest and the highest layer along the last axis; "walls", those
+        along x; or "shaft:r", all walls along x and y as the bottom, and the spheres within r diameters of the vertical
+        axis through the middle (of discs, of the middle) as the top. InputError is raised for anything else.
     """
     kind, _, size = driven.partition(":") if isinstance(driven, str) else ("", "", "")
     body = np.full(len(place), -1)
@@ -126,7 +128,8 @@ def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
     """Yield the bonds of a cell, each once: the numbers within their cells of its first and second sphere, the step
     (dimensions D,) in whole cells to the cell of the second, and the unit vector (D,) from the first to the second.
 
-    Of a bond and its reverse only the one that leads upwards (`_leads_up`) is taken.
+    A bond joins two spheres whose centres are one diameter apart. Of a bond and its reverse only the one is taken whose
+    vector has a positive last component (of those that are not 0).
     """
     basis, size = np.array(cell.basis), np.array(cell.size)
     steps = [np.array(step[::-1]) for step in product((0, 1, -1), repeat=len(size))]
@@ -144,7 +147,7 @@ def _leads_up(vector: np.ndarray) -> bool:
 
 
 def _exact(vector: np.ndarray) -> np.ndarray:
-    """Return a unit vector without rounding errors: components of equal size become equal, and tiny ones 0."""
+    """Return a unit vector (D,) with less rounding: components of equal size become equal, and those below 1e-9 0."""
     components = np.where(np.abs(vector) < 1e-9, 0.0, np.round(vector, 12))
     return components / np.linalg.norm(components)
 
@@ -163,8 +166,10 @@ def _of_bond(
     D,) of all of them.
 
     grid : (cells, dimensions D), positions of all cells, in whole numbers. cells : number of cells along each axis.
-    closed : numbers of the periodic axes. each : number of spheres in a cell. first, second, step, vector : the
-        bond, as `_bonds` yields it.
+    closed : numbers of the periodic axes. each : number of spheres in a cell. first, second : numbers within their
+        cells of the two spheres of the bond. step : (D,), whole cells from that of the first to that of the second
+        sphere.
+    vector : (D,), unit vector from the first to the second sphere.
     """
     there = grid + step
     for axis in closed:

@@ -44,6 +44,9 @@ class _Heap:
     """
 
     def __init__(self, count: int, width: float, ratio: float, dimension: int) -> None:
+        """Begin without spheres. count : number of spheres to come. width : length of each periodic side, in radii of
+        the small spheres. ratio : radius of the large spheres over that of the small ones. dimension : D, 2 or 3.
+        """
         self.place, self.radius = np.empty((count, dimension)), np.empty(count)
         self.sides = np.append(np.full(dimension - 1, width), np.inf)
         self.sizes = (1.0, ratio)
@@ -59,12 +62,16 @@ class _Heap:
         return vector
 
     def is_free(self, place: np.ndarray, size: float, since: int = 0) -> bool:
-        """Return True if a sphere of radius `size` at a place overlaps none of the spheres from number `since` on."""
+        """Return True if a sphere of radius `size` at a place (D,) overlaps none of the spheres from number `since`
+        on.
+        """
         reach = (self.radius[since : self.count] + size) * (1 - CLAIMED_OVERLAP)
         return bool(((self.away(place, since) ** 2).sum(axis=1) >= reach**2).all())
 
     def put(self, place: np.ndarray, size: float) -> None:
-        """Add a sphere of radius `size`, and find the pockets that it forms with others."""
+        """Add a sphere of radius `size` at a place (D,), and find the pockets that it forms with others: the places
+        where a further sphere would touch it and D - 1 others, and overlap none.
+        """
         vector = self.away(place)
         close = (vector**2).sum(axis=1) < (size + self.radius[: self.count] + 2 * self.sizes[1]) ** 2
         near, vector = np.flatnonzero(close), vector[close]
@@ -82,7 +89,8 @@ class _Heap:
                 heappush(pockets, (float(there[-1]), self.made, there, (own, *near[others].tolist()), self.count))
 
     def fill(self, size: float) -> tuple[int, ...] | None:
-        """Put a sphere of radius `size` into the lowest pocket; return the numbers of the D spheres that it touches.
+        """Put a sphere of radius `size` into the lowest pocket, a place where it touches D spheres and overlaps none;
+        return the numbers of these D spheres.
 
         None if no pocket is left.
         """
@@ -98,8 +106,8 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
     """Return places (P, dimensions D) where a new sphere touches a sphere at 0 and D - 1 others, and the numbers (P, D
     - 1) of these others.
 
-    vector : (n, D), centres of the others. first : distance of the new centre from 0. reach : (n,), its distances from
-        the centres of the others.
+    vector : (n, D), centres of the others. first : distance of the new centre from 0, a sum of two radii. reach : (n,),
+        its distances from the centres of the others. Lengths are in radii of the small spheres.
     """
     count, dimension = vector.shape
     others = np.arange(count)[:, None] if dimension == 2 else np.column_stack(np.triu_indices(count, 1))
@@ -128,10 +136,14 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
 def built(
     spheres: int, dimension: int, ratio: float, large: float, width: float | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, Built]:
-    """Return radii (spheres N,) and the packing: places, contacts, normals, signs, which are all 1, and bodies, 0 for
-    the floor, 1 for spheres at the surface, -1 for others.
+    """Return radii (spheres N,) and a tuple with places (N, D), contacts (contacts E, 2), normals (E, D), signs (N,),
+    which are all 1, and driven bodies (N,): 0 for the floor, 1 for spheres at the surface, -1 for others.
 
-    spheres, dimension, ratio, large, width : as of `Packing.random`. rng : generator of the random numbers.
+    Lengths are in radii of the small spheres, but for `width`.
+
+    spheres : number N. dimension : D, 2 or 3. ratio : radius of the large spheres over that of the small ones. large :
+        fraction of the spheres that are large. width : of the box in diameters of small spheres; None for about its
+        height. rng : generator of the random numbers.
     Raises InputError for arguments that are not allowed, or if no pocket is left for a sphere.
     """
     spheres = whole(10, MOST_DEPOSITED).named("spheres", spheres)

@@ -35,7 +35,9 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
     line, 1 for those on the upper one, -1 for others. Heights are from 0 to 1, x is periodic, and large discs come
     first.
 
-    m, n, least_radius, periods : as for `Packing.space_filling`. Raises InputError for arguments that are not allowed.
+    m, n : numbers that pick a bearing of the family: m + 3 discs touch the upper line and the same large disc, n + 3
+        the lower line and another one. least_radius : radius of the smallest discs that are kept, in heights of the
+        strip. periods : number of periods along x. Raises InputError for arguments that are not allowed.
     """
     m, n = (whole(0, LARGEST_COUNT).named(name, value) for name, value in (("m", m), ("n", n)))
     periods = whole(1, MOST_PERIODS).named("periods", periods)
@@ -122,8 +124,10 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
 
 
 def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return contacts (contacts E, 2) and normals (E, 2) of discs on a strip that is periodic along x with this
-    length.
+    """Return contacts (contacts E, 2) and normals (E, 2), unit vectors from the first to the second disc, of discs on a
+    strip that is periodic along x.
+
+    place : (N, 2), centres. radius : (N,). length : of the strip along x. Lengths are in heights of the strip.
     """
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 

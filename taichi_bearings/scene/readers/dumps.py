@@ -104,8 +104,9 @@ def read_frame(
 
 
 def _integer(path: Path, line: int, text: bytes, least: int, most: int) -> int:
-    """Return the whole number in the text of a line; raise FileError if there is none from `least` to `most`. path,
-    line : for messages.
+    """Return the whole number in the text of a line; raise FileError if there is none from `least` to `most`.
+
+    path, line : file and number of the line, for messages. text : what the line says.
     """
     digits = text.strip()
     if not digits.isdigit() or len(digits) > 20 or not least <= int(digits) <= most:
@@ -123,10 +124,16 @@ class _Reader:
     """
 
     def __init__(self, path: Path, lines: Iterator[bytes], line: int) -> None:
+        """Begin to read. path : of the file, for messages. lines : those that follow. line : number of lines before."""
         self.path, self.lines, self.line, self.is_rounded = path, lines, line, False
 
     def read(self, step: int, items: str, most: int, wanted: Callable[[Sequence[str]], list[str]], whole: int) -> Frame:
-        """Return the timestep whose lines come next; the arguments are those of :func:`read_frame`."""
+        """Return the timestep whose lines come next.
+
+        step : its number. items : "ATOMS", or "" for whatever a dump of local data calls its rows. most : largest
+            number of rows that is read. wanted : function that is given the names of all columns and returns the names
+            of those to read; the first `whole` of them hold whole numbers.
+        """
         self._next("ITEM: TIMESTEP")
         self._next("a timestep")
         kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
@@ -159,7 +166,7 @@ class _Reader:
         return line
 
     def _wrong(self, expected: str) -> FileError:
-        """Return the error for the line read last. expected : what it should be."""
+        """Return the error for the line read last, which is not what it should be. expected : words for that."""
         return FileError(f"{self.path} is not a LAMMPS dump, or is damaged: at line {self.line} {expected}")
 
     def _header(self, begin: str, expected: str) -> list[str]:

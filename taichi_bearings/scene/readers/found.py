@@ -86,8 +86,9 @@ def from_centers(
 def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic: Any = None) -> dict[str, np.ndarray]:
     """Return the arrays of a packing, by name, from those of tables: contacts and driven bodies are found if missing.
 
-    found : arrays of the tables by name, center and radius among them. The other arguments are as of
-    :func:`from_centers`.
+    found : arrays of the tables by name, center and radius among them. tolerance : relative gap or overlap of spheres
+        that touch. sides : spins of the lowest and the highest spheres, which are driven if `found` does not say which.
+    periodic : (dimensions D,), lengths of the periodic sides, 0 or None along other axes.
     """
     if "contact" not in found:
         rest = {name: values for name, values in found.items() if name not in ("center", "radius")}

@@ -47,6 +47,7 @@ class Asked:
     periodic: Any = None
 
     def __post_init__(self) -> None:
+        """Raise InputError for a dimension other than 2 or 3, and if it is not said which atoms are driven."""
         if self.dimension not in (2, 3):
             raise InputError(f"dimension is {shown(self.dimension)}; it must be 2 or 3")
         if (self.driven is None) == (self.driven_types is None):
@@ -157,7 +158,8 @@ def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
     """Return the last complete copy of a timestep, which a dump may hold several times; raise CutOff if none is
     complete.
 
-    frames : where the timesteps begin. step : number of the timestep. of : further arguments of `read_frame`.
+    frames : where the timesteps of the dump begin. step : number of the timestep. of : what the rows of the dump are
+        called, their largest number, function that picks the columns to read, and how many of them are whole numbers.
     """
     error = CutOff(frames.path, 0, f"it has no timestep {step}")
     for start in frames.of_step(step):

@@ -116,8 +116,9 @@ def _cells(words: str, delimiter: str | None) -> list[str]:
 def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], needed: Sequence[str]) -> list[str]:
     """Return the names of the arrays for the cells of a header line.
 
-    path, line : file and line, for messages. cells : the words of the header. names, needed : as for :func:`_read`.
-        Raises FileError for a column that is unknown, missing, or there twice.
+    path, line : file and line, for messages. cells : the words of the header. names : columns that the table may have,
+        each with the name of its array. needed : names of arrays that it must have.
+    Raises FileError for a column that is unknown, missing, or there twice.
     """
     known = [cell.lower() for cell in cells]
     if strange := [name for name in known if name not in names]:
