@@ -213,7 +213,10 @@ class Path:
         return np.array([iterate is not None for iterate in self._given])
 
     def put(self, sample: int, iterate: Iterate | None) -> None:
-        """Let place number `sample` go on from a point of the path; with None the place becomes free."""
+        """Let place number `sample` go on from a point of the path, or become free.
+
+        iterate : spins, bounds, slips and forces of all contacts there; None for a free place.
+        """
         self._given[sample] = iterate
         if iterate is None:
             return
@@ -385,11 +388,11 @@ class Path:
         return float(self._price[sample])
 
     def iterate(self, sample: int) -> Iterate:
-        """Return the point at which sample number `sample` is."""
+        """Return the point of its central path at which sample number `sample` is."""
         return self._read(sample, self._spins, kernels.BOUND, kernels.SLIP, kernels.DUAL)
 
     def before(self, sample: int) -> Iterate:
-        """Return the point at which sample number `sample` was before the last step."""
+        """Return the point of its central path at which sample number `sample` was before the last step."""
         of_before = kernels.BOUND_BEFORE, kernels.SLIP_BEFORE, kernels.DUAL_BEFORE
         return self._read(sample, self._spins_before, *of_before)
 

@@ -295,14 +295,14 @@ class ContactSystem:
         return self.transposed @ forces.reshape(-1, *forces.shape[2:])
 
     def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
-        """Return vectors (d, n) of sample number `replica`, read from values (C, R, E) by component, sample and
-        contact. Letters: n contacts with up to d slip components, C spin components, R samples, E contacts."""
+        """Return vectors (d, n) on the n contacts of the system, with up to d slip components, of sample number
+        `replica`, read from values (C, R, E) by spin component, sample and contact of the whole network."""
         return values[self.slot, replica, self.contact]
 
     def scatter_vectors(self, vectors: np.ndarray, values: np.ndarray, replica: int | slice) -> None:
-        """Write vectors (d, n) of sample number `replica`, or (R, d, n) of a slice of samples, into values (C, R, E) by
-        component, sample and contact: the inverse of :meth:`gather_vectors`. Letters: n contacts with up to d slip
-        components, C spin components, R samples, E contacts."""
+        """Write vectors (d, n) on the n contacts of the system, with up to d slip components, of sample number
+        `replica`, or (R, d, n) of a slice of samples, into values (C, R, E) by spin component, sample and contact of
+        the whole network, in place."""
         np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:

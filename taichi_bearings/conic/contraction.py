@@ -132,7 +132,7 @@ class Contraction:
         return found
 
     def span(self, sample: int) -> slice:
-        """Return the range of the new unknowns, one for each set of tied spins, that belong to sample number `sample`."""
+        """Return the range of the new unknowns, one for each set of tied spins, that belong to a sample, its number."""
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
     def order(self, sample: int) -> np.ndarray:

@@ -68,9 +68,10 @@ class LastDecades:
 
     @classmethod
     def after(cls, iterate: Iterate, before: Iterate | None, matrix: NewtonMatrix) -> "LastDecades":
-        """Return a path that goes on from `iterate`, where the central path in doubles ends.
+        """Return a path, with spins as sums of two doubles, that goes on from `iterate`, the point at which the central
+        path in doubles ends.
 
-        before : the point one step before, None if unknown. matrix : Newton matrix of the system.
+        before : the point one Newton step before, None if unknown. matrix : Newton matrix of the system of contacts.
         """
         path = cls(iterate, exactly(iterate.spins), iterate.system.differences(iterate.spins), matrix)
         if before is not None:
@@ -93,12 +94,16 @@ class LastDecades:
 
     @property
     def spins(self) -> Pair:
-        """The spins (unknowns,) as a sum of two doubles."""
+        """The spins (unknowns,) of the point that was reached, as sums of two doubles."""
         return self._large, self.point.spins
 
     def decide(self, doubtful: int = 0, to_the_end: bool = False) -> np.ndarray | None:
-        """Go on along the path until it is decided which contacts slip. Return a mask (n,) of these; None if that
-        fails.
+        """Go on along the path until it is decided which of the n contacts slip. Return a mask (n,) of these; None if
+        that fails.
+
+        On the path slip times margin, the product, is about the same for all contacts; the margin is the share of its
+        friction that a contact has left. Towards the end the margin vanishes where a contact slips, and the slip where
+        it sticks.
 
         doubtful : number of contacts that may be left undecided.
         to_the_end : True to go on until double precision ends, even if all contacts are decided.

@@ -195,8 +195,8 @@ class NewtonMatrix:
         """Return forces (d, n) that balance, up to rounding: `dual` plus the forces of springs at the contacts, after
         their ends have moved until the torques of all forces are `load`.
 
-        dual : (d, n). stiffness : (d, d, n) of the springs. load : (unknowns,) torques that are to stay, or 0. Raises
-            NotPositiveDefinite if the springs do not hold every spin.
+        dual : (d, n), forces to begin with. stiffness : (d, d, n) of the springs. load : (unknowns,) torques that are
+            to stay, or 0. Raises NotPositiveDefinite if the springs do not hold every spin.
 
         Letters: n contacts with up to d slip components.
         """

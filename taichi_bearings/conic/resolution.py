@@ -259,9 +259,11 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
 
 
 def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) -> Resolved | None:
-    """Return the minimum if all but FEW_DOUBTFUL contacts are decided on `path`, with forces in balance; else None.
+    """Return the minimum of one sample if it is found once all but FEW_DOUBTFUL contacts are decided on `path`, with
+    forces in balance; else None. A contact is decided if it is clear from the path whether it slips.
 
-    iterate : the point at which the path was begun. shared : what all samples share.
+    iterate : the point at which the path was begun. path : where it is now; it is followed on. shared : what all
+        samples share.
 
     The trend of the last undecided contacts nearly always tells whether they slip. Further steps, each with the matrix
     of the whole network, would only make that certain, and so do balanced forces.

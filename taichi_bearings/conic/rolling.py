@@ -22,7 +22,7 @@ def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarr
     """Return spins (unknowns,) near the given ones at which some contacts roll, or the given ones where none are found.
 
     system, packing : the A contacts, and the spheres whose contacts they are.
-    spins : (unknowns,), u, length/time; sums of two doubles, as is the result.
+    spins : (unknowns,), u = radius * spin of free spheres, length/time; sums of two doubles, as is the result.
     rolls : (A,), mask of the contacts that have to roll.
 
     The slips y of these contacts are computed from the normals and the imposed spins as they are stored. Each
@@ -51,9 +51,10 @@ def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarr
 def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.ndarray:
     """Return the slips (d, A) of the contacts along their tangents, computed in sums of two doubles.
 
-    system, packing : the A contacts, and the spheres whose contacts they are. spins : (unknowns,), u, length/time.
+    system, packing : the A contacts, and the spheres whose contacts they are. spins : (unknowns,), u = radius * spin of
+        free spheres, length/time, as sums of two doubles.
 
-    Letters: d slip components.
+    Letters: d slip components, 1 for discs and 2 for spheres.
     """
     network = system.network
     first, second = network.contact[:, system.contact]

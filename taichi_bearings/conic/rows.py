@@ -44,12 +44,13 @@ class ContactRows:
         place: np.ndarray | None = None,
         laplacian: sparse.csr_matrix | None = None,
     ) -> None:
-        """Reserve memory for the contacts of a system.
+        """Reserve memory for the contacts of a system, one row for each kind of number, and prepare the maps between
+        spins and slips.
 
         spins : array (unknowns or more, S) that is used for spins and torques; S is the number of samples.
         place : (unknowns,), place of each unknown in it; None if they are in order.
-        laplacian : matrix from `stacked` stiffnesses of the contacts to entries of the Newton matrix, which
-            :meth:`add_stiffnesses` needs; None if it is not called.
+        laplacian : sparse matrix that turns the stiffnesses of the contacts (all entries [0, 0] of their matrices, then
+            all [0, 1], ...) into the entries of the Newton matrix; None if :meth:`add_stiffnesses` is not called.
         """
         self.samples, self.spins, d = spins.shape[1], spins, len(system.offset)
         # Contacts with one component come before those with two, each kind padded to a multiple of BLOCK.
@@ -93,7 +94,8 @@ class ContactRows:
         contacts first, then sums.
 
         kernel : two functions, for contacts with one slip component and for those with two.
-        slots : the step (0 or 1) whose rows the kernel reads, and the step whose rows it writes.
+        slots : memory has rows for two Newton steps; the number (0 or 1) of the one whose rows the kernel reads, and of
+            the one whose rows it writes.
         numbers : constants of the kernel, at most MOST_CONSTANTS, each one number or (S,).
         """
         for own, number in zip(self._numbers, numbers, strict=False):

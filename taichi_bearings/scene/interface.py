@@ -264,9 +264,11 @@ def cut_weights(scene: Scene) -> np.ndarray:
 
 
 def cut_unit(scene: Scene) -> float:
-    """Return the objective, energy/time, of an interface whose weight is 1.
+    """Return what an interface of weight 1 adds to the objective, energy/time: the factor that turns the weights of
+    contacts in a cut, which are pure numbers, into power.
 
-    With w the unit of the jump and r the radius it is `scene.strength` * r w with friction, and (r w)^2 without.
+    With w the unit of spin differences, 1/time, and r the radius it is `scene.strength` * r w with friction, and
+    (r w)^2 without.
     """
     speed = scene.lattice.radius * _cut_speed(scene)
     return scene.strength * (speed if scene.law.holds else speed**2)

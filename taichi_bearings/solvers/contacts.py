@@ -208,7 +208,7 @@ class Stepped(Contacts):
 
     @abstractmethod
     def descent_kernel(self) -> "tuple[Team, Sweeps]":
-        """Return the threads and the kernel for gradient descent."""
+        """Return the threads, and the kernel that makes the sweeps of gradient descent over all spheres."""
 
     @abstractmethod
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:

@@ -556,7 +556,7 @@ class _Best:
     def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
         """Take the best forces and the best state from a checkpoint; raise ValueError if they do not fit the scene.
 
-        state : arrays by name, as from `state`.
+        state : arrays by name that the method `state` returned in an earlier call.
         spin_axes : numbers of the axes of the spin components that are computed.
         """
         # the forces that prove the bound

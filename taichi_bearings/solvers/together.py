@@ -51,7 +51,9 @@ class Together:
             self.joined = []
 
     def _join(self) -> None:
-        """Copy the fields of all joined methods into one memory, one sample after the other."""
+        """Copy the fields (numbers of spheres and contacts) of all methods in `joined` into one memory, one sample
+        after the other, so that one call of a kernel steps them all.
+        """
         first = _contacts(self.joined[0])
         self.fields = Fields(first.lists.several(len(self.joined)), first.spec)
         for number, method in enumerate(self.joined):

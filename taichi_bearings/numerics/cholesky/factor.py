@@ -318,8 +318,8 @@ class CalledFactor(Factor):
         self._memory.free()
 
     def substitute(self) -> None:
-        """Replace the right-hand side in `solution` by the solution. The matrix must have been factorised since the
-        memory was last taken by another factor."""
+        """Replace the right-hand side in `solution` by the solution. Factors may share memory; this matrix must have
+        been factorised since another one last used it."""
         assert self._seen == self._memory.changes
         look_up()
         for start in self._halves:

@@ -145,8 +145,9 @@ def _trace(
     before : (faces,) predecessor of each face in the tree of shortest paths from the left outside.
     last : (B,) gap between rows in which each path ends.
     shape : that of the faces of grids of w columns and h rows, (B, w - 1, h - 1).
-    returns : masks of the inner and of the upward contacts that are crossed; position (faces,) of each face on its
-        path, counted from 1, and 0 off it; position (B,) of the right outside.
+    returns : masks of the contacts that are crossed, of those along rows without the end rows, (B, w - 1, h - 2), and
+        of those between rows, (B, w, h - 1); position (faces,) of each face on its path, counted from 1, and 0 off it;
+        position (B,) of the right outside.
     """
     batch, across, gaps = shape
     faces = batch * across * gaps
