@@ -130,8 +130,8 @@ class ContactSystem:
         )
 
     def without_motions(self) -> "ContactSystem":
-        """Return the system in which one spin of each motion that makes no contact slip is held at 0, with the number
-        of such motions."""
+        """Return the system in which one spin of each independent motion of spheres that makes no contact slip is held
+        at 0, so that no such motion is left; its field `motions` is their number."""
         network, moves = self.network, np.any(self.moved >= 0, axis=1)
         found = network.motions(self.operator, self.sphere, self.numbers, moves)
         wanted = (self.moved >= 0) & ~np.isin(self.moved, found.held)
@@ -191,7 +191,9 @@ class ContactSystem:
 
     @cached_property
     def across(self) -> np.ndarray:
-        """(d, n, C), d tangents of each contact. Letters: n contacts, C spin components."""
+        """(d, n, C), the d unit vectors along which the slip of each of n contacts is measured, across its normal; with
+        C spin components each.
+        """
         return np.asarray(self.network.tangents[:, self.contact])
 
     @cached_property
@@ -338,8 +340,9 @@ class ContactSystem:
         return first, second, source, factor
 
     def _unknowns_of(self, slip: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the unknowns in row number `slip` (0 to d - 1) of every contact, as a list of pairs of arrays (n,):
-        first unknown and its factor, 0 if there is none; second unknown and its factor; and so on."""
+        """Return which unknown spins make slip component number `slip` (0 to d - 1) of each of n contacts, as a list of
+        pairs of arrays (n,): first unknown and its factor, 0 if there is none; second unknown and its factor; and so
+        on."""
         if self.ends is None:
             count = self.offset.shape[1]
             return _ends(self.operator[slip * count : (slip + 1) * count])

@@ -75,7 +75,7 @@ class Contraction:
     """
 
     def __init__(self, whole: ContactSystem, order: np.ndarray, tied: np.ndarray, samples: int = 1) -> None:
-        """Tie some contacts of a system.
+        """Tie some contacts of a system: make the spins at the two ends of each equal.
 
         whole : contacts of all samples. tied : (n,) mask of those to tie. samples : number of samples, of equal size.
         order : order in which the unknowns of one sample are eliminated.
@@ -171,8 +171,9 @@ class Contraction:
         return two_sum(one, more / np.bincount(number, minlength=self.unknowns))
 
     def expanded(self, spins: Pair) -> Pair:
-        """Return the spins (unknowns before,) of the whole system: equal within each set, imposed where a set is tied
-        to a driven plane. spins : (unknowns,) of the sets, sum of two doubles, as is the result."""
+        """Return the spins (unknowns before,) of the system before any contact was tied: equal within each set of tied
+        spins, imposed where a set is tied to a driven plane. spins : (unknowns,), one for each set; sums of two
+        doubles, as is the result."""
         high, low = (np.append(part, 0.0)[self.number] for part in spins)  # number is -1 where a spin is imposed
         return high + self.imposed, low
 

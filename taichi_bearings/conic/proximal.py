@@ -40,7 +40,8 @@ MOST_IDLE_STEPS = 3  # most Newton steps in a row that gain nothing
 
 @dataclass(frozen=True)
 class Step:
-    """The result of one time step of all R samples.
+    """The result of one time step of all R samples of a scene, with C spin components, E contacts and N the shape of
+    arrays over the spheres.
 
     staggered : (C, R, *N), staggered spins at its end, 1/time.
     force : (C, R, E), contact forces during the step.

@@ -117,13 +117,13 @@ class ContactRows:
         )
 
     def change(self, row: int) -> None:
-        """Compute the change K x of the slips from the change x of the spins in `self.spins`, and write its two
-        components to rows `row` and `row + 1`."""
+        """Compute the change K x of the slips from the change x of the spins in `self.spins`, where K is the matrix
+        from spins to slips, and write its two components to rows `row` and `row + 1` of the contacts' numbers."""
         self._add_up(self._changes, self.spins, self._flat, 0, row * self._contacts)
 
     def torques(self, row: int) -> None:
-        """Compute the torques K^T f of the forces in rows `row` and `row + 1` (one row a component), and write them
-        into `self.spins`, which is overwritten. K is the matrix from spins to slips."""
+        """Compute the torques K^T f of the forces f in rows `row` and `row + 1` of the contacts' numbers (one row for
+        each component), and write them into `self.spins`, which is overwritten. K is the matrix from spins to slips."""
         self._add_up(self._torques, self._flat, self.spins, row * self._contacts, 0)
 
     def add_stiffnesses(self, entries: np.ndarray) -> None:

@@ -44,7 +44,9 @@ class LightestCuts:
 
     @property
     def between(self) -> np.ndarray:
-        """(nodes,) True for nodes that are not known to lie on the same side in all these cuts."""
+        """(nodes,) True for nodes that are not known to lie on the same side in all lightest cuts, and in those that
+        are heavier by no more than the slack.
+        """
         return ~(self.near | self.far)
 
 

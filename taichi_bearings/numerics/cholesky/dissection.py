@@ -108,7 +108,7 @@ def _less(corner: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _box_size(box: Box) -> int:
-    """Return the number of spheres in a box, 0 if it is empty."""
+    """Return the number of spheres in a box (lower corner, upper corner, exclusive), 0 if it is empty."""
     return int(np.prod([max(b - a, 0) for a, b in zip(*box, strict=True)]))
 
 

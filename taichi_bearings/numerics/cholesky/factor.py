@@ -232,8 +232,11 @@ class LaunchedFactor(Factor):
     """Factor that a single kernel launch makes, front by front; another launch solves with it."""
 
     def __init__(self, pattern: Pattern, lanes: int) -> None:
-        """Reserve memory and prepare the launches. pattern : fronts and order of elimination. lanes : number of
-        matrices, 1 or LANES."""
+        """Reserve memory and prepare the launches.
+
+        pattern : the fronts (dense blocks of the sparse matrix) and the order of elimination. lanes : number of
+            matrices, 1 or LANES, the number of lanes of a SIMD vector.
+        """
         layout, samples = Layout(pattern, LANES // lanes), "" if lanes == 1 else f" in {lanes} samples"
         refuse_beyond(8 * lanes * layout.size, f"the factorisation of {pattern.size:,} unknowns{samples}")
         self.entries, self._numbers, vector = (
@@ -270,7 +273,8 @@ class CalledFactor(Factor):
     def __init__(self, pattern: Pattern, memory: Memory) -> None:
         """Decide where all numbers lie; their memory is taken at the first factorisation.
 
-        pattern : fronts and order of elimination. memory : memory that this factor shares with others.
+        pattern : the fronts (dense blocks of the sparse matrix) and the order of elimination. memory : memory that this
+            factor shares with others.
         """
         self._layout, self._memory, self._size = Layout(pattern, apart=True), memory, pattern.size
         self.entries, self._vector = np.zeros((pattern.entries, 1)), np.zeros((self._layout.vector, 1))
@@ -279,8 +283,8 @@ class CalledFactor(Factor):
         self._seen = -1  # `changes` of the memory when this factor took it
 
     def factorise(self) -> np.ndarray:
-        """Assemble and eliminate all fronts, batch by batch; return a mask (1,), True if the matrix is positive
-        definite."""
+        """Assemble and eliminate all fronts, the dense blocks of the matrix, batch by batch; return a mask (1,), True
+        if the matrix is positive definite."""
         self._take_memory()
         for work in self._work:
             look_up()
@@ -333,7 +337,8 @@ def _vectors(count: int, lanes: int) -> np.ndarray:
 
 
 class _BatchWork:
-    """A batch of fronts that are worked on at once, and the tasks that eliminate them.
+    """A batch of fronts that are worked on at once, and the tasks that eliminate them. A front is a dense block of a
+    sparse matrix: unknowns that are eliminated together, and the later ones that they are coupled to.
 
     assemble : fills the fronts from the entries of the matrix and the updates of the fronts below.
     """

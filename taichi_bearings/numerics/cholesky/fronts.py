@@ -164,7 +164,7 @@ class BlockPattern:
 class Parts:
     """Parts of the elimination tree: unknowns that are eliminated together, children before parents, in postorder.
 
-    order : the old place of each column in the new order.
+    order : (unknowns,), for each column of the new order its place in the old one.
     own : (parts,) number of unknowns of a part.
     parent : (parts,) the part above, or -1.
     """
@@ -203,13 +203,13 @@ def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
 
 
 def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Price) -> Pattern:
-    """Return the symbolic factorisation of the symmetric matrix that couples unknowns in pairs: its fronts and their
-    borders.
+    """Return the symbolic factorisation of the symmetric matrix that couples unknowns in pairs: its fronts, sets of
+    unknowns that are eliminated together, and their borders, the later unknowns that each set is coupled to.
 
     order : (unknowns,) order in which they are to be eliminated; independent branches of the tree may change places in
         it.
     first, second : (pairs,), the two unknowns of each coupled pair.
-    price : what a front costs beside its arithmetic, by which small ones are joined.
+    price : what a front costs beside its arithmetic, by which small ones are joined; in operations.
     """
     pattern = coupled(_inverse(order), first, second)
     parts = supernodes(pattern, price)
@@ -239,7 +239,8 @@ def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.
     """Return the pattern of coupled unknowns as a symmetric matrix (unknowns, unknowns) with a full diagonal, in the
     order of places.
 
-    place : (unknowns,) place of each unknown. first, second : (pairs,), the two unknowns of each coupled pair.
+    place : (unknowns,) position of each unknown in the order of elimination. first, second : (pairs,), the two unknowns
+        of each coupled pair.
     """
     diagonal = np.arange(len(place))
     a, b = place[first], place[second]
@@ -248,7 +249,7 @@ def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.
 
 
 def _inverse(order: np.ndarray) -> np.ndarray:
-    """Return the inverse of a permutation."""
+    """Return the inverse (n,) of a permutation (n,), an order of the numbers 0 to n - 1."""
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     return place

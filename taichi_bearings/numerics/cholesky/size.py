@@ -23,7 +23,7 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
     def neighbours(region: Region) -> float:
-        """Return the number of unknowns outside a region that touch it: its border once it is eliminated."""
+        """Return the number of unknowns outside a region (a box of spheres for each spin component) that touch it."""
         total = 0
         for component, (low, high) in region.items():
             sides = [b - a for a, b in zip(low, high, strict=True)]

@@ -56,7 +56,7 @@ class MinimumCuts:
 
     @property
     def unique(self) -> np.ndarray:
-        """(B,) True where every other cut is heavier."""
+        """(B,) True for the grids of which every other cut is heavier than the one found."""
         return self.tied == 0
 
 
