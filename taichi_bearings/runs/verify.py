@@ -182,7 +182,13 @@ class NewProof:
 
     @cached_property
     def report(self) -> Json:
-        """What is proven, by name; each value is a list if there are several samples."""
+        """What is proven, by name; each value is a list if there are several samples.
+
+        power, upper_bound, lower_bound, largest_balance_residual : energy/time, and force * length for the last.
+        gap : relative. balanced : True if what torques were left over lowers the bound by no more than TORQUE_COST.
+        inside_discs : True if all forces are within the friction limit. states_proven : numbers of contacts by kind.
+        minimum_is_unique : True, False or None. unproven_because, proof : words.
+        """
         several = self.run.solution.scene.replicas > 1
         found = self._of_samples if self.judgements else self._nothing
         proof = " ".join(dict.fromkeys(self.of("proof").tolist())) or None
@@ -190,7 +196,9 @@ class NewProof:
 
     @property
     def _of_samples(self) -> Json:
-        """What the new proof says, by name, each a list with one entry for each sample."""
+        """What the new proof says, by name, each a list with one entry for each sample: numbers, truth values, counts
+        of proven contact states, and why others are not proven.
+        """
         states = [states for one in self.judgements for states in one.states]
         # largest force that still counts as within the friction limit, relative to that
         most = 1 + ROUNDED * (self.run.solution.scene.network.lattice is None)

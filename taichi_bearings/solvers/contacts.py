@@ -148,7 +148,8 @@ class Contacts(ABC):
 
 
 class Stepped(Contacts):
-    """Contacts that a method steps: their fields, kernels and bounds.
+    """Contacts that a method steps: their fields (arrays of numbers on spheres and contacts, on the device), kernels,
+    and lower bounds on the objective.
 
     points, forces : names of the fields that hold the spins of a gradient descent (on spheres), and its forces (on
         contacts).

@@ -204,7 +204,8 @@ class GradientDescentMethod(Swept):
         self.contacts.restore(state)
 
     def _step_and_sharpness(self) -> tuple[float, float]:
-        """Return the step length that the kernel takes, and the last argument of the force of the law on the device.
+        """Return two constants of the kernel: the step length, by which gradients over the metric are multiplied, and
+        the last argument of the function that computes the force of a contact.
 
         That argument is the inverse of the spin difference, 1/time, up to which friction grows, or the radius for laws
         without friction.

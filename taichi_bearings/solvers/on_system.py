@@ -31,7 +31,8 @@ MOST_CAPS, LESS_POWER = 12, 0.5  # how often friction is cut off at most; factor
 
 
 class OnSystem(Contacts):
-    """The contacts of samples of a packing in which the same contacts take part.
+    """The contacts of R samples of a packing in which the same contacts take part, as methods see them that find
+    minima: one linear map from spins to slips.
 
     scene : the packing with these R samples.
     samples : each sample alone.

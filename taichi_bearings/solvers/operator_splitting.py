@@ -411,20 +411,23 @@ class TorqueBalance:
 
 
 def _to_modes(planes: Planes, sines: np.ndarray) -> None:
-    """Write the sine transform along the height of some planes of `pull` into the modes, in place.
+    """Write the sine transform along the height of some planes of the field `pull` (the spring forces summed on each
+    sphere) into an array of modes, in place.
 
-    planes : pairs (planes of `pull`, the same planes of the modes).
-    sines : matrix of the transform.
+    planes : pairs (planes of `pull`, the same planes of the modes), arrays (..., nz) with nz spheres along the height.
+    sines : (nz, nz), matrix of the transform.
     """
     for pull, modes in planes:
         np.matmul(pull.astype(sines.dtype, copy=False), sines, out=modes)
 
 
 def _from_modes(planes: Planes, sines: np.ndarray) -> None:
-    """Add the inverse sine transform of some planes of the modes to `potential`, in place.
+    """Add the inverse sine transform of some planes of an array of modes to the field `potential` (stiffness times
+    spins), in place.
 
-    planes : pairs (planes of `potential`, the same planes of the modes).
-    sines : matrix of the transform, which is its own inverse.
+    planes : pairs (planes of `potential`, the same planes of the modes), arrays (..., nz) with nz spheres along the
+        height.
+    sines : (nz, nz), matrix of the transform, which is its own inverse.
     """
     for potential, modes in planes:
         potential += np.matmul(modes, sines)
