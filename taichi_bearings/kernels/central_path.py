@@ -51,14 +51,14 @@ GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # recentring does its work, or keeps
 
 @ti.func
 def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: ti.template(), m):
-    """Return the numbers of one contact in neighbouring rows, as many as `like` has entries.
+    """Return a list of numbers of one contact, from neighbouring rows; a row has one number of every contact.
 
     values : all rows, flat.
-    at : indices at which the rows have the number of the block's first contact.
+    at : list: for each row the index of its number for the first contact of a block.
     row : first of the rows that are read.
-    like : any list with as many entries as slipping components of the contact, 1 or 2.
-    m : number of the contact within its block.
-    """
+    like : any list with as many entries as rows are to be read: the number of slipping components of the contact, 1 or
+        2.
+    m : number of the contact within its block."""
     return [values[at[row + k] + m] for k in ti.static(range(len(like)))]
 
 
@@ -82,21 +82,20 @@ def size(a: ti.template()):
 
 @ti.func
 def determinant(head, tail: ti.template()):
-    """Return head^2 - |tail|^2 of a point (head, tail), as a product, so that rounding takes no more than from head -
-    |tail|.
-    """
+    """Return head^2 - |tail|^2 of a point (head, tail) of a cone, above 0 inside it. It is computed as a product, so
+    that rounding takes no more than from head - |tail|. tail : a list of one or two numbers."""
     length = size(tail)
     return (head - length) * (head + length)
 
 
 @ti.func
 def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti.template()):
-    """Return a point of a cone after a hyperbolic rotation, as a list that begins with its head.
+    """Return a point (head, tail) of the cone head >= |tail| after a hyperbolic rotation, which keeps head^2 -
+    |tail|^2: a list that begins with the head.
 
     by_head, by_tail : the rotation, with by_head^2 - |by_tail|^2 = 1.
-    head, tail : the point; the tail is a list of one or two numbers.
-    sign : 1 for the rotation, -1 for its inverse.
-    """
+    head, tail : the point; tails are lists of one or two numbers.
+    sign : 1 for the rotation, -1 for its inverse."""
     along, share = dot(by_tail, tail), 1.0 / (1.0 + by_head)
     forth = sign * head + along * share
     return [by_head * head + sign * along] + [tail[k] + by_tail[k] * forth for k in ti.static(range(len(tail)))]
@@ -123,12 +122,11 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
 
 @ti.func
 def jordan(a, b: ti.template(), c, e: ti.template()):
-    """Return the Jordan product of two points, (a, b) o (c, e) = (a c + b.e, a e + c b): a list that begins with the
-    head.
+    """Return the Jordan product of two points of a cone, (a, b) o (c, e) = (a c + b.e, a e + c b): a list that begins
+    with its head, the first number.
 
-    a, c : heads.
-    b, e : tails, lists of one or two numbers.
-    """
+    a, c : heads of the two points.
+    b, e : their tails, lists of one or two numbers."""
     return [a * c + dot(b, e)] + [a * e[k] + c * b[k] for k in ti.static(range(len(b)))]
 
 
@@ -251,16 +249,17 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     """Return for one contact the steps of bound and dual that follow from the change of its slip, how far they may go,
     and their products.
 
-    The list has: step of the bound; steps of the dual (by slipping component); the largest lengths that keep the primal
-    point (bound, slip) and the dual point (friction, minus force) in the cone; and four products, PRODUCT to BY_BOTH. A
-    contact that is in no cone (SMOOTH) has products of 0, and its slip may change by half.
+    The list has: step of the bound of the slip; steps of the dual, minus the friction force (by slipping component);
+    the largest lengths of steps that keep the primal point (bound, slip) and the dual point (friction limit, minus
+    force) in the cone; and four products, in this order: friction * bound + slip . dual, its derivatives by the length
+    of the primal and of the dual step, and the mixed derivative. A contact that is in no cone, as its row SMOOTH says,
+    has products of 0, and its slip may change by half.
 
     values : numbers of all contacts, row by row, flat.
     at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
         as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
     numbers : not used; all laws take the same arguments.
-    m : number of the contact within its block.
-    """
+    m : number of the contact within its block."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     smooth = values[state[SMOOTH] + m] > 0.0
@@ -377,16 +376,16 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     """Return for one contact its iterate after a step, that before, and its power and excess after the step.
 
-    The list has: bound, slip, dual; the same three before the step; friction * |slip|, of which the sum is the power;
-    and that plus slip . dual, the excess of the power over the work of the forces. A contact that is in no cone
-    (SMOOTH) gets |slip| as its bound, and as its dual minus the friction along the slip.
+    The list has: bound of the slip, slip, and dual, minus the friction force (the last two by slipping component); the
+    same three before the step; friction * |slip|, of which the sum is the power; and that plus slip . dual, the excess
+    of the power over the work of the forces. A contact that is in no cone, as its row SMOOTH says, gets |slip| as its
+    bound, and as its dual minus the friction along the slip.
 
     values : numbers of all contacts, row by row, flat.
     at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
         as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
     numbers : at m and at m + BLOCK, the lengths of the primal and of the dual step.
-    m : number of the contact within its block.
-    """
+    m : number of the contact within its block."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     smooth, friction, bound = values[state[SMOOTH] + m] > 0.0, values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
@@ -408,10 +407,11 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
 
 
 def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the numbers of the rows that a pass writes: those for contacts with one slipping component, and with two.
+    """Return two tuples: the rows that a pass over the contacts writes, for contacts with one slipping component and
+    for those with two. A row has one number of every contact.
 
-    rows : for each quantity its first row, and how many rows contacts with one and with two components have of it.
-    """
+    rows : for each quantity a pair: its first row, and the pair of how many rows contacts with one and with two
+        components have of it."""
     one, two = (tuple(first + k for first, counts in rows for k in range(counts[kind])) for kind in (0, 1))
     return one, two
 
@@ -474,15 +474,15 @@ def walk(
 def _pass(
     law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
 ) -> tuple[Callable, Callable]:
-    """Return two kernels that apply a law to contacts: to those with one slipping component, and to those with two.
+    """Return two kernels that apply a law to contacts: one to those with one slipping component, one to those with two.
 
     Each is compiled only where there are such contacts.
 
     law : function of one contact that returns a list of numbers, such as `prepared`.
-    iterate, step : rows of the iterate, and of the step, that the law writes, as a pair for either kind of contact.
-    finds : for each number that the law returns after those that are written, where it goes among the sums and least
-        numbers.
-    """
+    iterate, step : rows of the iterate, and of the step, that the law writes, each a pair of tuples for the two kinds
+        of contacts. They come first in the list.
+    finds : for each number that follows in the list, the place (0 to FOUND - 1) of the sum, or least number, over all
+        contacts to which it is added."""
     return _walked(law, (iterate[0], step[0]), finds, (0,)), _walked(law, (iterate[1], step[1]), finds, (0, 1))
 
 
@@ -490,24 +490,22 @@ def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable
     """Return a kernel that applies a law to blocks of contacts of one kind.
 
     law : function of one contact that returns a list of numbers, such as `prepared`.
-    writes : rows of the iterate, and rows of the step, that the law writes.
-    finds : for each further number that the law returns, where it goes among the sums and least numbers.
-    like : a list with as many entries as these contacts have slipping components, 1 or 2.
-    """
+    writes : pair of tuples: rows of the iterate, and rows of the step, that the law writes.
+    finds : for each number that the law returns after those, the place of its sum or least number over all contacts.
+    like : a list with as many entries as these contacts have slipping components, 1 or 2."""
 
     @ti.kernel
     def run(
         values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first: int, end: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
-        """Apply the law to the blocks first ... end-1.
+        """Apply the law to the blocks of contacts first ... end-1.
 
         values, blocks : all rows, flat, and the same memory in blocks.
-        found : sums and least numbers, see :func:`walk`.
-        numbers : what the law takes besides.
+        found : sums and least numbers over contacts, one for each place of a block, which are changed.
+        numbers : what the law takes besides, such as the length of a step.
         length : length of a row.
-        read_slot, write_slot : which of the two steps is read, and which is written, 0 or 1.
-        """
+        read_slot, write_slot : which of the two steps is read, and which is written, 0 or 1."""
         ti.loop_config(serialize=True)
         for block in range(first, end):
             walk(
@@ -527,14 +525,16 @@ take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
 
 @ti.func
 def zero_of(together: ti.template()):
-    """Return zero in double precision: a vector of LANES if several samples are worked on together, else a number."""
+    """Return zero in double precision: a vector of LANES zeros if `together` is True, which is for several samples that
+    are worked on together; else a number."""
     if ti.static(together):
         return ti.Vector.zero(ti.f64, LANES)
     return ti.cast(0.0, ti.f64)
 
 
 def _sums(together: bool) -> Callable:
-    """Return a kernel that adds numbers up. together : of LANES samples at a time, whose numbers form vectors."""
+    """Return a kernel that adds up numbers of lists of places. together : True for LANES samples at a time, whose
+    numbers form vectors; False for one sample."""
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel

@@ -23,29 +23,31 @@ from taichi_bearings.kernels.team import Sweeps
 class ListSweeps(Sweeps):
     """A sweep over any network in two parts: part 0 at the contacts, part 1 at the spheres.
 
-    Subclasses say what is done with a block: `at_contacts`, and for each spin component `at_spheres`.
+    Subclasses say what is done with a block (a group of neighbours in memory): `at_contacts`, and for each spin
+    component `at_spheres`. Samples of the same network, called copies, stand one after another, each with COPY_NUMBERS
+    constants of its own.
 
-    Samples of the same network, called copies, stand one after another, each with COPY_NUMBERS constants of its own.
-
-    Fields of contacts that all subclasses have (C components of a spin, d tangents):
+    Fields of contacts that all subclasses have (C components of a spin, d tangents of a contact):
 
     across : (d C), the unit tangents T; none for discs.
     coefficient : the friction coefficient of the law. viscosity : only if the law has one besides.
-    force : (C), T f, the friction force as a vector.
+    force : (C), T f, the friction force as a vector, from its components f along the tangents.
 
-    Measures, which kernels get as `size`: lengths of the rows of spheres and of contacts of all copies, the same of one
-    copy, and the length of a row of constants. In `tables` they are followed by the lists of `Lists`.
-    """
+    Five integers, `size`, tell kernels where numbers stand: lengths of the rows of spheres and of contacts of all
+    copies, the same of one copy, and the length of a row of constants. In `tables` they are followed by the lists: the
+    two spheres of each contact, where the contacts of each sphere begin, and these contacts."""
 
     parts, measures, numbers = 2, 5, 1
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
-        """Set the constants for which the kernel is compiled.
+        """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every
+        sphere, or of every contact) each field stands, and which fields there are. With `elongation` contacts hold
+        friction by springs, with `work` an energy balance is kept, with `force_sum` averages are taken, with `spin`
+        there is a momentum.
 
         spec : names and numbers of components of the fields of spheres, and of those of contacts.
         law : name of a force law in `contact.FORCES`.
-        corrector : coefficients of Gear's corrector; empty for gradient descent.
-        """
+        corrector : coefficients of Gear's corrector; empty for gradient descent."""
         super().__init__(block_size())
         self.rows, end = dict[str, tuple[int, ...]](), 0
         for name, count in (*spec[0], *spec[1]):
@@ -205,18 +207,20 @@ class ListSweeps(Sweeps):
 
 @ti.func
 def dot(a: ti.template(), b: ti.template()):
-    """Return the scalar product of two lists of three numbers or vectors of sites."""
+    """Return the scalar product of two lists of three numbers, or of three vectors over the sites of a block."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @ti.data_oriented
 class CundallStrackLists(SpringsAndSpins, ListSweeps):
-    """Cundall-Strack steps over lists: springs at the contacts, Gear's method for the spins.
-
-    Fields and constants are those of `CundallStrackSteps`, with two differences: `is_free` holds 1 / inertia of each
-    sphere, 0 of driven ones; `work` is that of each contact, not of the contacts of a sphere. The unknowns are u =
+    """Cundall-Strack steps over lists: springs at the contacts, Gear's method for the spins. The unknowns are u =
     radius * spin.
-    """
+
+    Fields of spheres, by spin component: `gear_n`, the n-th time derivative of u times (time step)^n / n!; `predicted`,
+    u extrapolated to the end of the next step, and, with friction, `integral`, its mean over that step; `is_free`, one
+    number a sphere, 1 / inertia, 0 of driven ones. Fields of contacts: `elongation` of the spring along each tangent,
+    with friction; `force` as a vector. With an energy balance, sums over the steps: `work` of each contact, and
+    `impulse`, the forces on driven spheres."""
 
     @ti.func
     def at_contacts(
@@ -230,8 +234,8 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
-        numbers : constants of the step, see `SpringsAndSpins.spring`.
-        """
+        numbers : constants: radius * time step, stiffness of the spring, damping * radius, kinetic and static friction
+            of a contact whose coefficient is 1, compliance and memory of a spring that slips; others are not used."""
         # the work of the last step: its force times the slip speed at its end
         force = self.contact_places("force", size, first)
         if ti.static(self.tally):
@@ -282,11 +286,14 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
 
 @ti.data_oriented
 class DescentLists(ListSweeps):
-    """Sweeps of gradient descent over lists: each moves all free spins down the gradient of the dissipated power.
+    """Sweeps of gradient descent over lists: each moves all free spins down the gradient of the dissipated power. The
+    unknowns are u = radius * spin.
 
-    Fields and constants are those of `DescentSweeps`; the unknowns are u = radius * spin, in the field `point`. They
-    are not kept within a box, which would be wrong where the normals of contacts are oblique.
-    """
+    Fields of spheres, by spin component: `point`, u at which forces are computed; `inverse_weight`, 1 / (sum over the
+    sphere's contacts of a bound on their curvature), 0 for driven spheres, which therefore stay; with a momentum
+    `spin`, u before it is added; for averages `spin_sum`, the sum of u over sweeps. Fields of contacts: their forces,
+    and for averages the sums of these. Spins are not kept within a box, as they are on lattices: that would be wrong
+    where the normals of contacts are oblique."""
 
     repeats = 2
 

@@ -47,8 +47,7 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 
     alone : True if each is a number of one matrix, False if it is a vector of LANES matrices.
     numbers : the array.
-    step : 1, hidden from the compiler (see the module).
-    """
+    step : 1, from memory: if the compiler knew it, it would unroll the loop, which takes long and gains nothing."""
     i = begin
     while i < end:
         if ti.static(alone):
@@ -62,11 +61,11 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 def sheets_before(tables: ti.template(), at, column):
     """Return how many columns of the update of a front stand in the panels before the one that holds a column.
 
-    The update is what the elimination leaves for later unknowns; its columns are stored in panels.
+    A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update, what
+    is left for the later ones, is stored in panels of some columns each.
 
-    tables, at : integers that say where all entries stand, and where those of this front begin among them.
-    column : number of a column of the front; below that of the first column of the update the result is 0.
-    """
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    column : number of a column of the front, own columns first; for those the result is 0."""
     before, width = 0, tables[SHEET]
     if column - tables[at + OWN] >= width:  # hardly ever: no division in small fronts
         before = (column - tables[at + OWN]) // width * width
@@ -75,14 +74,14 @@ def sheets_before(tables: ti.template(), at, column):
 
 @ti.func
 def column_of(tables: ti.template(), at, column):
-    """Return the index at which row 0 of a column of a front would stand; its update is stored from the diagonal on.
+    """Return the index, among the entries of all fronts, at which row 0 of a column of a front would stand. Columns of
+    its update are stored from the diagonal down only.
 
-    A front is the dense matrix of some unknowns that are eliminated together; the update is what is left for later
-    ones.
+    A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update is what
+    is left for the later ones.
 
-    tables, at : integers that say where all entries stand, and where those of this front begin among them.
-    column : number of the column within the front, own columns first.
-    """
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    column : number of the column within the front, own columns first."""
     own, start = tables[at + OWN], tables[at + OWN_COLUMNS] + column * tables[at + HEIGHT]
     if column >= own:
         before, pitch = sheets_before(tables, at, column), tables[at + UPDATE_HEIGHT]
@@ -99,15 +98,15 @@ def gather(
 ):  # fmt: skip
     """Fill some columns of a front with the entries of the matrix, and add the updates that its children leave.
 
-    A front is the dense matrix of some unknowns that are eliminated together; an update is what is left for later ones.
+    A front is the dense matrix of some unknowns that are eliminated together, and of later ones; an update is what is
+    left for the later ones. Children are fronts whose update goes into this one.
 
     alone : True for one matrix, False for LANES of them.
-    unit : rows that make a vector; columns are cleared from a multiple of it on.
-    tables, at : integers that say where all entries stand, and where those of this front begin among them.
+    unit : number of rows that make a vector; columns are cleared from a multiple of it on.
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
     first, end : the columns first ... end-1 are filled.
     entries : entries of the matrix.
-    numbers : entries of all fronts, which are read and written.
-    """
+    numbers : entries of all fronts, which are read and written."""
     # set the columns to zero, from the diagonal down
     columns, height, step = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP]
     column = first
@@ -182,16 +181,16 @@ def block(
     numbers: ti.template(), vectors: ti.template(), unit: ti.template(), shape: ti.template(), j, i,
     first: ti.template(), wide: ti.template(), tall: ti.template(),
 ):  # fmt: skip
-    """Finish `wide` columns, from j on, in `tall` vectors of rows below their triangle at the diagonal, in place.
-
-    What the columns before contribute is subtracted; own columns are also divided by their triangle.
+    """Finish `wide` columns of a front, in `tall` vectors of rows below the diagonal, in place: subtract what the
+    columns before contribute, and divide own columns (of unknowns that are eliminated here) by their triangle at the
+    diagonal.
 
     numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
-    shape : six numbers that say where the columns stand, as for :func:`corner`.
-    j : number of the first of the columns.
+    shape : six numbers: index where the own columns before these begin, where they end, and the distance between them;
+        index where row 0 of these columns would stand, and the distance between them; True if they are own columns.
+    j : number of the first of the columns in the front.
     i : number of the first vector of rows.
-    first : triangle of these columns at the diagonal, from :func:`corner`.
-    """
+    first : the triangle at the diagonal, row by row in a list, with inverse pivots."""
     source, end, height, start, pitch, own = shape
     to = [(start + c * pitch) // unit + i for c in ti.static(range(wide))]
     found = [vectors[to[c] + r] for c in ti.static(range(wide)) for r in ti.static(range(tall))]
@@ -220,16 +219,15 @@ def panel(
     tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template(), j,
     wide: ti.template(),
 ):  # fmt: skip
-    """Eliminate `wide` columns of a front from j on if they are own columns, else subtract from them what those
-    contribute.
+    """Work on `wide` columns of a front from j on: eliminate them if they are own columns, else subtract from them what
+    the own columns contribute. Either all of them are own, or none.
 
     Own columns are those of unknowns that are eliminated in this front; the others belong to its update, which is left
-    for later unknowns. Either all `wide` columns are own, or none.
+    for later unknowns.
 
-    tables, at : integers that say where all entries stand, and where those of this front begin among them.
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
     numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
-    j : number of the first of the columns.
-    """
+    j : number of the first of the columns in the front."""
     own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + OWN_COLUMNS]
     pitch = height if j < own else tables[at + UPDATE_HEIGHT] - sheets_before(tables, at, j)
     start = column_of(tables, at, j)
@@ -250,13 +248,12 @@ def panel(
 
 @ti.func
 def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
-    """Eliminate the own unknowns of a front, PANEL columns at a time, and compute its update, which is left for later
-    ones.
+    """Eliminate the own unknowns of a front, PANEL columns at a time, and compute its update: the matrix that is left
+    for the later unknowns of the front.
 
-    tables, at : integers that say where all entries stand, and where those of this front begin among them.
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
     numbers, vectors : entries of all fronts, one by one, and as vectors: the same array if each is a vector of LANES
-        matrices; else `unit` rows of one matrix make a vector. What stands above the diagonal has no meaning.
-    """
+        matrices; else `unit` rows of one matrix make a vector. What stands above the diagonal has no meaning."""
     own, rows, j = tables[at + OWN], tables[at + OWN] + tables[at + BORDER], 0
     while j < rows:
         if j + PANEL <= own or (j >= own and j + PANEL <= rows):

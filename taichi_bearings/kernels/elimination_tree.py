@@ -33,15 +33,12 @@ def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, ma
 
 @ti.func
 def price(own, border, part, column, update):
-    """Return what the elimination of a front costs, in operations. A front is a group of columns that are eliminated
-    together.
+    """Return the cost of eliminating a front, a group of columns that are eliminated together: the number of arithmetic
+    operations, and measured costs of handling (numerics/cholesky/tuning.py) in the same unit.
 
-    It is the arithmetic, plus costs of handling that numerics/cholesky/tuning.py has measured.
-
-    own, border : columns of the front, and rows below its diagonal block.
-    part, column, update : cost in operations of a front, of each entry of its own columns, and of each entry of its
-        update, which is what it leaves for later columns.
-    """
+    own, border : number of columns of the front, and of rows below its diagonal block.
+    part, column, update : cost of handling a front, each entry of its own columns, and each entry of its update, which
+        is what it leaves for later columns."""
     m, b = ti.cast(own, ti.f64), ti.cast(border, ti.f64)
     return m * (b * (b + m) + m * m / 3.0) + part + column * m * (m + b) + update * b * b / 2.0
 

@@ -28,12 +28,12 @@ def in_range(index):
 
 @ti.func
 def places(rows: ti.template(), length, site):
-    """Return for each of some rows the index of the number that a site has there, as a list.
+    """Return a list: for each of some rows the index, in the flat array of all rows, of the number that a site has
+    there.
 
-    rows : numbers of the rows, known when the kernel is compiled.
+    rows : numbers of the rows (a row has one number of every site), known when the kernel is compiled.
     length : length of a row.
-    site : index of the site within a row. The numbers of the site m further on stand m further on.
-    """
+    site : index of the site within a row. The numbers of the site m further on stand m further on."""
     # as `in_range`, without a call for each row: those would take a sixth of the time to read a pass of a Newton step
     return [(row * length + site) & INDEX_MASK for row in ti.static(rows)]
 
@@ -56,13 +56,12 @@ def load(values: ti.template(), place, block: ti.template()):
 
 @ti.func
 def store(values: ti.template(), blocks: ti.template(), place, block: ti.template(), new):
-    """Write the numbers of a whole block of sites.
+    """Write the numbers of a whole block of sites (a group of neighbours in memory).
 
     values, blocks : the flat array, and the same memory as vectors of a block; the second is written unless block is 1.
-    place : index of the first number, a multiple of the block.
-    block : sites of a block.
-    new : a vector, or one number if block is 1.
-    """
+    place : index of the first number in the flat array, a multiple of the block.
+    block : number of sites of a block.
+    new : a vector, or one number if block is 1."""
     if ti.static(block == 1):
         values[place] = new
     else:
@@ -97,18 +96,17 @@ def store_each(
 
 @ti.func
 def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
-    """Return a list with the strides along three axes and, with periodic axes, where the site is in the ring along each
-    axis.
+    """Return a list: the strides along three axes and, on lattices with periodic axes, for each axis the number of
+    sites of a ring along it, and the position of a site in its ring. So it has three entries, or nine; every third one
+    from `axis` on is what :func:`load_neighbours` needs of an axis.
 
-    With periodic axes the list has nine entries: three strides, three lengths of rings, and three positions in them.
-    :func:`load_neighbours` takes every third entry for an axis. An axis that is not periodic has a ring so long that it
-    never closes.
+    A ring along an axis is counted in memory, with all sites between its neighbours. An axis that is not periodic has a
+    ring so long that it never closes.
 
-    strides : distance to the upper neighbour along each axis.
+    strides : distance in memory to the upper neighbour along each axis.
     site : number of the site among all.
     ring : sites of a replica, which are those of a ring along x.
-    periodic : axes that close on themselves.
-    """
+    periodic : axes that close on themselves."""
     if ti.static(len(periodic) == 0):
         return strides
     sites = [ring, strides[0], OPEN_RING]
@@ -194,11 +192,10 @@ def zero(block: ti.template()):
 
 @ti.func
 def pushed(vector, first, block: ti.template()):
-    """Return a block of numbers moved up by one site: `first`, then all numbers of `vector` but the last.
+    """Return a block of numbers moved up by one site: `first`, then all numbers of `vector` but the last. As the height
+    runs along memory, each site then has the number of the site below it; `first` is that of the site below the block.
 
-    The result holds at each site the number of the site below it along the height; `first` is that of the site below
-    the block. If block is 1 it is `first` alone.
-    """
+    vector : the numbers of the block; one number if block is 1, and the result is `first` alone."""
     if ti.static(block == 1):
         return first
     return ti.Vector([first] + [vector[m] for m in ti.static(range(block - 1))])
@@ -221,15 +218,15 @@ def fill(
     at: ti.template(),
     numbers: ti.template(),
 ):
-    """Set rows[k][m] to the k-th number that a law returns for the m-th site of a block.
+    """Set rows[k][m] to the k-th number that a law returns for the m-th site of a block (a group of neighbours in
+    memory).
 
-    rows : list of vectors of the length of a block, the result.
-    values : the flat array that the law reads.
-    block : sites of a block.
+    rows : list of vectors of the length of a block, which are overwritten.
+    values : flat array of all numbers, which the law reads.
+    block : number of sites of a block.
     law : function ``law(values, at, numbers, m)`` of one site that returns a list as long as `rows`.
-    at : indices of the block's first numbers, as the law takes them.
-    numbers : array of constants that the law takes.
-    """
+    at : lists of indices in `values`, by which the law finds the numbers of the block's first site.
+    numbers : array of constants that the law takes."""
     for m in range(block):
         new = law(values, at, numbers, m)
         for k in ti.static(range(len(rows))):

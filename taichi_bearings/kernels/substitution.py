@@ -43,12 +43,12 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border.
 
-    numbers : the Cholesky factor.
+    numbers : the Cholesky factor, flat.
     vector : right-hand sides, replaced by the solution.
-    where : list of indices: in `numbers`, the first pivot, and the distance from one column to the next; in `vector`,
-        the first of these unknowns, the end of the front's own ones, and the begin of what is left for the border; the
-        length of the border; and 1, hidden from the compiler so that it does not unroll the loops.
-    """
+    where : list of seven integers: in `numbers`, the index of the first pivot, and the distance from one column to the
+        next; in `vector`, the index of the first of these unknowns, the end of the front's own ones, and the begin of
+        what is left for the border; the length of the border; and 1, hidden from the compiler so that it does not
+        unroll the loops."""
     start, height, row, end, rest, border, step = where
     # the triangle at the diagonal, with inverse pivots
     value = [vector[row + c] for c in ti.static(range(wide))]
@@ -81,10 +81,11 @@ def backward(numbers: ti.template(), vector: ti.template(), where: ti.template()
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border.
 
-    numbers : the Cholesky factor.
+    numbers : the Cholesky factor, flat.
     vector : what the forward solve has left, replaced by the solution.
-    where : indices as for `forward`.
-    """
+    where : list of seven integers: in `numbers`, the index of the first pivot, and the distance from one column to the
+        next; in `vector`, the index of the first of these unknowns, the end of the front's own ones, and the begin of
+        the border's; the length of the border; and 1, hidden from the compiler so that it does not unroll the loops."""
     start, height, row, end, rest, border, step = where
     # subtract what the border and the later own unknowns contribute
     left = [vector[row + c] for c in ti.static(range(wide))]
@@ -117,14 +118,13 @@ def down(
     """Solve forward for one front, once its children in the elimination tree are done.
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border.
+    border; its children are the fronts that leave it something.
 
     alone : True for one matrix, False for LANES of them.
-    tables, at : integers that say where all entries stand, and where those of this front begin among them.
-    numbers : the Cholesky factor.
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    numbers : the Cholesky factor, flat.
     vector : right-hand sides, replaced by the solution.
-    wide : unknowns that are solved for at a time, which changes no bit of the result.
-    """
+    wide : unknowns that are solved for at a time, which changes no bit of the result."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step = tables[at + HEIGHT], tables[STEP]
     # begin with nothing for the border, and take what the children have left for theirs
@@ -155,12 +155,11 @@ def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template())
     """Solve backward for one front, once its parent in the elimination tree is done.
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border.
+    border; its parent is the front to which it leaves something.
 
-    tables, at : integers that say where all entries stand, and where those of this front begin among them.
-    numbers : the Cholesky factor.
-    vector : what the forward solve has left, replaced by the solution.
-    """
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    numbers : the Cholesky factor, flat.
+    vector : what the forward solve has left, replaced by the solution."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step, slots = tables[at + HEIGHT], tables[STEP], tables[SLOTS] + tables[at + BATCH_SHARE]
     # copy the border, which the parent has solved

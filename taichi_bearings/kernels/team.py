@@ -131,7 +131,8 @@ def meet(arrived: ti.template(), target):
 
 @lru_cache
 def made_once(kind: Callable[..., Made], *configuration: Any) -> Made:
-    """Return kind(*configuration), the same object for equal configurations, so that its kernels are compiled once."""
+    """Return kind(*configuration), the same object in every call with equal arguments, so that its kernels are compiled
+    once. kind : a class of kernels. configuration : what it is made with."""
     return kind(*configuration)
 
 
@@ -145,8 +146,8 @@ def _constants(numbers: tuple[float, ...]) -> Any:
 
 @ti.data_oriented
 class Sweeps:
-    """A kernel that repeats one step of a method over all sites; subclasses say in `walk` what is done with a block of
-    sites.
+    """A kernel that repeats one step of a method over all sites; subclasses say in `walk` what is done with a block, a
+    group of neighbouring sites that are worked on together.
 
     A step, called a turn, is `repeats` sweeps, each made of the same `parts` one after the other. A part reads nothing
     that it writes at other sites, so that the order of the sites does not matter.
@@ -154,8 +155,9 @@ class Sweeps:
     parts : parts of a sweep; all workers wait for each other after each.
     repeats : sweeps of a turn.
     numbers : how many constants the kernel takes.
-    measures : how many integers at the begin of `Fields.tables` say where the sites are; see `Layout.measures`.
-    """
+    measures : how many integers at the begin of `Fields.tables` say where the sites are. On lattices: length of a row
+        (one number of every site), numbers in it before the first site, number of blocks, strides along x and y, sites
+        of a replica."""
 
     parts, repeats, numbers, measures = 1, 1, 1, 6
 
@@ -185,23 +187,24 @@ class Sweeps:
 
     @ti.func
     def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return what a worker hands from block to block in a part: here a list with a 0, which nothing uses.
+        """Return what a worker hands from block to block in a part: here a list with a 0, which nothing uses. Methods
+        that need something define it anew, with these arguments:
 
         values : all fields, flat.
-        size : integers that say where the sites are, see `Layout.measures`.
+        size : integers that say where the sites are; on lattices first the length of a row, and the numbers in it
+            before the first site.
         low : number of the worker's first block.
         numbers : constants of the kernel.
-        sweep : number of the sweep.
-        """
+        sweep : number of the sweep."""
         return [0.0]
 
     @ti.func
     def count(self, part: ti.template(), size: ti.template()):
-        """Return the number of blocks in a part: on lattices the same for all parts.
+        """Return the number of blocks (groups of sites that are worked on together) in a part of a sweep: on lattices
+        the same for all parts.
 
-        part : number of the part.
-        size : integers that say where the sites are, see `Layout.measures`.
-        """
+        part : number of the part, not used here.
+        size : integers that say where the sites are; on lattices the third is the number of blocks."""
         return size[2]
 
     @ti.func
@@ -209,20 +212,21 @@ class Sweeps:
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Do one part of a sweep for one block: find its sites, and call `walk`, which subclasses define.
+        """Do one part of a sweep for one block (group of sites that are worked on together) of a lattice: find its
+        sites, and call `walk`, which subclasses define.
 
         part : number of the part.
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        values, blocks : all fields, flat, and the same memory in blocks.
         tables : integers of the layout, not used here.
-        size : the first of them, which say where the sites are, see `Layout.measures`.
+        size : length of a row (one number of every site), numbers in it before the first site, number of blocks,
+            strides along x and y, sites of a replica.
         number : number of the block.
         numbers : constants of the kernel.
         sweep : number of the sweep.
         carried : what `enter` returned, or the block before has left.
 
         `walk` gets instead of `tables`, `size` and `number` the length of a row, the index of the block's first site,
-        and the strides (see `with_rings`).
-        """
+        and the strides, with rings along periodic axes."""
         sides = [in_range(size[3]), in_range(size[4]), 1]
         strides = with_rings(sides, number * self.block, size[5], self.periodic)
         first = in_range(size[1] + number * self.block)
