@@ -539,10 +539,10 @@ def _sums(together: bool) -> Callable:
 
     @ti.kernel
     def run(begins: INTEGERS, places: INTEGERS, values: kind, found: kind, first: int, to: int):
-        """Set found[to + i] to the sum of values[first + places[k]] over k = begins[i] ... begins[i + 1] - 1.
+        """Set found[to + i], for every i, to a sum of numbers of `values`: values[first + p] for each p in
+        places[begins[i] : begins[i + 1]].
 
-        A place that is stored as ~place, a negative number, is subtracted instead of added.
-        """
+        A place that is stored as ~p, a negative number, is subtracted instead of added."""
         ti.loop_config(serialize=True)
         for i in range(begins.shape[0] - 1):
             total = zero_of(together)

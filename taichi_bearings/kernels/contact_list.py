@@ -69,10 +69,10 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def count(self, part: ti.template(), size: ti.template()):
-        """Return the number of blocks of contacts (part 0) or of spheres (part 1).
+        """Return the number of blocks (groups of neighbours in memory) of contacts for part 0 of a sweep, or of spheres
+        for part 1.
 
-        size : lengths of the rows of spheres and of contacts first.
-        """
+        size : integers, of which the first two are the lengths of the rows of spheres and of contacts."""
         return size[1 - part] // self.block
 
     @ti.func
@@ -103,12 +103,12 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def contact_places(self, name: ti.template(), size: ti.template(), first):
-        """Return a list of the indices at which the rows of a field of contacts hold the first number of a block.
+        """Return a list: for each row of a field of contacts the index, among all fields, of its number for the first
+        contact of a block.
 
-        name : of the field.
-        size : lengths of the rows of numbers of spheres and of contacts.
-        first : number of the block's first contact.
-        """
+        name : name of the field.
+        size : integers, of which the first two are the lengths of the rows of spheres and of contacts.
+        first : number of the block's first contact."""
         return places(self.rows[name], size[1], self.sphere_rows * size[0] + first)
 
     @ti.func

@@ -266,14 +266,14 @@ def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.templa
 
 @ti.kernel
 def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
-    """Factorise LANES matrices of one pattern, one lane each.
+    """Find the Cholesky factors of LANES sparse matrices with the same pattern of entries, one in each lane of vectors.
 
-    A pivot that is not positive leaves an inverse that is not finite, in its matrix alone.
+    A pivot that is not positive leaves an inverse that is not finite, in the factor of its matrix alone.
 
-    tables : integers that say where all entries stand (numerics/cholesky/layout.py).
-    entries : entries of the matrices, in the order of the layout.
-    numbers : entries of all fronts, the result.
-    """
+    tables : integers that say where all entries stand, made in numerics/cholesky/layout.py.
+    entries : entries of the matrices, in the order of these tables.
+    numbers : entries of all fronts (dense matrices of unknowns that are eliminated together), overwritten by the
+        factors."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
@@ -283,12 +283,12 @@ def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
 
 @ti.kernel
 def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS):
-    """Factorise one matrix.
+    """Find the Cholesky factor of one sparse matrix.
 
-    tables : integers that say where all entries stand (numerics/cholesky/layout.py).
-    entries : entries of the matrix, in the order of the layout.
-    numbers, vectors : entries of all fronts, the result, one by one and as vectors of LANES rows in the same memory.
-    """
+    tables : integers that say where all entries stand, made in numerics/cholesky/layout.py.
+    entries : entries of the matrix, in the order of these tables.
+    numbers, vectors : entries of all fronts (dense matrices of unknowns that are eliminated together), overwritten by
+        the factor: one by one, and as vectors of LANES rows in the same memory."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH

@@ -162,11 +162,10 @@ class Sweeps:
     parts, repeats, numbers, measures = 1, 1, 1, 6
 
     def __init__(self, block: int, periodic: tuple[int, ...] = ()) -> None:
-        """Set the constants for which the kernel is compiled.
+        """Set the constants for which the kernel is compiled, and how many turns a launch on a GPU makes.
 
-        block : sites that are worked on together.
-        periodic : axes of the lattice that close on themselves.
-        """
+        block : number of sites that are worked on together.
+        periodic : axes of the lattice that close on themselves."""
         self.block, self.periodic, self.on_gpu = block, periodic, runtime.current().is_gpu
         self.together = TURNS_A_LAUNCH.get(runtime.current().arch, 1)
 

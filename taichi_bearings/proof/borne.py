@@ -107,7 +107,8 @@ class ExactlyRolling:
 
     @cached_property
     def columns(self) -> np.ndarray:
-        """(n,), which of all unknown spin components belong to spheres of the exactly rolling contacts."""
+        """(n,), the numbers, among all unknown spin components of the packing, of those that belong to spheres of the
+        exactly rolling contacts."""
         return np.flatnonzero(self.friction_bounds.exact.spheres[self.friction_bounds.sphere])
 
     @cached_property

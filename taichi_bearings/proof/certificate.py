@@ -300,8 +300,8 @@ def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
 
 
 def capped(force: Forces, ratio: np.ndarray) -> Forces:
-    """Return the forces (C, R, E), with each one that is longer than its friction limit shortened to it. ratio : (R,
-    E), |force| over friction limit."""
+    """Return the forces (C components, R samples, E contacts), of which each that is longer than its friction limit is
+    shortened to it. ratio : (R, E), |force| over friction limit."""
     return _changed(force, ratio, lambda f, share: f * share)
 
 

@@ -128,7 +128,7 @@ class Slipping:
 
     @cached_property
     def size(self) -> Enclosure:
-        """Slip speed |z| of each contact, (n,)."""
+        """Slip speed of each of the n contacts, an enclosure (n,)."""
         first, second = (abs(part).parts for part in self.difference)
         size = Enclosure(*(a + b for a, b in zip(first, second, strict=True)))  # one is exactly 0 unless curved
         size.put(self.curved, length([part.at(self.curved) for part in self.difference]))
@@ -142,14 +142,14 @@ class Slipping:
 
     @cached_property
     def stiffness(self) -> Enclosure:
-        """mu F_n / slip speed of each of the m contacts that slip in two components, (m,): by how much friction changes
-        with a slip at right angles to the present one."""
+        """mu F_n / slip speed of each of the m contacts that slip in two components, (m,): a slip that changes by w at
+        right angles to itself turns the friction, which then changes by this number times w."""
         return self.strength.at(self.curved) / self.size.at(self.curved)
 
     @cached_property
     def pulls(self) -> tuple[Enclosure, Enclosure]:
-        """Force of each contact, friction along the slip plus damping times the slip: two components, enclosures
-        (n,)."""
+        """Force of each of n contacts, friction mu F_n along the slip plus damping times the slip: two enclosures (n,),
+        its components along the two spin components in `felt`."""
         found = [self.strength.signed(np.sign(part.high)) for part in self.difference]
         for pull, along in zip(found, self.direction, strict=True):
             pull.put(self.curved, self.strength.at(self.curved) * along)
@@ -279,7 +279,7 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
     """Return True if some friction of the resting contacts balances all torques at the minimum and stays below every
     friction limit.
 
-    motion : the network of N spheres, and which contacts rest.
+    motion : the network of N spheres, and which contacts rest. These join spheres to domains, which turn as one.
     contacts : the n slipping contacts close to the minimum. turn : (n,), bound on |slip at the minimum - slip| /
         |slip|.
     unsure : by component k, (N,), how far the sum of the friction that further contacts exert on each sphere may be
@@ -507,16 +507,16 @@ def _row_scaled(
 def _curvature_rows(
     contacts: Slipping, changes: list[sparse.csr_array]
 ) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
-    """Return rows A such that the curvature of the power is A^T A, a bound on the error of each entry of A, and for
-    each row the contact (0 to n - 1) that it belongs to.
+    """Return rows A such that the curvature of the power is |A x|^2 for changes x of the unknowns, spins of free
+    domains; a matrix of the same shape with bounds on the errors of the entries of A; and for each row the contact (0
+    to n - 1) that it belongs to.
 
     contacts : the n slipping contacts. changes : two matrices (n, unknowns) that give both components of the changes of
         slips.
 
     A contact that slips in two components has one row, the change of its slip at right angles to the slip, times the
     root of mu F_n / slip. With damping every contact has two more, both components of the change of its slip times the
-    root of eta. Friction in one component has no curvature: mu F_n |slip| is straight.
-    """
+    root of eta. Friction in one component has no curvature: mu F_n |slip| is straight."""
     # The unit vector at right angles to each slip, two components.
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
     # Relative error of the root: that of its square, and 16 roundings where a root, products and a sum make five.

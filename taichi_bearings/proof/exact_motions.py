@@ -128,8 +128,11 @@ class _Parts:
 
     @classmethod
     def of(cls, network: JudgedNetwork, free: np.ndarray, contacts: np.ndarray) -> _Parts:
-        """Make the parts of the unknowns in the mask `free` (N, 3) that the contacts in the mask `contacts` (E,)
-        join."""
+        """Collect the contacts that shall roll with the free spheres they join, and number the parts: groups of free
+        spheres that these contacts connect.
+
+        network : N spheres and E contacts. free : (N, 3) mask of the spin components that are unknowns. contacts : (E,)
+            mask."""
         ends = network.graph.contact[:, contacts]
         rows = sparse.csr_array(slip_rows(network, numbered(free))[np.flatnonzero(np.tile(contacts, 3))])
         rows.eliminate_zeros()
@@ -181,7 +184,7 @@ class _Parts:
         return found & everything
 
     def _spheres(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the mask (N,) of the spheres that own any of the unknowns in the mask `unknowns` (n,)."""
+        """Return the mask (N,) of the spheres to which any of the unknowns in the mask `unknowns` (n,) belongs."""
         found = np.zeros_like(self.free)
         found[self.free] = unknowns
         return np.asarray(found.any(axis=1))

@@ -114,9 +114,9 @@ class JudgedNetwork:
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """(m,) mask of the contacts that can dissipate at a minimum: they have a coefficient and a free end, contacts
-        connect them to a driven sphere, and neither sphere is in `rolling`. All others dissipate nothing at any
-        minimum."""
+        """(m,) mask of the contacts that can dissipate at a minimum: they have a coefficient and a free sphere,
+        contacts connect them to a driven sphere, and neither sphere is in `rolling`, whose contacts can all roll. All
+        others dissipate nothing at any minimum."""
         return self.acts if self.is_whole else self._holding & self.graph.any_end(self.reached)
 
     @cached_property
@@ -142,7 +142,7 @@ class JudgedNetwork:
     @cached_property
     def mixes(self) -> bool:
         """True if a component of some slip depends on more than one component of the spins; False for discs, and where
-        unit normals are along the axes."""
+        all unit normals are along the axes."""
         return bool(self.samples_that_mix.any())
 
     @property
@@ -164,8 +164,8 @@ class JudgedNetwork:
 
     @cached_property
     def division(self) -> list[Part]:
-        """The n spheres divided into groups, in the order in which they are eliminated: by nested dissection of the
-        graph of contacts between free spheres."""
+        """All n spheres in groups, in the order in which eliminations take them: by nested dissection of the graph of
+        contacts between free spheres."""
         first, second = self.graph.contact[:, self.acts]
         inner, count = self.free[first] & self.free[second], len(self.free)
         ends = np.append(first[inner], second[inner]), np.append(second[inner], first[inner])
@@ -214,7 +214,7 @@ class JudgedNetwork:
         )
 
     def sample_of(self, contacts: np.ndarray) -> np.ndarray:
-        """Return for contacts, given by their indices (q,), the number (q,) of the sample that each belongs to."""
+        """Return for each of q contacts the number (q,), 0 to R - 1, of its sample. contacts : (q,), their indices."""
         return contacts // (len(self.acts) // self.count)
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
@@ -226,8 +226,8 @@ class JudgedNetwork:
         )
 
     def by_sample(self, values: Enclosure, contacts: np.ndarray) -> Enclosure:
-        """Return the sums (R,) of the `values` (q,) of some contacts, sample by sample. contacts : (q,), their
-        indices."""
+        """Return for each of R samples the sum (R,) of those `values` that belong to its contacts. values : an
+        enclosure (q,), one for each of q contacts. contacts : (q,), their indices."""
         if not len(contacts):
             return nothing(self.count)
         whole = nothing(len(self.acts))
@@ -243,12 +243,13 @@ class JudgedNetwork:
 
     @cached_property
     def slip(self) -> Enclosure:
-        """(m,), slip speeds of the stored spins, in `speed_unit`."""
+        """(m,), slip speeds of m contacts in the stored spins, an enclosure in `speed_unit`."""
         return self.motion.slip if self.graph.layered else length(self.slips(self.spin))
 
     @cached_property
     def still(self) -> np.ndarray:
-        """(m,) mask of the contacts whose slip is exactly 0 in the stored spins."""
+        """(m,) mask of the contacts whose slip is exactly 0 in the stored spins. Only for discs, and normals along the
+        axes."""
         return self.graph.still(self.spin)
 
     @cached_property
@@ -339,8 +340,8 @@ class JudgedNetwork:
         return self._sums(self.acts)
 
     def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
-        """Return two sums by sample, (R,) each, over the contacts of the mask `some` (m,): mu F_n slip, and eta
-        slip^2."""
+        """Return two sums for each of R samples, enclosures (R,), over the contacts of the mask `some` (m,): of mu F_n
+        slip, and of eta slip^2, at the stored spins."""
         slips, slip = some & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         held, flowing = nothing(self.count), nothing(self.count)
         if self.law.holds:

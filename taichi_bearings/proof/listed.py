@@ -30,8 +30,11 @@ class Listed:
     """Share of its friction that may act along the normal of a contact by rounding alone."""
 
     def __init__(self, place: np.ndarray, contact: np.ndarray, normal: np.ndarray, friction: np.ndarray) -> None:
-        """Take the places of the spheres (n, D), and of the contacts their spheres (2, m), normals (m, D) and friction
-        F (m, C)."""
+        """Take arrays about n spheres in D dimensions and m contacts.
+
+        place : (n, D), centre of each sphere. contact : (2, m), indices of the first and the second sphere of each
+            contact. normal : (m, D), unit normals from the first to the second. friction : (m, C), friction on the
+            second, by C components."""
         self._arrays = place, contact, normal, friction
 
     @classmethod
@@ -52,22 +55,22 @@ class Listed:
 
     @property
     def place(self) -> np.ndarray:
-        """(n, D), place of each sphere in its sample."""
+        """(n, D), centre of each of n spheres in its sample, in D dimensions."""
         return self._arrays[0]
 
     @property
     def contact(self) -> np.ndarray:
-        """(2, m), indices of the first and the second sphere of each contact."""
+        """(2, m), indices of the first and the second sphere of each of m contacts."""
         return self._arrays[1]
 
     @property
     def normal(self) -> np.ndarray:
-        """(m, D), unit normals from the first to the second sphere."""
+        """(m, D), unit normals of m contacts from the first to the second sphere, in D dimensions."""
         return self._arrays[2]
 
     @property
     def friction(self) -> np.ndarray:
-        """(m, C), friction F on the second sphere of each contact."""
+        """(m, C), friction on the second sphere of each of m contacts by component: C = 1 for discs, 3 for spheres."""
         return self._arrays[3]
 
     def some(self, pick: slice, count: int) -> Listed:
@@ -82,7 +85,7 @@ class Listed:
         return Listed(self.place[of_spheres], ends, self.normal[of_contacts], self.friction[of_contacts])
 
     def any_end(self, mask: np.ndarray) -> np.ndarray:
-        """Return the mask (m,) of contacts of which either sphere is in the mask (n,)."""
+        """Return the mask (m,) of the contacts of which either sphere is in `mask` (n,): m contacts, n spheres."""
         return np.asarray(mask[self.contact].any(axis=0))
 
     @property
@@ -93,14 +96,14 @@ class Listed:
 
     @cached_property
     def mixing(self) -> np.ndarray:
-        """(m,) mask of the contacts at which a component of the slip depends on several components of the spins. It
-        does not for discs, nor where unit normals are along the axes."""
+        """(m,) mask of the contacts at which a component of the slip depends on several components of the spins: those
+        with a normal that is not along an axis. All False for discs, which have one component."""
         if self.normal.shape[1] == 2:
             return np.zeros(len(self.normal), dtype=bool)
         return ~(np.sort(np.abs(self.normal)) == (0, 0, 1)).all(axis=1)
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """Return the lengths (m,) of vectors given by component, C enclosures (m,)."""
+        """Return the lengths (m,) of m vectors. parts : their components, C enclosures (m,)."""
         return length(parts)
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
@@ -110,8 +113,9 @@ class Listed:
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
         """Return signs by component, C arrays (n,) of +1 and -1, which differ between neighbours, except in parts with
-        a loop of an odd number of contacts, where that cannot be. feels : (C, m) mask of the contacts that join spheres
-        in each component."""
+        a loop of an odd number of contacts, where that cannot be.
+
+        feels : (C, m) mask, for each of C components which of m contacts make their spheres neighbours."""
         return [signs(self.contact[:, own], len(self.place))[2] for own in feels]
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
@@ -156,7 +160,8 @@ class Listed:
         return None
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
-        """Return the mask (m,) of contacts whose slip is exactly 0. spin : u by component, C enclosures (n,)."""
+        """Return the mask (m,) of the contacts without any slip in the given spins, exactly. It has a meaning only for
+        discs and for normals along the axes. spin : spin times radius of n spheres by component, C enclosures (n,)."""
         (first, second), found = self.contact, np.ones(len(self.normal), dtype=bool)
         for part, feels in zip(spin, self.slips_with, strict=True):
             for of in part.parts[:2]:
@@ -164,7 +169,8 @@ class Listed:
         return found
 
     def middle(self, some: np.ndarray) -> np.ndarray:
-        """Return the positions (q, D) of the middles of the contacts with the indices `some` (q,)."""
+        """Return the positions (q, D) in D dimensions of the middles of q contacts: half-way between both centres. some
+        : (q,), their indices."""
         begin, end = self.place[self.contact[:, some]]
         return np.asarray(begin + (end - begin) / 2)
 

@@ -161,7 +161,7 @@ class Near:
 
     @cached_property
     def damping(self) -> Enclosure:
-        """Damping eta of the S slipping contacts, (S,)."""
+        """Damping eta of the S slipping contacts, an enclosure (S,); 0 where a contact has none."""
         return self.network.slope.at(self.slipping)
 
     @cached_property
@@ -259,9 +259,9 @@ class Near:
         return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts, samples=self.samples)
 
     def improved(self) -> Near:
-        """Return spins closer to the minimum among spins at which the resting contacts rest, by Newton's method. Its
-        steps go on while each of them more than halves the norm of the leftover torques. Nothing about the result is
-        proven."""
+        """Return spins closer to the minimum among spins at which the resting contacts rest, with friction of these
+        that fits, by Newton's method. It makes steps while each of them more than halves the norm of the leftover
+        torques. Nothing about the result is proven."""
         curvature, there = self.curvature(FIRM), self.number >= 0
         # The slips of resting contacts are fixed @ spins. A motion is split into one in which these are 0 and another
         # one, by the factorised matrix fixed^T fixed.
@@ -279,8 +279,8 @@ class Near:
             return found + factor.solve(torque - fixed.T @ (fixed @ found))
 
         def allowed(spins: np.ndarray) -> np.ndarray:
-            """Return the part of a vector (n,) of spins, or of torques, that leaves all resting contacts without
-            slip."""
+            """Return the part of a vector (n,), of spins or of torques of the n unknowns, that is left once what makes
+            resting contacts slip is taken away."""
             return spins - borne(fixed.T @ (fixed @ spins))
 
         def bends(spins: np.ndarray) -> np.ndarray:
@@ -327,11 +327,13 @@ class Near:
         return self.network.sample_of(self.slipping)
 
     def _norms(self, values: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """Return the norm (R,) of the values that belong to each sample. values : (q,). sample : (q,), that of each."""
+        """Return for each of R samples the Euclidean norm (R,) of the values (q,) that belong to it. sample : (q,), the
+        number of the sample of each value."""
         return np.sqrt(np.bincount(sample, values**2, self.network.count))
 
     def _norms_on_spheres(self, values: np.ndarray, some: np.ndarray) -> np.ndarray:
-        """Return the norm (R,) of the values (N, 3) at the spheres of each sample that are in the mask `some` (N,)."""
+        """Return for each of R samples the Euclidean norm (R,) of the values (N, 3) at its spheres in the mask `some`
+        (N,)."""
         squares = np.where(some[:, None], values, 0.0) ** 2
         return np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
 
@@ -347,8 +349,8 @@ class Near:
 
     @cached_property
     def _distance_from_law(self) -> np.ndarray:
-        """(S,), for each slipping contact a bound on |friction in use - friction that the law gives at its slip|: the
-        rounding to sums of two doubles."""
+        """(S,), for each of S slipping contacts a bound on |friction in use - friction that the law gives at its slip|.
+        The former is the latter without its error bounds, so this is rounding."""
         return length(
             [f.at(self.slipping) - slipping for f, slipping in zip(self.friction, self.friction_by_law, strict=True)]
         ).most

@@ -47,12 +47,13 @@ def samples_of_lattice(
 
 @dataclass(frozen=True, eq=False)
 class OnLattice:
-    """R samples of a scene with N spheres and E contacts each.
+    """The spins and friction of R samples of a lattice with N spheres (shape *N) and E contacts each, as they are
+    given.
 
     scene : the lattice, its coefficients and its driving.
     spin, spin_rounding : (R, *N, 3), in 2D (R, *N), 1/time; the spin is the sum of the two.
-    friction : (R, E, 3), force on the upper sphere of each contact; in 2D (R, E), the component along z x n.
-    """
+    friction : (R, E, 3), force on the upper sphere of each contact; in 2D (R, E), the component along z x n, with n the
+        unit normal from the lower to the upper sphere."""
 
     scene: Scene
     spin: np.ndarray
@@ -104,13 +105,14 @@ class OnLattice:
 
     @property
     def spin_unit(self) -> float:
-        """A power of two near the jump, 1/time; 1 without a jump."""
+        """The unit of spins in the proof, 1/time: a power of two near the jump, the difference between the imposed
+        spins of both planes; 1 without a jump."""
         return self.scene.exact_driving.unit
 
     @cached_property
     def force_unit(self) -> float:
-        """A power of two near the largest friction limit; for damping alone near the force of damping at
-        `spin_unit`."""
+        """The unit of force in the proof: a power of two near the largest friction limit; for damping alone near the
+        force of damping at a slip by `spin_unit`."""
         scene = self.scene
         strength = scene.normal_force if scene.law.holds else power_of_two(scene.lattice.radius * self.spin_unit)
         return power_of_two(float(scene.coefficient.max()) * strength)
@@ -124,7 +126,7 @@ class OnLattice:
 
     @cached_property
     def sublattice(self) -> np.ndarray:
-        """Sign s = +1 or -1 of each sphere, (*N,): neighbours have opposite signs."""
+        """Sign +1 or -1 of each sphere, an array of the shape *N of the lattice: neighbours have opposite signs."""
         return self.lattice.parity.astype(float)
 
     def jump_at(self, component: int) -> Enclosure:
@@ -183,9 +185,9 @@ class OnLattice:
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """By component, (R * N,): for spheres of the top the imposed signed spin less the stored one, both measured
-        from the bottom; 0 for all other spheres. It is far below the rounding of spins, but may exceed the smallest
-        slips."""
+        """By spin component, (R * N,) for R samples of N spheres: for spheres of the top the imposed signed spin (times
+        the sign of the sublattice) less the stored one, both measured from the bottom; 0 for all other spheres. It is
+        far below the rounding of spins, but may exceed the smallest slips."""
         return {k: self._shift(k, stored) for k, stored in self.signed_spin.items()}
 
     def _shift(self, component: int, stored: Enclosure) -> Enclosure:

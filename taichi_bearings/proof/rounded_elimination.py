@@ -52,7 +52,8 @@ class Samples:
         return cls(np.zeros(unknowns, dtype=np.intp), 1)
 
     def largest(self, values: np.ndarray) -> np.ndarray:
-        """Return the largest of the values (n,) of each sample, (R,); 0 if none is larger."""
+        """Return for each of R samples the largest (R,) of the values (n,) that belong to its unknowns; 0 if none is
+        above 0."""
         if self.count == 1:
             return np.array([values.max(initial=0.0)])
         found = np.zeros(self.count)
@@ -65,7 +66,7 @@ class Samples:
 
     @property
     def rank(self) -> np.ndarray:
-        """(n,), the number of each unknown among those of its sample, from 0."""
+        """(n,), for each unknown how many unknowns of its sample come before it."""
         order, size = np.argsort(self.of, kind="stable"), np.bincount(self.of, minlength=self.count)
         found = np.empty(len(order), dtype=np.intp)
         found[order] = np.arange(len(order)) - np.repeat(np.cumsum(size) - size, size)
@@ -88,7 +89,8 @@ class Front:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Numbers in the order of elimination of the front's own unknowns, then of those of its border."""
+        """Places in the order of elimination of all unknowns of the front: first its own, then those of its border, the
+        later unknowns that they are coupled to."""
         return np.append(np.arange(self.first, self.first + self.own), self.border)
 
 
@@ -205,15 +207,16 @@ class Elimination:
         return pivots, below, rest
 
     def distance_from_positive(self, shift: float | np.ndarray) -> np.ndarray:
-        """Return a bound (R,) on the distance, in the spectral norm, between the matrix of each sample less `shift`
-        times the identity and the positive matrix L L^T with the computed factor L. Infinite if a pivot is not
-        positive. shift : a number, or one for each sample, (R,).
+        """Return for each of R samples a bound (R,) on the distance, in the spectral norm, between its matrix less
+        `shift` times the identity and the positive matrix L L^T with the computed Cholesky factor L; infinite if a
+        pivot is not positive. So no eigenvalue of the matrix is below the shift less this distance.
+
+        shift : a number, or one for each sample, (R,).
 
         The two differ by at most gamma |L| |L|^T, entry by entry, with gamma = t EPS / (1 - t EPS) for sums of t terms
         in any order (Higham, Accuracy and Stability of Numerical Algorithms, 2002, theorem 10.3). The norm of W W^T,
         for a matrix W without negative entries, is at most its largest row sum. Here W is |L| with each row times the
-        root of its gamma.
-        """
+        root of its gamma."""
         # t of each row: the number of its entries in L, and two more.
         terms = np.full(self.size, 2)
         for front in self.fronts:
@@ -292,8 +295,9 @@ def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
 
 
 def _add_at(whole: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: np.ndarray) -> None:
-    """Add `part` (p, q) to the entries of `whole` in `rows` (p,), ascending, and `columns` (q,), in place; both are in
-    Fortran order. Rows that follow each other are added together, as this takes a third of the time."""
+    """Add the matrix `part` (p, q) to the entries of the matrix `whole` in the rows `rows` (p,), ascending, and the
+    columns `columns` (q,), in place; both are in Fortran order. Rows that follow each other are added together, as this
+    takes a third of the time."""
     if not part.size:
         return
     ends = np.append(np.flatnonzero(np.diff(rows) > 1) + 1, len(rows)).tolist()

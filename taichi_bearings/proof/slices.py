@@ -93,12 +93,12 @@ class Grid(Listed):
         return found
 
     def any_end(self, mask: np.ndarray) -> np.ndarray:
-        """Return the mask (m,) of contacts of which either sphere is in the mask (n,)."""
+        """Return the mask (m,) of the contacts of which either sphere is in `mask` (n,): m contacts, n spheres."""
         return self.across(np.logical_or, mask, bool)
 
     @cached_property
     def contact(self) -> np.ndarray:
-        """(2, m), indices of the first and the second sphere of each contact."""
+        """(2, m), indices of the first (lower) and the second (upper) sphere of each of m contacts."""
         found, number = np.empty((2, self.contacts), dtype=np.intp), self.on_spheres(np.arange(self.spheres))
         for side, ends in enumerate(found):
             by_axis = self.by_axis(ends)
@@ -108,14 +108,14 @@ class Grid(Listed):
 
     @cached_property
     def place(self) -> np.ndarray:
-        """(n, D), place of each sphere in its sample, in lattice sites."""
+        """(n, D), place of each of n spheres in its sample, in lattice sites along each of D axes."""
         lattice = self.samples.lattice
         place = np.indices(lattice.shape).reshape(lattice.dimension, -1).T
         return np.tile(place, (self.samples.count, 1)).astype(float)
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """(m, D), unit vectors from the first to the second sphere."""
+        """(m, D), unit vectors of m contacts from the first to the second sphere, each along one of D axes."""
         found = np.zeros((self.contacts, self.samples.lattice.dimension), dtype=np.int8)
         for axis in range(self.samples.lattice.dimension):
             self.by_axis(found[:, axis])[axis][...] = 1
@@ -245,8 +245,9 @@ class Grid(Listed):
         return self.samples.leader(self.samples.components[k])
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
-        """Return the mask (m,) of contacts without any slip: the signed spins of both spheres are equal in all
-        components that make the contact slip. spin : signed spins by component, C enclosures (n,)."""
+        """Return the mask (m,) of the contacts without any slip: the signed spins of both spheres (spin times the sign
+        by which neighbours differ) are equal in all components that make the contact slip. spin : signed spins of n
+        spheres by component, C enclosures (n,)."""
         found = np.ones(self.contacts, dtype=bool)
         into = self.by_axis(found)
         parts = [[self.on_spheres(of) for of in part.parts[:2] if of.any()] for part in spin]
@@ -257,12 +258,12 @@ class Grid(Listed):
 
     def slips(self, spin: list[Enclosure], shift: list[Enclosure | None], still: np.ndarray) -> Enclosure:
         """Return slip speeds (m,) of all contacts: lengths of the differences of signed spins over the components that
-        make each contact slip. (A signed spin has the sign of its sublattice, so equal ones roll.)
+        make each contact slip. (Signed means times the sign of the sublattice, so equal ones roll.)
 
-        spin : signed spins by component, C enclosures (n,) for the n spheres.
-        shift : by component, (n,), what is added to the spins, known to twice the precision; None for nothing.
-        still : (m,) mask of contacts that do not slip at all.
-        """
+        spin : signed spins (times radius) of n spheres by component, C enclosures (n,).
+        shift : by component, an enclosure (n,) of small numbers, with digits that `spin` cannot hold, that are added to
+            the spins; None for nothing.
+        still : (m,) mask of contacts that do not slip at all, to which no shift is added."""
         found = nothing(self.contacts)
         into, at_rest = [self.by_axis(part) for part in found.parts], self.by_axis(still)
         added = {slot: self.of_spheres(part) for slot, part in enumerate(shift) if part is not None}
@@ -287,12 +288,12 @@ class Grid(Listed):
         return found
 
     def of_spheres(self, values: Enclosure) -> Enclosure:
-        """Return views (R, *N) of an enclosure (n,)."""
+        """Return an enclosure (n,) of all spheres as views (R, *N): R samples of a lattice of shape *N."""
         return Enclosure(*(self.on_spheres(part) for part in values.parts))
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """Return the lengths (m,) of vectors across the normals of contacts. parts : by component, C enclosures
-        (m,)."""
+        """Return the lengths (m,) of vectors across the normals of m contacts. parts : their C components, enclosures
+        (m,); the one along the normal is not read."""
         found = nothing(self.contacts)
         into = [self.by_axis(part) for part in found.parts]
         there = {
@@ -345,7 +346,7 @@ def size_of(parts: list[Enclosure]) -> Enclosure:
 
 @in_cache
 def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
-    """Return the length of vectors given by two components, of any shape."""
+    """Return the length of vectors given by their two components, enclosures of any one shape."""
     shape = first.high.shape
     return length([part.reshaped((-1,)) for part in (first, second)]).reshaped(shape)
 

@@ -96,8 +96,9 @@ def _rolls_exactly(network: JudgedNetwork) -> bool:
 
 
 def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
-    """Return True if spins exist at which the contacts in the mask (E,), those of one part, roll exactly: by Gaussian
-    elimination in fractions, without any rounding. False for parts that are too large for it."""
+    """Return True if spins exist at which the contacts in the mask `contacts` (E,), which free spheres join to one
+    part, roll exactly: by Gaussian elimination in fractions, without any rounding. False if there are none, or if the
+    part has more than MOST_IN_FRACTIONS free spheres."""
     spheres = np.unique(network.graph.contact[:, contacts])
     spheres = spheres[network.free[spheres]]
     if len(spheres) > MOST_IN_FRACTIONS:

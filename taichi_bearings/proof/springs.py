@@ -113,8 +113,8 @@ class Springs:
 
     @property
     def reach(self) -> np.ndarray:
-        """Upper bound (R,) on the size of every component of free spins (times radius) at some minimum; infinite if no
-        floor is proven."""
+        """Upper bound (R,), for each of R samples, on the size of every component of free spins (times radius) at some
+        minimum; infinite if the springs are not proven to resist all motions of the unknowns."""
         slips, largest = self.network.slips(self.network.imposed), self.form.elimination.samples.largest
         squares = sum((self.weight * part.most**2).reshape(self.network.count, -1).sum(axis=1) for part in slips)
         with np.errstate(all="ignore"):

@@ -177,8 +177,9 @@ def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
 
 
 def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
-    """Return states (m,): SLIPPING where the given slip exceeds `far` (m,), a bound on |slip at any minimum - given
-    slip|; SLIPLESS where a contact does not act, UNDECIDED elsewhere."""
+    """Return states (m,) of m contacts: SLIPPING where a contact can dissipate and its given slip exceeds `far`;
+    SLIPLESS where it has no coefficient or no free sphere; UNDECIDED elsewhere. far : (m,), bound on |slip at any
+    minimum - given slip|."""
     slips = network.counts & (network.slip.least > far)
     return np.where(slips, SLIPPING, np.where(network.acts, UNDECIDED, SLIPLESS))
 
@@ -191,7 +192,8 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
 
 
 def _is_one(states: np.ndarray) -> bool | None:
-    """Return whether there is only one minimum, by the states (E,) of all contacts; None if that is not known."""
+    """Return True if there is only one minimum, False if there are several, None if that is not known, by the states
+    (E,) of all contacts: TIED contacts slip at some minima only."""
     return False if (states == TIED).any() else None if (states == UNDECIDED).any() else True
 
 

@@ -144,7 +144,8 @@ class Pulls:
 
     @cached_property
     def same_in_both(self) -> np.ndarray:
-        """(spheres,), equal numbers for spheres that are in the same domain (`domain_tc`) in both components."""
+        """(spheres,), numbers that are equal for two spheres if contacts that do not slip join them in both components
+        (that is, if they are in the same domain of `domain_tc` in both)."""
         return np.unique(self.domain_tc, axis=1, return_inverse=True)[1].reshape(-1)
 
     def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
