@@ -188,19 +188,20 @@ def step_to_boundary(head, tail: ti.template(), head_step, tail_step: ti.templat
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact all that the steps from an iterate share, and the right-hand side of the predictor, which
-    aims at products of zero.
+    """Return for one contact all that the Newton steps from an iterate share, and the right-hand side of the first
+    step, the predictor, which aims at products of zero.
 
-    The list has: weight and rotation (head, tail) of the scaling W; the scaled point (head, tail); W^-2 in the blocks
+    The list has: weight and rotation (head, tail) of the scaling W, by which the primal point (bound, slip) and the
+    dual point (friction limit, minus force) become the same scaled point; that point (head, tail); W^-2 in the blocks
     head-head and head-tail; the stiffness of the contact, 1 number or 3 of a triangle; right-hand side (head, tail);
-    and pull. A contact that is in no cone (SMOOTH) has a stiffness by the friction law instead.
+    and pull on the spheres. A contact that is in no cone, as its row SMOOTH says, has a stiffness by the friction law
+    instead.
 
     values : numbers of all contacts, row by row, flat.
     at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
         as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
     numbers : at m, a small work: where the friction law has no stiffness along the slip, it gets work / slip^2.
-    m : number of the contact within its block.
-    """
+    m : number of the contact within its block."""
     state, like = at[0], at[2]
     friction, bound = values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
     slip = vector(values, state, SLIP, like, m)

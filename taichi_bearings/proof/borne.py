@@ -113,7 +113,7 @@ class ExactlyRolling:
 
     @cached_property
     def contacts(self) -> np.ndarray:
-        """(q,), indices of the contacts that can roll exactly."""
+        """(q,), indices, among all contacts of the packing, of those that can all roll exactly at once."""
         return np.flatnonzero(self.friction_bounds.exact.contacts)
 
     @cached_property
@@ -278,8 +278,10 @@ class SpringsOfX:
 
     @classmethod
     def of(cls, loaded: ExactlyRolling, weight: np.ndarray) -> SpringsOfX | None:
-        """Make springs with the stiffnesses `weight` (q,) at the exactly rolling contacts `loaded`; None if the
-        factorisation fails."""
+        """Make springs at the q exactly rolling contacts, and factorise the matrix by which they are solved; None if
+        that fails.
+
+        loaded : these contacts, with the matrix of their slips. weight : (q,), stiffness of the spring at each."""
         rows = sparse.csr_array(sparse.diags_array(np.sqrt(np.repeat(weight, 3))) @ loaded.rows)
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))

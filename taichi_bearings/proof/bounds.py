@@ -71,7 +71,8 @@ class Bounds:
 
     @classmethod
     def one_by_one(cls, network: JudgedNetwork) -> Bounds:
-        """Return the bounds of several samples that do not all go the same way, each found by itself."""
+        """Return the bounds of R samples, each computed alone, since they need different proofs (some have springs,
+        others none)."""
         network = replace(network, rolling=None)
         samples = [cls.of(network.some(slice(number, number + 1))) for number in range(network.count)]
         found = {name: np.concatenate([getattr(one, name) for one in samples]) for name in BOUNDS_OF_SAMPLES}
@@ -177,8 +178,8 @@ def _held_by_springs(
 
 
 def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
-    """Return the largest size (R,) of a torque on a free sphere that is connected to driven ones. torque : one
-    component, (n,)."""
+    """Return for each of R samples the largest size (R,) of one component of the torque on a free sphere that contacts
+    connect to driven ones. torque : that component for n spheres, an enclosure (n,)."""
     if not torque.high.any():
         return np.zeros(network.count)
     return np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)

@@ -181,7 +181,8 @@ def _most_proving(
 
 
 def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
-    """Return the forces `force` in the replicas of the mask `chosen` (R,), and `other` in the rest; (C, R, E) each."""
+    """Return the forces `force` in the samples of the mask `chosen` (R,), and `other` in the rest; (C components, R
+    samples, E contacts) each."""
     if chosen.all() or not chosen.any():
         return force if chosen.all() else other
     return np.where(chosen[:, None], force, other)
@@ -306,15 +307,18 @@ def capped(force: Forces, ratio: np.ndarray) -> Forces:
 
 
 def _over_relaxed(force: Forces, ratio: np.ndarray) -> Forces:
-    """Return the forces (C, R, E), changed by one and a half times what :func:`capped` changes. ratio : (R, E), |force|
-    over friction limit."""
+    """Return the forces (C components, R samples, E contacts), with each that is longer than its friction limit changed
+    by one and a half times what would shorten it to the limit. ratio : (R, E), |force| over friction limit."""
     return _changed(force, ratio, lambda f, share: f + 1.5 * (f * share - f))
 
 
 def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Forces:
-    """Return change(force, share) for all forces, computed in parts that fit the caches. share : the factor, at most 1,
-    that brings a force back to its friction limit; 0 for a force of 0. ratio : (R, E), |force| over friction limit.
-    Forces and result : (C, R, E)."""
+    """Return the forces after a change to each, (C components, R samples, E contacts), computed in parts that fit the
+    caches.
+
+    force : (C, R, E). ratio : (R, E), |force| over friction limit.
+    change : function of a component of forces and of their share, the factor, at most 1, that brings a force back to
+        its friction limit (0 for a force of 0); it returns the new component."""
     found = np.empty(force.shape)
     for part in _in_cache(ratio):
         share = inverse(ratio[part])

@@ -43,8 +43,10 @@ def decided(
 
 
 def are_proven(state: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the mask (R, E) of the contacts whose state is the one proven of all minima, and of those that take no
-    part. state, known : (R, E)."""
+    """Return the mask (R, E), for R samples of E contacts, of those whose state is proven, or which take no part.
+
+    state : (R, E), states that are reported. known : (R, E), states proven of all minima, UNDECIDED where nothing is
+        proven."""
     return (state == ContactState.DRIVEN) | ((state == known) & (known != ContactState.UNDECIDED))
 
 
@@ -135,17 +137,22 @@ def what_is_proven(state: np.ndarray, proven: np.ndarray) -> np.ndarray:
 
 
 def by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.ndarray:
-    """Return states (..., E) by slip alone: contacts faster than `threshold` are SLIPPING, all others SLIPLESS, except
-    those that take no part. slip, threshold : length/time. state : (..., E), DRIVEN for those that take no part."""
+    """Return states (..., E) of E contacts by slip alone: SLIPPING where a contact is faster than `threshold`, SLIPLESS
+    elsewhere, but DRIVEN where it takes no part.
+
+    slip : (..., E), speeds. threshold : in the same unit, length/time. state : (..., E), DRIVEN for contacts that take
+        no part; other states are not read."""
     state_by_slip = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
     return np.where(state == ContactState.DRIVEN, state, state_by_slip).astype(np.uint8)
 
 
 def counts(state: np.ndarray) -> np.ndarray:
-    """Return how many contacts are in each state, (R, states). state : (R, E)."""
+    """Return (R, S), how many contacts of each of R samples are in each of the S states, in the order of
+    `ContactState`. state : (R, E), states of E contacts."""
     return np.stack([np.bincount(one, minlength=len(ContactState)) for one in state])
 
 
 def count(state: np.ndarray, which: ContactState) -> np.ndarray:
-    """Return how many contacts are in the state `which`, (R,). state : (R, E)."""
+    """Return (R,), how many contacts of each of R samples are in the state `which`. state : (R, E), states of E
+    contacts."""
     return counts(state)[:, which]

@@ -136,7 +136,8 @@ class Slipping:
 
     @cached_property
     def direction(self) -> tuple[Enclosure, Enclosure]:
-        """Unit vector along the slip of each of the m contacts that slip in two components: two enclosures (m,)."""
+        """Unit vector along the slip of each of the m contacts that slip in two components: its two components,
+        enclosures (m,)."""
         size = self.size.at(self.curved)
         return self.difference[0].at(self.curved) / size, self.difference[1].at(self.curved) / size
 
@@ -158,8 +159,9 @@ class Slipping:
         return found[0], found[1]
 
     def change(self, slot: int) -> sparse.csr_array:
-        """Return the matrix (n, unknowns) with entries 1, -1 and 0 that gives one component of the change of each slip
-        from changes of the unknowns. slot : 0 or 1, for the first or the second component in `felt`."""
+        """Return the matrix (n, unknowns) with entries 1, -1 and 0 that gives one component of the change of each of n
+        slips from changes of the unknowns, spins of free domains. slot : 0 or 1, for the first or the second component
+        in `felt`."""
         ends = np.stack([self.upper[slot], self.lower[slot]], axis=1)
         kept = (ends >= 0) & (ends[:, :1] != ends[:, 1:])  # a contact within one domain has no difference
         begin = np.append(0, np.cumsum(kept[:, 0].astype(np.int8) + kept[:, 1]))
@@ -254,8 +256,8 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
 
     # The minimum is within rho = 1.5 |g| / tau of these spins, as 1.5 > 1 / 0.72. Each block has its own radius.
     def turn(tau: float) -> np.ndarray:
-        """Return the bound (n,) on the change of each slip over its size that follows if the curvature is at least
-        `tau` times its diagonal."""
+        """Return for each of n contacts the bound (n,) on the change of its slip, over the size of the slip, that
+        follows if the curvature is at least `tau` times its diagonal."""
         radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
         reach = radius[block] / root  # largest |v| of each variable, as h v^2 <= rho^2
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
@@ -377,7 +379,7 @@ class Form:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """(n,), factors by which the scaled unknowns are multiplied to give the original ones."""
+        """(n,), factors by which the n scaled unknowns are multiplied to give the original ones."""
         return 1 / np.sqrt(self.squares)
 
     def floor(self, sharp: bool = False) -> np.ndarray:
@@ -414,12 +416,13 @@ class Curvature:
 
     @cached_property
     def tau(self) -> float:
-        """The proven floor tau of the curvature in scaled unknowns; 0 if none is proven."""
+        """A number for which it is proven that the curvature in scaled unknowns has no eigenvalue below it; 0 if none
+        is found."""
         return float(self.form.floor()[0])
 
     @cached_property
     def entries(self) -> list[sparse.csr_array]:
-        """Absolute values of the entries of `changes`: two matrices of zeros and ones."""
+        """Absolute values of the entries of `changes`: two matrices (contacts, unknowns) of zeros and ones."""
         return [_with_values(change, np.abs(change.data)) for change in self.changes]
 
     def remains(self, contacts: Slipping, turn: np.ndarray) -> bool:
@@ -579,8 +582,10 @@ def proven_floor(
 
 
 def _least_eigenvalue(elimination: Elimination) -> np.ndarray:
-    """Return a rough value of the least eigenvalue of the eliminated matrix of each sample, (R,), by inverse iteration;
-    0 where rounding hides it. Nothing about it is proven; it is a guess for :func:`proven_floor`."""
+    """Return for each of R samples a rough value (R,) of the least eigenvalue of its matrix, by inverse iteration; 0
+    where rounding hides it. Nothing about it is proven: proofs start from it as a guess.
+
+    elimination : how to eliminate the matrix, which holds the unknowns of all samples."""
     factor, samples = elimination.factorised_samples(-LEAST_CURVATURE), elimination.samples
     if factor.failed.all():
         return np.zeros(samples.count)

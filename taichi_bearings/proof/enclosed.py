@@ -38,7 +38,10 @@ def judged_network(
 
 
 def _on_lattice(samples: OnLattice) -> JudgedNetwork:
-    """Return the network of the R samples of a lattice, side by side."""
+    """Return the spins, friction and contacts of R samples of a lattice, side by side, as enclosures in units that are
+    powers of two (speeds: times the radius).
+
+    samples : the samples, whose scales have been checked (`can_be_judged`)."""
     scene, grid, force = samples.scene, Grid(samples), samples.force_unit
     strength, radius, law = scene.strength, scene.lattice.radius, scene.law
     coefficient, free = scene.coefficient.ravel(), np.ones(grid.spheres, dtype=bool)
@@ -113,12 +116,12 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
 
 
 def _equalise_imposed_speeds(u: Enclosure, driven: np.ndarray) -> None:
-    """Change one component u (N,) of spin times radius in place: driven spheres whose sizes of u differ by no more than
-    ONE_SPEED units in the last place all get the smallest of these sizes, as a double.
+    """Change one component u of spin times radius of N spheres, an enclosure (N,), in place: driven spheres whose sizes
+    of u differ by no more than ONE_SPEED units in the last place all get the smallest of these sizes, as a double, with
+    their own signs.
 
     A spin that was computed as speed over radius is rounded, so that one driving appears as several. Sizes that are
-    close to no other one keep all their digits. driven : indices of the driven spheres.
-    """
+    close to no other one keep all their digits. driven : indices of the driven spheres."""
     own = driven[u.high[driven] != 0]
     sign = np.sign(u.high[own])
     (size, _), place = np.unique(np.stack([sign * u.high[own], sign * u.low[own]]), axis=1, return_inverse=True)

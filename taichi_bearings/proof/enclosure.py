@@ -64,7 +64,8 @@ def in_cache(made: Made) -> Made:
 
 
 def _parts_of(shape: tuple[int, ...]) -> Iterator[tuple[int | slice, ...]]:
-    """Yield indices of successive parts, about IN_CACHE numbers each, that cover an array of the given shape."""
+    """Yield indices of successive parts of an array with the shape `shape`, about IN_CACHE numbers each, that together
+    cover it."""
     row = math.prod(shape[1:])
     if row > 2 * IN_CACHE:
         for first in range(shape[0]):
@@ -122,7 +123,7 @@ class Enclosure:
 
     @in_cache
     def plus(self, other: np.ndarray) -> Enclosure:
-        """Return the sum with an array of doubles that are exact."""
+        """Return the sum with `other`, an array of doubles that are taken as exact, element by element."""
         high, rest = two_sum(self.high, other)
         high, rest = _fast_two_sum(high, rest + self.low)
         return Enclosure(high, rest, (self.error + PAIR_ROUNDING * np.abs(high)) * UP)
@@ -145,7 +146,7 @@ class Enclosure:
 
     @in_cache
     def times(self, other: np.ndarray) -> Enclosure:
-        """Return the product with an array of doubles that are exact."""
+        """Return the product with `other`, an array of doubles that are taken as exact, element by element."""
         product, rest = two_product(self.high, other)
         rest += self.low * other
         error = self.error * (np.abs(other) * SLIGHTLY_UP)
@@ -193,11 +194,13 @@ class Enclosure:
         return Enclosure(*(part[where] for part in self.parts))
 
     def at(self, places: np.ndarray) -> Enclosure:
-        """Return the enclosures at `places` (integers) of the flattened arrays."""
+        """Return the enclosures at the places `places` of the arrays, counted from 0 as if these were flat; the result
+        has the shape of `places`."""
         return Enclosure(*(part.reshape(-1).take(places) for part in self.parts))
 
     def put(self, places: np.ndarray, others: Enclosure) -> None:
-        """Overwrite the enclosures at `places` (integers) of the flattened arrays by `others`, in place."""
+        """Overwrite the enclosures at the places `places` of the arrays by `others`, in place; places are counted from
+        0 as if the arrays were flat, and each gets one of the others."""
         for part, other in zip(self.parts, others.parts, strict=True):
             part.put(places, other)
 
@@ -251,8 +254,8 @@ def joined(members: list[Enclosure]) -> Enclosure:
 
 
 def row_sum(values: Enclosure) -> Enclosure:
-    """Return the sums (R,) over the rows of enclosures (R, n), added in pairs: first with second, third with fourth,
-    and so on with the sums."""
+    """Return for each of R rows the sum (R,) of its n numbers, an enclosure (R, n). The second half of a row is added
+    to the first, number by number, and so on with these sums; so there are few roundings, always in the same order."""
     while (size := values.high.shape[1]) > 1:
         half = size // 2
         paired, odd = values[:, :half] + values[:, half : 2 * half], values[:, 2 * half :]
@@ -263,8 +266,10 @@ def row_sum(values: Enclosure) -> Enclosure:
 
 
 def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
-    """Return the sums (count,) of the values (n,) that belong to each owner, added in pairs. owner : (n,), integers
-    from 0 to count - 1."""
+    """Return for each owner the sum (count,) of its values, an enclosure (n,): neighbours among the values of an owner
+    are added in pairs, and so on with these sums.
+
+    owner : (n,), the owner of each value, 0 to count - 1."""
     if count == 1:
         return row_sum(values.reshaped((1, -1)))
     order = np.argsort(owner.astype(np.uint16) if count <= 2**16 else owner, kind="stable")  # 16 bits: radix sort
@@ -285,8 +290,10 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
 
 
 def length(parts: list[Enclosure]) -> Enclosure:
-    """Return the length (n,) of vectors given by their components, one enclosure (n,) each. If only one component of a
-    vector is not 0, its length is exactly the absolute value of that."""
+    """Return the lengths (n,) of n vectors. If only one component of a vector is not 0, its length is exactly the size
+    of that.
+
+    parts : the components of all vectors, one enclosure (n,) each."""
     parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # leave out exact zeros
     there = np.array([(part.high != 0) | (part.error != 0) for part in parts])
     several = np.flatnonzero(there.sum(axis=0, dtype=np.int8) > 1)
@@ -299,8 +306,10 @@ def length(parts: list[Enclosure]) -> Enclosure:
 
 
 def _length_of_several(parts: list[Enclosure]) -> Enclosure:
-    """Return the length (n,) of vectors given by their components, of which more than one is not exactly 0. Short
-    vectors are scaled up by a power of two before they are squared, since small squares would lose digits."""
+    """Return the lengths (n,) of n vectors of which more than one component is not exactly 0. Short vectors are scaled
+    up by a power of two before they are squared, since small squares would lose digits.
+
+    parts : the components of all vectors, one enclosure (n,) each."""
     sizes = np.max([part.most for part in parts], axis=0)
     faint = sizes < LEAST_LENGTH
     if not faint.any():

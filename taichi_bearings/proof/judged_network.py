@@ -191,11 +191,13 @@ class JudgedNetwork:
             return self
 
         def of(values: np.ndarray) -> np.ndarray:
-            """Return the entries of the chosen samples of an array (n,) or (m,)."""
+            """Return the entries of an array (n,) or (m,), over all spheres or all contacts, that belong to the chosen
+            samples."""
             return values.reshape(self.count, -1)[pick].reshape(-1)
 
         def part(values: Enclosure) -> Enclosure:
-            """Return the entries of the chosen samples of an enclosure (n,) or (m,)."""
+            """Return the entries of an enclosure (n,) or (m,), over all spheres or all contacts, that belong to the
+            chosen samples."""
             return Enclosure(*map(of, values.parts))
 
         return replace(
@@ -293,9 +295,9 @@ class JudgedNetwork:
 
     @cached_property
     def needed(self) -> list[int]:
-        """Numbers k of the components along which some minimum may slip; along all others no contact slips at any
-        minimum. On a lattice the component about the height is never among them, as each layer may turn freely about
-        it."""
+        """List of those of the C spin components, by their numbers k, along which contacts may slip at some minimum;
+        along all others no contact slips at any minimum. On a lattice the component about the height is never among
+        them, as each layer may turn freely about it."""
         return self.graph.needed(self.box, self._is_needed)
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -379,8 +381,9 @@ class Motion:
         return bool((self.rests & self.network.slips_with[k]).any())
 
     def domains(self, k: int) -> np.ndarray:
-        """Return the number (n,) of the domain of each sphere in component k. A domain are spheres that contacts which
-        are taken to rest join, and on lattices also driven spheres of one plane and layer."""
+        """Return the number (n,) of the domain of each of n spheres in component k. A domain is a group of spheres that
+        turn as one: those that resting contacts join, and on lattices also the driven spheres of one plane and layer.
+        """
         network, size = self.network, len(self.network.free)
         own = network.graph.anchor(k)
         if not self.joins(k):
@@ -471,6 +474,7 @@ class Domains(dict[int, np.ndarray]):
         self.motion = motion
 
     def __missing__(self, k: int) -> np.ndarray:
-        """Compute the domains of component k, and keep them."""
+        """Return the number (n,) of the domain of each of n spheres in component k, and keep it; called by Python when
+        k is asked for first."""
         self[k] = found = self.motion.domains(k)
         return found

@@ -78,25 +78,26 @@ class Judgement:
 
     @property
     def acts(self) -> np.ndarray:
-        """(R, E) mask of the contacts that take part: they have a coefficient and a free end."""
+        """(R, E) mask, for R samples of E contacts: True for those with a coefficient and a free sphere."""
         return self._by_sample(self.network.acts)
 
     @property
     def limit(self) -> np.ndarray:
-        """(R, E), friction limit mu F_n of each contact, force; for laws without friction the damping, force * time /
-        length."""
+        """(R, E), friction limit mu F_n of each of E contacts of R samples, force; for laws without friction the
+        damping, force * time / length."""
         if not self.law.holds:
             return self.damping
         return self._by_sample(self.network.holding.value) * self.force_unit[:, None]
 
     @property
     def damping(self) -> np.ndarray:
-        """(R, E), damping eta of each contact, force * time / length; 0 for friction alone."""
+        """(R, E), damping eta of each of E contacts of R samples, force * time / length; 0 for laws of
+        friction alone."""
         return self._by_sample(self.network.slope.value) * (self.force_unit / self.network.speed_unit)[:, None]
 
     @property
     def force_unit(self) -> np.ndarray:
-        """(R,), the unit of force of each sample, a power of two."""
+        """(R,), for each of R samples the power of two in which its forces are measured in `network`."""
         return self.network.force_unit
 
     @property
@@ -113,13 +114,13 @@ class Judgement:
 
     @property
     def friction_size(self) -> np.ndarray:
-        """(R, E), size of the stored friction, force."""
+        """(R, E), size of the stored friction of each of E contacts of R samples, force."""
         return self._by_sample(np.linalg.norm(self.network.graph.friction, axis=1)) * self.force_unit[:, None]
 
     @cached_property
     def slipless(self) -> np.ndarray:
-        """(R,) mask of the samples for which it is proven that a state without any slip exists: their least objective
-        is 0."""
+        """(R,) mask of the samples for which it is proven that a state without any slip exists, so that their least
+        objective (power, or potential with viscosity) is 0."""
         return exists_without_slip(self.network)
 
     @cached_property
@@ -136,8 +137,8 @@ class Judgement:
 
     @cached_property
     def slip(self) -> np.ndarray:
-        """(R, E), slip speeds of the stored spins, to the nearest doubles, length/time; 0 where the sample is at
-        rest."""
+        """(R, E), slip speed of each of E contacts of R samples in the stored spins, to the nearest doubles,
+        length/time; 0 for samples at rest (`at_rest`)."""
         slip = self._by_sample(self.network.slip.value * self.network.speed_unit)
         return np.where(self.at_rest[:, None] & self.acts, 0.0, slip) if self.at_rest.any() else slip
 
@@ -156,7 +157,8 @@ class Judgement:
 
     @property
     def known(self) -> np.ndarray:
-        """(R, E), the states that are proven of all minima, UNDECIDED where nothing is proven."""
+        """(R, E), for each of E contacts of R samples the state that is proven of all minima, UNDECIDED where nothing
+        is proven."""
         return np.stack([of.known for of in self.states])
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
@@ -166,11 +168,11 @@ class Judgement:
 
     @property
     def lower_bound(self) -> np.ndarray:
-        """(R,), a number not above the least objective, energy/time.
+        """(R,), for each of R samples a number not above the least objective (power, or potential with viscosity),
+        energy/time.
 
         If the reported objective is rounded down from the upper bound, this bound is scaled down by the same ratio. So
-        the gap of the reported numbers never looks smaller than the proven one.
-        """
+        the gap of the reported numbers never looks smaller than the proven one."""
         lower = np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
         upper, objective = self.upper_bound, self.objective
         share = np.divide(objective, upper, out=np.ones_like(upper), where=np.isfinite(upper) & (upper > objective))
@@ -179,18 +181,20 @@ class Judgement:
 
     @property
     def upper_bound(self) -> np.ndarray:
-        """(R,), a number not below the least objective: the objective of the stored spins, rounded up; 0 at rest."""
+        """(R,), for each of R samples a number not below the least objective, energy/time: the objective of the stored
+        spins, rounded up; 0 for samples at rest (`at_rest`)."""
         return np.where(self.at_rest, 0.0, self._reported(self.bounds.upper, np.inf))
 
     @property
     def power(self) -> np.ndarray:
-        """(R,), the power that the stored spins dissipate, to the nearest doubles, energy/time; 0 at rest."""
+        """(R,), the power that the stored spins of each of R samples dissipate, to the nearest doubles, energy/time; 0
+        for samples at rest (`at_rest`)."""
         return self._of_spins(1.0, self.network.power_unit)
 
     @property
     def objective(self) -> np.ndarray:
-        """(R,), the quantity that the stationary state minimises, for the stored spins, to the nearest doubles: the
-        power, or with friction and viscosity the potential, energy/time."""
+        """(R,), for each of R samples what the stationary state minimises, at the stored spins, to the nearest doubles:
+        the power, or with friction and viscosity the potential, energy/time."""
         return self._of_spins(0.5, self.network.power_unit * self.law.share)
 
     def _of_spins(self, of_slope: float, unit: np.ndarray) -> np.ndarray:
@@ -204,16 +208,16 @@ class Judgement:
 
     @property
     def price(self) -> np.ndarray:
-        """(R,), the part of the relative gap that is due to unbalanced torques on free spheres: what they lower the
-        lower bound by, over the upper bound. Infinite where the upper bound is 0 but the price is not; 0 for slipless
-        samples."""
+        """(R,), for each of R samples the part of the relative gap that is due to unbalanced torques on free spheres:
+        what they lower the lower bound by, over the upper bound. Infinite where the upper bound is 0 but the price is
+        not; 0 for samples with a state without any slip."""
         price, upper = np.where(self.slipless, 0.0, self.bounds.price), self.bounds.upper
         return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
 
     @property
     def gap(self) -> np.ndarray:
-        """(R,), (objective - lower bound) / objective of the reported numbers; 0 at rest, NaN for spins that are
-        impossible."""
+        """(R,), for each of R samples (objective - lower bound) / objective of the reported numbers; 0 at rest, NaN for
+        stored spins that no motion can have."""
         objective = self.objective
         gap = np.where(np.isfinite(objective), 0.0, np.nan)
         some = np.isfinite(objective) & (objective > 0)
@@ -222,20 +226,21 @@ class Judgement:
 
     @property
     def proof(self) -> np.ndarray:
-        """(R,), the words that say for which spins the lower bound of each sample is proven."""
+        """(R,), for each of R samples words that say for which spins its lower bound is proven: of all, or of those up
+        to some speed."""
         return np.where(self.slipless, PROVEN, PROVEN if self.slipless.all() else self.bounds.proof)
 
     @property
     def largest_torque(self) -> np.ndarray:
-        """(R,), the largest torque left over on a free sphere, rounded up, force * length; for packings over the radius
-        of the sphere, force."""
+        """(R,), for each of R samples the largest torque that the stored friction leaves over on a free sphere, rounded
+        up, force * length; for packings over the radius of the sphere, force."""
         radius = self.scene.slip_radius
         return rounded_out(self.bounds.largest_torque, self.force_unit * radius, np.inf)
 
     @property
     def driven_power(self) -> np.ndarray:
-        """(R,), the power that contacts between driven spheres of a packing dissipate, energy/time. They are no part of
-        the problem."""
+        """(R,), for each of R samples the power that contacts between driven spheres of a packing dissipate,
+        energy/time. They are no part of the problem."""
         between = ~self.network.free[self.network.graph.contact].any(axis=0)
         return np.asarray(self.network.dissipated(1.0, between).value * self.network.power_unit)
 

@@ -81,12 +81,12 @@ class FrictionBounds:
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """Friction at hand, (E, 3), rounded to doubles."""
+        """Friction at hand of each of E contacts, (E, 3), rounded to doubles."""
         return np.stack([part.value for part in self.given], axis=1)
 
     @cached_property
     def tangents(self) -> np.ndarray:
-        """(E, 2, 3), two unit vectors for each contact, at right angles to its normal and to each other."""
+        """(E, 2, 3), two unit vectors for each of E contacts, at right angles to its normal and to each other."""
         n = self.network.graph.normal
         first = np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)])
         first /= np.linalg.norm(first, axis=1)[:, None]
@@ -105,7 +105,7 @@ class FrictionBounds:
 
     @cached_property
     def sphere(self) -> np.ndarray:
-        """(n,), the sphere to which each unknown spin component belongs."""
+        """(n,), for each of n unknown spin components the index of the sphere to which it belongs."""
         return np.nonzero(self.number >= 0)[0]
 
     @cached_property
@@ -131,7 +131,8 @@ class FrictionBounds:
         )
 
     def sum_at_spheres(self, values: np.ndarray) -> np.ndarray:
-        """Return for each sphere the sum (N,) of `values` (E,) over its contacts that can dissipate."""
+        """Return for each of N spheres the sum (N,) of `values`, (E,) for E contacts, over those of its contacts that
+        can dissipate."""
         ends = self.network.graph.contact[:, self.network.counts].ravel()
         return np.bincount(ends, np.tile(values[self.network.counts], 2), len(self.network.free))
 
@@ -259,8 +260,10 @@ def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -
 
 
 def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return N (2 q, m) and Y (n, 2 q) for a matrix of rows M (2 q, n), the slips of q contacts. Columns of N are
-    friction that exerts no torque, M^T N = 0, each along one loop; Y is the pseudo-inverse of M."""
+    """Return, for a matrix M of slips of q contacts, a matrix N (2 q, m) and a matrix Y (n, 2 q). Each column of N is
+    friction along one of m loops, which exerts no torque: M^T N = 0 but for rounding. Y is the pseudo-inverse of M.
+
+    rows : M, (2 q, n), both tangential components of each slip from n unknown spin components."""
     u, size, v = np.linalg.svd(rows, full_matrices=True)
     rank = int((size > NEARLY_SINGULAR * size.max(initial=0.0)).sum())
     inverse = (v[:rank].T / size[:rank]) @ u[:, :rank].T

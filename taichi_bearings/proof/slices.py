@@ -23,10 +23,9 @@ Place = tuple[slice, ...]
 
 class Grid(Listed):
     """The contacts of R samples of a lattice, for the proofs: n spheres and m contacts in all, with C components of
-    spins.
+    spins. Results are computed by slices of arrays over the lattice, of shape (R, *N), rather than by lists.
 
-    samples : the samples whose contacts these are.
-    """
+    samples : the samples whose contacts these are, with their spins and friction."""
 
     layered = True
     normal_rounding = 0.0

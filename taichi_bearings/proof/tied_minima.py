@@ -92,9 +92,9 @@ class Pulls:
         along the other component.
     coefficient : (n,), friction limits, in exact proportions.
     in_s : (n,) mask of the contacts of S.
-    domain_tc, domain_t, domain_tc0 : (2, spheres), labels of domains, by component. A domain are spheres that contacts
-        join: those of T and C; of T; or of T and those of C that bear nothing along the component. 0 and 1 stand for
-        what moves with the bottom and with the top."""
+    domain_tc, domain_t, domain_tc0 : (2, spheres), labels of domains, by component. A domain is a group of spheres that
+        contacts join: those of T and C; of T; or of T and those of C that bear nothing along the component. 0 and 1
+        stand for what moves with the bottom and with the top."""
 
     own: np.ndarray
     lower: np.ndarray
