@@ -103,16 +103,17 @@ def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti
 
 @ti.func
 def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m, sign: ti.template()):
-    """Return the Nesterov-Todd scaling W of a contact times a point, or W^-1 times it: a list that begins with the
-    head.
+    """Return a point (head, tail) of a cone times the scaling W of a contact, or times W^-1: a list that begins with
+    the head.
 
-    W brings the primal point (bound, slip) and the dual point (friction, minus force) together: W^-1 primal = W dual.
+    W (of Nesterov and Todd) brings the primal point (bound, slip) and the dual point (friction limit, minus force)
+    together: W^-1 primal = W dual.
 
-    values, at : all rows, and indices of the rows of the state, which hold W as a weight and a rotation.
+    values, at : numbers of all contacts, row by row, flat; and for each row of the iterate the index of its number for
+        the first contact of the block. Rows of it hold W as a weight and a rotation.
     head, tail : the point; the tail is a list of one or two numbers.
     m : number of the contact within its block.
-    sign : 1 for W, -1 for W^-1.
-    """
+    sign : 1 for W, -1 for W^-1."""
     weight = values[at[WEIGHT] + m]
     if ti.static(sign < 0):
         weight = 1.0 / weight
@@ -135,12 +136,12 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
     """Return W^-1 x for the point x with (scaled point) o x = (head, tail): a list that begins with the head.
 
     W is the Nesterov-Todd scaling of the contact, by which its primal and its dual point become the same scaled point,
-    W^-1 primal = W dual. o is the Jordan product, which is inverted here.
+    W^-1 primal = W dual. o is the Jordan product, (a, b) o (c, e) = (a c + b.e, a e + c b), which is inverted here.
 
-    values, at : all rows, and indices of the rows of the state, which hold W and the scaled point.
+    values, at : numbers of all contacts, row by row, flat; and for each row of the iterate the index of its number for
+        the first contact of the block. Rows of it hold W and the scaled point.
     head, tail : the right-hand side; the tail is a list of one or two numbers.
-    m : number of the contact within its block.
-    """
+    m : number of the contact within its block."""
     by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
     first, share = (by * head - dot(by_tail, tail)) / determinant(by, by_tail), 1.0 / by
     rest = [(tail[k] - by_tail[k] * first) * share for k in ti.static(range(len(tail)))]
@@ -149,16 +150,16 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
 
 @ti.func
 def right_side_and_pull(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Return a right-hand side of a Newton step and the pull on the spheres that follows from it: head, tail, pull, in
-    a list.
+    """Return the right-hand side of a Newton step at one contact, and the pull on the spheres that follows from it: a
+    list of head, tail, and pull (1 or 2 numbers, one for each slipping component).
 
-    The pull is the force, by slipping component, with which the contact enters the equations of the spheres once its
-    bound is eliminated from them.
+    The pull is the force with which the contact enters the equations of the spheres, once the change of its bound of
+    the slip is eliminated from them.
 
-    values, at : all rows, and indices of the rows of the state.
+    values, at : numbers of all contacts, row by row, flat; and for each row of the iterate the index of its number for
+        the first contact of the block.
     head, tail : the right-hand side; the tail is a list of one or two numbers.
-    m : number of the contact within its block.
-    """
+    m : number of the contact within its block."""
     dual = vector(values, at, DUAL, tail, m)
     off = vector(values, at, OFF, tail, m)
     smooth, share = values[at[SMOOTH] + m] > 0.0, head / values[at[DIAGONAL] + m]

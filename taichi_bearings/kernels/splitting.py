@@ -60,18 +60,17 @@ class ContactStep(Sweeps):
     @ti.func
     def limit(self, difference: ti.template(), old: ti.template(), own: ti.template(), weight, relaxation):
         """Return new trial and spring forces of a block of contacts: a list with the components of the first, then of
-        the second.
+        the second; all 0 where the lattice has no contact.
 
         With f the old trial force cut off at the friction limit, the new trial force is f + (1 - relaxation) (old - f)
-        + relaxation * weight * difference. The spring force is weight * difference - (new - 2 * new cut off). Both are
-        0 where the lattice has no contact.
+        + relaxation * weight * difference. The spring force is weight * difference - (new - 2 * new cut off).
 
-        difference : D(potential), a list with an entry for each component.
+        difference : upper less lower sphere of the field `potential`, spins in units of force: a list with an entry for
+            each component that makes the contacts slip.
         old : trial forces before, a list of the same length.
         own : friction limit of each contact, negative where there is none.
         weight : relative stiffness of these springs.
-        relaxation : factor alpha of the over-relaxation; with 0 the trial forces stay.
-        """
+        relaxation : factor alpha of the over-relaxation; with 0 the trial forces stay as they were."""
         is_inside, friction = own >= 0.0, ti.max(own, 0.0)
         force = self.limited(old, friction)
         moved = [

@@ -74,8 +74,8 @@ def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
 
 
 def _rolls_exactly(network: JudgedNetwork) -> bool:
-    """Return True if spins are proven to exist at which all contacts of a network roll exactly. It has a single sample,
-    and normals in any direction."""
+    """Return True if spins are proven to exist at which all contacts of `network` roll exactly. The network has a
+    single sample, and normals in any direction."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
     # Leave out spheres that can make any slips, then contacts that exact motions let roll. Parts with other contacts

@@ -192,10 +192,12 @@ class Line:
         return np.isin(piece, piece[some])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three masks (n,): the contact rests at some minimum; it slips at every one; it slips at some.
+        """Return three masks (n,), one entry for each of n contacts: it rests at some minimum; it slips at every one;
+        it slips at some.
 
-        No contact slips backwards at any minimum. So slips differ from those at one minimum no further than shortest
-        paths allow, in a graph whose edges are the contacts, with their slips as lengths.
+        Between minima wide domains shift along one component, as far as no contact slips backwards. So a contact can
+        give up its slip unless another path of contacts between the same domains has shorter slips in all; shortest
+        paths, with slips as lengths of edges, decide.
 
         least, most : (n,), bounds of the slip at one minimum, both 0 for contacts that do not slip there."""
         # That a contact does not slip backwards means y[head] - y[tail] <= t.
