@@ -50,8 +50,8 @@ class Judgement:
 
     @property
     def can_be_judged(self) -> bool:
-        """False for numbers that are not finite, or whose scales are so large or small that products might overflow or
-        underflow."""
+        """True if the proofs can be made. False for numbers that are not finite, or whose scales are so large or small
+        that products might overflow or underflow."""
         return self._network is not None
 
     @cached_property

@@ -226,8 +226,8 @@ class Grid(Listed):
         return self.samples.shift[self.samples.components[k]]
 
     def middle(self, some: np.ndarray) -> np.ndarray:
-        """Return the positions (q, D) of the middles of the contacts with the indices `some` (q,); those across a
-        periodic side lie half a site beyond it."""
+        """Return the positions (q, D) in D dimensions, in lattice sites, of the middles of q contacts; those of
+        contacts across a periodic side lie half a site beyond it. some : (q,), their indices."""
         return np.asarray(self.place[self.contact[0, some]] + self.normal[some] / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:

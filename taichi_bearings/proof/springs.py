@@ -77,10 +77,10 @@ class Springs:
 
     @classmethod
     def of(cls, network: JudgedNetwork, potential: np.ndarray) -> Springs | None:
-        """Make springs such that, at every minimum, the sum of q |slip|^2 over all contacts is at most 1. Return None
-        if some unknown spin component changes no slip.
+        """Choose the stiffness q of each spring, and make springs such that at every minimum the sum of q |slip|^2 over
+        all contacts is at most 1. Return None if some unknown spin component changes no slip.
 
-        potential : (R,), for each sample a number that the potential of minima does not exceed, in units of the
+        potential : (R,), for each of R samples a number that the potential of minima does not exceed, in units of the
             network."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
         least = np.where(holding > 0, holding, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
