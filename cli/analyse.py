@@ -70,7 +70,8 @@ def describe(report: dict[str, Any], times: str) -> str:
         lines.append(f"not certified: {len(open_ends)} of {counted(len(ended), 'sample')} ({statuses})")
     if len(seeds) > 1:
         samples, first, last = len(seeds), seeds[0], seeds[-1]
-        lines.append(f"{samples} samples, seeds {first} ... {last}: mean, least and largest value, or how many samples")
+        how = "each number as mean, least and largest value; of each fact the number of samples where it is true"
+        lines.append(f"{samples} samples, seeds {first} ... {last}: {how}")
     for title, rows in {"contacts": [COLUMNS[name] for name in REPORTED], **STRUCTURE}.items():
         found = lines_of(rows, report)
         if title == "bottlenecks" and not any(listed(report["spans"])):

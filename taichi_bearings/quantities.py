@@ -276,7 +276,7 @@ SAMPLES = _named(
                  " other slips have it too",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time", _at_end("time")),
-        Quantity("duration", "time", "simulated time that was asked for",
+        Quantity("duration", "time", "simulated time at which the dynamics was asked to end",
                  lambda a: a.asked.duration if "time" in a.solution.history else None),
         Quantity("energy_residual", "1", "error of the energy balance, as a share of the energy put in or dissipated",
                  _at_end("energy_residual")),

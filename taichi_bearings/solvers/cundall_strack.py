@@ -185,7 +185,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         if float(state["time_step"]) != self.time_step:
             raise InputError(
                 f"time_step is {self.time_step!r}, but the run to be resumed has {float(state['time_step'])!r}; "
-                "it was made by another version or library"
+                "that run was made by another version or library"
             )
         super().restore(state)
         for name in self._changing:
