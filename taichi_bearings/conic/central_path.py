@@ -114,10 +114,10 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 
     iterate : a point of the path; not changed. matrix : Newton matrix of its system, which is factorised anew.
 
-    Forces of contacts in cones change in proportion to the square of their room, friction less force, and by at most
-    STEP_SHARE of the way to the first cone's boundary. Why it is needed: stiff contacts magnify the rounding of spins;
-    with friction over six decades a Newton step leaves torques of 1e-8. Raises NotPositiveDefinite if the forces cannot
-    be balanced.
+    The force of a contact changes in proportion to the square of its room, friction less size of the force; all change
+    by at most STEP_SHARE of the way at which the first force would reach its friction. Why it is needed: stiff contacts
+    magnify the rounding of spins; with friction over six decades a Newton step leaves torques of 1e-8. Raises
+    NotPositiveDefinite if the forces cannot be balanced.
     """
     friction, dual = iterate.friction, iterate.dual
     load = iterate.to_balance(iterate.spins)
@@ -330,10 +330,11 @@ class Path:
         return step
 
     def _solved(self, slot: int) -> _Step:
-        """Return the step that solves W^-2 d(primal) + d(dual) = right-hand side with all torques in balance, where W
-        is the scaling of the cones.
+        """Return the Newton step of all samples: it solves W^-2 d(primal) + d(dual) = right-hand side with all torques
+        in balance. Primal are bounds and slips, dual are frictions and forces; W is the scaling (Nesterov and Todd) of
+        their cones, bound >= |slip| and friction >= |force|.
 
-        slot : 0 or 1, where the rows hold the right-hand side and get the step.
+        slot : 0 or 1, which of the two steps in memory holds the right-hand side and gets the step.
         """
         pull = _in(slot, kernels.PULL)
         if self._viscosity is not None:

@@ -43,7 +43,7 @@ class ContactSystem:
 
     unknowns : number of unknowns.
     offset : b, (d, n), what the imposed spins contribute to the slips.
-    felt : (d, n) mask of the rows that exist.
+    felt : (d, n) mask of the rows that exist: a contact may have fewer than d slip components.
     ends : (2, d, n), the two unknowns whose difference (second less first) is the slip, the lower sphere first; -1
         where the spin is imposed. None where slips are other sums of unknowns.
     slips : K, (d*n, unknowns), where `ends` is None: all first rows of the contacts, then all second ones.
@@ -92,8 +92,9 @@ class ContactSystem:
 
     @classmethod
     def before_motions(cls, bearing: Bearing) -> "ContactSystem":
-        """Return the system of a bearing, like :meth:`of`, but with motions of spheres that make no contact slip still
-        among the unknowns where contacts are not all along the axes; then `motions` is None."""
+        """Return the system of a bearing, with rows along the tangents of contacts. Where contacts are not all along
+        the axes, motions of spheres that make no contact slip are still among the unknowns, and the field `motions` is
+        None."""
         network, contact = bearing.network, bearing.acting
         moves = network.reached(contact)
         contact = contact[moves[network.contact[:, contact]].any(axis=0)]
@@ -107,7 +108,8 @@ class ContactSystem:
         """Return the system of some contacts of a network over some of its spins, with rows along the tangents.
 
         contact : (n,), numbers of the contacts. known : (N, C), u of the spheres where it is imposed.
-        wanted : (N, C) mask of the unknowns. number : value of the field `motions`.
+        wanted : (N, C) mask of the unknowns. number : number of motions without slip that were taken out already; None
+            if undecided.
 
         Letters: n contacts, C spin components, N spheres.
         """

@@ -169,13 +169,16 @@ class FrictionStage:
         return force + friction.viscosity * self.radius * self.system.differences(spins)
 
     def _torque(self, force: np.ndarray, inertia: float, gained: np.ndarray) -> np.ndarray:
-        """Return what has to become 0, (unknowns,): inertia * gained plus the torques of the forces (d, n). gained :
-        (unknowns,), spins less `base`. Letters: n contacts with up to d slip components."""
+        """Return the torques (unknowns,) that have to become 0 at the end of a stage: inertia * gained plus those of
+        the forces (d, n) on n contacts with up to d slip components.
+
+        inertia : moment of inertia over the duration of the stage. gained : (unknowns,), spins less those before it.
+        """
         return inertia * gained + self.radius * self.system.torques(force)
 
     def _prepare(self, friction: Friction, trial: np.ndarray) -> bool:
-        """Prepare to solve with the derivative of the torques at trial forces (d, n); return False if rounding makes it
-        singular.
+        """Prepare to solve with the derivative of the torques by the spins, at trial forces (d, n), those of the
+        springs before friction limits them; return False if rounding makes it singular.
 
         In short stages inertia dominates, and a few conjugate gradients do. Else the matrix is factorised, unless
         nothing has changed since the last time.

@@ -137,7 +137,8 @@ class Iterate:
 
     @property
     def unbalanced(self) -> float:
-        """Largest torque that the contact forces leave on a sphere, apart from what accelerates it."""
+        """Largest torque that the contact forces leave on a sphere, apart from what accelerates it, in units of the
+        mean friction."""
         left = self.system.torques(self.whole_dual) - self.to_balance(self.spins)
         return float(np.abs(left).max(initial=0.0))
 
@@ -173,7 +174,7 @@ class Iterate:
 
     @property
     def gap(self) -> float:
-        """(cost - lower bound) / cost, for balanced forces."""
+        """Relative gap (cost - lower bound) / cost of the point, for balanced forces."""
         return self.excess / max(self.cost, TINY)
 
 

@@ -146,8 +146,11 @@ class NewtonMatrix:
         return bool(np.linalg.norm(vector) < 1 / SURELY_REGULAR)  # False for NaN
 
     def solve(self, right: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
-        """Return the solutions of the factorised systems for right-hand sides (unknowns,) or (unknowns, S); 0 in
-        samples that are parts of the system and not `wanted` (S,)."""
+        """Return the solutions of the factorised systems for right-hand sides (unknowns,), or (unknowns, S) of S
+        samples side by side.
+
+        wanted : (S,) mask, where samples are parts of one system; the solutions of the others are 0. None for all.
+        """
         columns = _side_by_side(right)
         found = np.zeros(columns.shape)
         for number, (part, cholesky) in enumerate(zip(self._parts, self._choleskys, strict=True)):

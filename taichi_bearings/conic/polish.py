@@ -52,7 +52,7 @@ def polished(
     top : for each unknown of a sample the imposed spin of the top above it; None where imposed spins are doubles.
     chosen : (samples,) mask of the samples to try.
     returns : spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
-        n); mask (samples,) of the chosen samples in which it succeeds and no slip is lost.
+        n); mask (samples,) of the chosen samples in which it succeeds and no slip has become 0.
 
     Letters: n contacts with up to d slip components.
     """

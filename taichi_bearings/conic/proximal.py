@@ -86,8 +86,10 @@ class OfLattice(Unknowns):
     """All free spins of a lattice in some components; all other components are at rest."""
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float) -> None:
-        """Take the spin components `spin_axes` of a scene. unit : difference of spins that is counted as one,
-        1/time."""
+        """Take some spin components of a scene on a lattice.
+
+        spin_axes : their numbers, 0 to 2. unit : difference of spins that is counted as one, 1/time.
+        """
         self.system = lattice_system(scene.lattice, spin_axes, scene.top_spin(spin_axes) / unit)
         self.order, self.spin_axes, self.height = (
             dissect(scene.lattice, spin_axes),

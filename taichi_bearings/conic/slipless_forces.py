@@ -195,7 +195,7 @@ def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.n
 
 def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torques: np.ndarray) -> np.ndarray:
     """Return a mask (samples,), True where forces that balance surely exist near the given ones: torques are small, and
-    all slipless contacts have room for more force than the sum of all torques.
+    at all slipless contacts friction exceeds the force by more than the sum of all torques.
 
     friction, slipping : (samples * n,). dual : (d, samples * n), minus the forces. torques : (unknowns, samples), those
         left, also on spins that were held. The mask `slipping` marks contacts that need no room.

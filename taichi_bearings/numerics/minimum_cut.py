@@ -163,7 +163,8 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
 
 @dataclass(frozen=True)
 class GraphCut:
-    """A minimum cut of one graph, or of one lattice, between its first and its last node, or bottom and top.
+    """A minimum cut of one graph between its first and its last node, or of one lattice between bottom and top: the
+    lightest set of edges, or contacts, whose removal parts the two.
 
     above : for each node, or sphere, True on the last node's, or the top's, side.
     between : the same shape, True where the side is not the same in all cuts as light as this one.

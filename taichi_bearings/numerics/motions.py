@@ -100,8 +100,8 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) 
 
     slips : (rows, unknowns) that matrix.
     sphere : (unknowns,) sphere that each unknown belongs to.
-    parts : order of elimination of the spheres, children first: the spheres of each part, and the numbers of the parts
-        below it. Of two spheres in contact, the part of one is above that of the other, or the same.
+    parts : order of elimination of the spheres, children first: for each part the numbers of its spheres, and of the
+        parts below it in the tree. Of two spheres in contact, the part of one is above that of the other, or the same.
     """
     if not slips.shape[1]:
         return Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), 0)
@@ -188,7 +188,7 @@ def _eliminated(
     full = np.zeros((len(both), len(both)))
 
     def find(wanted: np.ndarray) -> np.ndarray:
-        """Return the rows of these unknowns in the dense matrix."""
+        """Return the rows (k,) of the unknowns with these numbers (k,) in the dense matrix `full`."""
         return order[np.searchsorted(both, wanted, sorter=order)]
 
     for local, (columns, a, b) in enumerate(zip(rows, begin, end, strict=True)):

@@ -64,7 +64,8 @@ class OnStrides(Stepped):
         return LatticePaths(self.scene, self.spin_axes, spin, settle)
 
     def cuts(self, spin: np.ndarray) -> Part:
-        """Return what finds the minimum cuts of all planes of the lattice.
+        """Return what finds the minimum cuts of all planes of the lattice, the layers whose contacts couple the one
+        spin component that is computed.
 
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which stay until the cut is made.
         """
@@ -73,7 +74,8 @@ class OnStrides(Stepped):
         return GridCuts(self.scene, self.spin_axes, spin)
 
     def linear_systems(self, spin: np.ndarray) -> Part:
-        """Return what balances the viscous forces in all planes of the lattice.
+        """Return what balances the viscous forces in all planes of the lattice, the layers whose contacts couple one
+        spin component.
 
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         """

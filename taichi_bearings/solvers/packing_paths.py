@@ -70,9 +70,10 @@ class Strengths:
 class PackingPaths(Paths):
     """The central paths of samples of a packing that share a contact system.
 
-    strengths : of the samples that have a path, by their numbers. Samples without friction have none: they are solved
-    by one linear system. ends : what was found at the ends of the paths, by the number of the sample. fastest : unit of
-    the spins, near the fastest imposed one.
+    strengths : friction and viscosity, (A,) on the A contacts, of the samples that have a path, by their numbers.
+        Samples without friction have none: they are solved by one linear system.
+    ends : what was found at the ends of the paths, by the number of the sample. fastest : unit of the spins, near the
+        fastest imposed one.
     """
 
     def __init__(self, contacts: "OnSystem", resisting: Mapping[int, tuple[np.ndarray, ...]] | None = None) -> None:

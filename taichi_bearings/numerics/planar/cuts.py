@@ -63,9 +63,10 @@ class MinimumCuts:
 def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
     """Yield the cuts of least weight between the bottom row and the top row of each grid, some grids at a time.
 
-    sideways : weights (B, w - 1, h) along the rows, none negative; those of the bottom and the top row take no part.
-    upward : weights (B, w, h - 1) between the rows.
-    yields : which grids, as a slice, and their cuts.
+    sideways : weights (B, w - 1, h) of contacts along the rows of B grids of w columns and h rows, none negative; those
+        of the bottom and the top row take no part.
+    upward : weights (B, w, h - 1) of contacts between the rows.
+    yields : the numbers of some grids, as a slice, and their cuts.
     """
     batch, columns, rows = upward.shape
     step = max(1, BUNDLE_FACES // ((columns - 1) * rows))
@@ -113,7 +114,8 @@ def _any(values: np.ndarray) -> np.ndarray:
 
 
 def _fine_paths(inner: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, ShortestPaths]:
-    """Return units of weight (B,), and shortest paths by weights rounded down to whole units.
+    """Return units of weight (B,) for B grids of w columns and h rows, and shortest paths from left to right across
+    their contacts, by weights rounded down to whole units.
 
     inner, upward : weights (B, w - 1, h - 2) along rows, without the end rows, and (B, w, h - 1) between rows.
 
