@@ -311,8 +311,10 @@ class SpringsOfX:
         return force, np.abs(left) @ most + (self.loaded.rounding + 2 * motions.shape[1] * EPS) * summed
 
     def _without_motions(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the loads (n, m) without their part along motions in which no contact slips, and the amounts (z, m) of
-        these z motions in that part."""
+        """Split loads, torques on n unknowns, into motions without slip and the rest. Return the rest (n, m), and the
+        amounts (z, m) of the z motions in which no contact slips.
+
+        load : (n, m), m loads."""
         motions = self.loaded.motions
         if not motions.shape[1]:
             return load, np.zeros((0, load.shape[1]))

@@ -157,7 +157,7 @@ def _as_a_whole(
     bound (R,) that they prove, energy/time.
 
     force : (C components, R samples, E contacts). worst : (R,), the largest |f| / (mu F_n) of each sample; only numbers
-        above 1 divide."""
+        above 1 divide. spin_axes : the axes of the C components."""
     whole = _divided(force, worst)
     return whole, dual_value(scene, whole, spin_axes)
 
@@ -215,13 +215,15 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
 
 
 def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """Return (objective - lower bound) / objective, (R,); NaN where either is not a number, so that nothing follows
-    from it.
+    """Return (objective - lower bound) / objective, (R,), for each of R samples; NaN where either is not a number, so
+    that nothing follows from it.
 
     Without a jump, or where absent contacts cut the bottom from the top, the least objective is 0 and a relative gap
     says nothing. It is then taken relative to a natural objective, if that is larger: that of all contacts slipping by
     the imposed jump, or, without one, by the imposed spin.
-    """
+
+    scene : the R samples. objective : (R,), power, or potential with viscosity, energy/time. bound : (R,), its proven
+        lower bound."""
     unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
     if idle.any():
         speed = np.full((), scene.slip_radius * (scene.jump or scene.sides[0]))

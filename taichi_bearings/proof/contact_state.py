@@ -106,8 +106,10 @@ def separate(scene: Bearing, slip: np.ndarray, state: np.ndarray) -> Separation:
 
 
 def unresolved(solution: Solution, times: float = 1.0) -> np.ndarray:
-    """Return the mask (R, E) of the contacts whose friction limit times slip is at most `times` the difference between
-    the objective and its proven lower bound: a gap of that size says nothing about whether they slip."""
+    """Return the mask (R, E) of the contacts about which the gap says nothing: their friction limit times slip is at
+    most `times` the difference between the objective and its proven lower bound.
+
+    solution : R samples of E contacts, solved."""
     scene, left = solution.scene, times * (solution.objective - solution.lower_bound)
     return scene.strength * scene.coefficient * solution.slip <= left[:, None]
 

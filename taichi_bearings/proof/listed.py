@@ -150,8 +150,10 @@ class Listed:
         return np.arange(len(self.place))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """Return the spins (n,) times their signs (n,) of +1 and -1 by which neighbours differ: so neighbours that do
-        not slip have equal signed spins."""
+        """Return spins times signs by which neighbours differ, (n,): so neighbours that do not slip have equal signed
+        spins.
+
+        spin : (n,), spin times radius of n spheres in one component. sign : (n,), +1 or -1."""
         return spin.signed(sign)
 
     def shift(self, k: int) -> Enclosure | None:

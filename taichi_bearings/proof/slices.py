@@ -206,8 +206,9 @@ class Grid(Listed):
         return [bool(size > 0) for size in box]
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
-        """Return vectors as long as the friction of each contact by component: the moments n x F themselves, C
-        enclosures (m,). counts : not used here; moments are 0 where contacts take no part."""
+        """Return vectors as long as the friction of each of m contacts: the moments n x F themselves.
+
+        moment : n x F by component, C enclosures (m,), 0 where contacts take no part. counts : not used here."""
         return moment
 
     def anchor(self, k: int) -> np.ndarray:
@@ -216,8 +217,8 @@ class Grid(Listed):
         return self.samples.anchor(self.samples.components[k])
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """Return the spins (n,) as they are: on lattices they are stored times the sign by which neighbours differ.
-        sign : not used here."""
+        """Return `spin` (n,) as it is: on lattices spins are stored times the sign by which neighbours differ. sign :
+        not used here."""
         return spin
 
     def shift(self, k: int) -> Enclosure:
@@ -338,8 +339,8 @@ def nothing(count: int) -> Enclosure:
 
 
 def size_of(parts: list[Enclosure]) -> Enclosure:
-    """Return the length of vectors given by one or two components, enclosures of any one shape; the absolute value if
-    there is one."""
+    """Return the length of vectors, an enclosure: the absolute value if they have one component. parts : their one or
+    two components, enclosures of one shape, which may be any."""
     return abs(parts[0]) if len(parts) == 1 else _length_of_two(*parts)
 
 

@@ -155,6 +155,7 @@ def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """Return the mask (m,) of the contacts of a packing with oblique normals that are proven to rest at every minimum,
     beside loops that cannot roll as their normals are rounded. The module that does it is loaded for packings alone.
 
+    bounds : bounds on the power, with m contacts, their friction after springs have balanced it, and these springs.
     far : (m,), bound on |slip at any minimum - given slip|."""
     from taichi_bearings.proof.borne import at_rest_beside_loops
 

@@ -463,7 +463,8 @@ def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | 
     whole at no cost; it must not lie between two others. Domains between two others are held as well, in one component
     each.
 
-    label : (2, spheres), labels of the domains that are to be held. between : domains that lie between two others."""
+    pulls : the contacts that bear all their friction. label : (2, spheres), labels of the domains that are to be held.
+        between : domains that lie between two others."""
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
         wide, inner = pulls.wide_domains(label, slot), np.isin(pulls.domain_tc[slot], between.labels[slot])
@@ -523,7 +524,10 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
     That is on each wide domain (groups of spheres that move together from one minimum to another), and on each group of
     spheres that resting contacts with friction left join (`domain_t`). Of the latter one in each free `domain_tc` may
     be excepted, on which contacts act whose slip may change its direction: it is in balance once the whole `domain_tc`
-    is."""
+    is.
+
+    pulls : the contacts that bear all their friction, and the domains, groups of spheres that they and resting contacts
+        join."""
     # For both components: wide domains; which domain_t are pulled by contacts that may turn; all other domain_t.
     for slot in range(2):
         cancels_at = pulls.known_pulls_cancel_at(pulls.wide_domains(pulls.domain_tc, slot), slot)
@@ -574,7 +578,10 @@ def _states_along_lines(
 def _lines(pulls: Pulls) -> list[Line]:
     """Return for each of the two components the contacts whose slips along it differ between minima. They slip along
     this component alone, or could, and lie between two wide domains (groups of spheres that move together) of
-    `domain_tc0`."""
+    `domain_tc0`.
+
+    pulls : the contacts that bear all their friction, and the domains that they and resting contacts make of the
+        spheres."""
     found, size = [], pulls.domain_tc.shape[1] + 2
     for slot in range(2):
         wide = pulls.wide_domains(pulls.domain_tc0, slot)
