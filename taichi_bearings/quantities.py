@@ -356,10 +356,11 @@ STRUCTURE = {
     ],
     "rigid domains": [
         Quantity("domains", "1", "number of rigid domains", lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
-        Quantity("domains_locked_to", "1", "number of rigid domains, for each kind of lock to the driven planes",
+        Quantity("domains_locked_to", "1", "number of rigid domains of each kind: turning with the"
+                 " bottom, with the top, ..., with neither",
                  lambda s: s.rigid_domains.domains_of_kind()),
-        Quantity("free_spheres_locked_to", "1", "number of free spheres, for each kind of lock of their rigid domain"
-                 " to the driven planes",
+        Quantity("free_spheres_locked_to", "1", "number of free spheres by the kind of their rigid"
+                 " domain: turning with the bottom, with the top, ..., with neither",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
         Quantity("largest_intermediate_domain", "1",
                  "number of spheres of the largest rigid domain that is not locked to one driven plane",

@@ -174,7 +174,7 @@ class _Contacts:
         shift, least = self.vector[across] - step, 2 * (1 - OVERLAP / 2) * self.radius.max()
         periods, wrong = _periods(shift, spread * self.reach[across], least)
         if wrong is not None:
-            raise InputError(f"{self._misfit(int(across[wrong]))}; its normal fits no periodic side that others cross")
+            raise InputError(f"{self._misfit(int(across[wrong]))}; its normal fits no period of the other contacts")
         # no period may put a sphere where another one is
         for period in periods:
             for low, high in self._laid_over(period):
