@@ -376,7 +376,8 @@ class _SmoothPower:
     slipping : for each sample a mask (n,) of its n contacts that slip.
     tied : the contacts and unknowns that are left.
     matrix : second derivative of the power, factorised sample by sample.
-    friction, viscosity : (kept,), of the contacts that are left, all samples one after the other; no viscosity: None.
+    friction, viscosity : (kept,), of the contacts that are left, `kept` in number, all samples one after the other; no
+        viscosity: None.
     spins : (unknowns left,), where the samples are, as sums of two doubles. difference : (d, kept), the slips there.
     balanced : (samples,) mask of those that have come to the minimum of this function.
     """
@@ -481,8 +482,8 @@ class _SmoothPower:
         return [replace(of, viscosity=iterate.viscosity) for of, iterate in zip(found, self.iterates, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
-        """Return for each sample an array (..., n) over all its contacts: `values` (..., kept) at contacts that are
-        left, 0 at the others."""
+        """Return for each sample an array (..., n) over all its n contacts: `values` (..., kept) at the contacts that
+        are not tied, `kept` in number in all samples together, 0 at the others."""
         found = np.zeros((*values.shape[:-1], self.tied.whole.offset.shape[1]), values.dtype)
         found[..., self.tied.kept] = values
         return np.split(found, self.samples, axis=-1)

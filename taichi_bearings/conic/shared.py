@@ -76,6 +76,10 @@ def _name() -> tuple[str, int]:
 
 
 def _made(system: ContactSystem, rows: ContactSystem) -> Surroundings:
-    """Make a new :class:`Surroundings` over the system `rows`."""
+    """Return what all samples on one network share, newly made: the contacts `rows`, an order in which their unknowns
+    are eliminated, and a Newton matrix.
+
+    rows : the contacts over the unknowns that are solved for. system : the contacts as they were given; not used.
+    """
     order = order_by_place(rows)
     return Surroundings(rows, order, NewtonMatrix(rows, order, engine=Engine.LAUNCH if is_small(rows) else None), None)

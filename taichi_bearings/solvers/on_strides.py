@@ -54,7 +54,7 @@ class OnStrides(Stepped):
         self.spin_axes = _moving_axes(self.scene, spin) if moves else scene.minimum_spin_axes
 
     def paths(self, spin: np.ndarray, settle: bool) -> Part:
-        """Return the central paths of all samples.
+        """Return the central paths of all samples, along which the interior-point method comes to the minimum.
 
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         settle : True to go on along them until contact states are settled.

@@ -246,8 +246,8 @@ class OperatorSplittingMethod(Method):
         return np.where(alone, np.clip(trial, -limit, limit), trial * share)
 
     def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
-        """Return the spring forces rho D Omega - (v - 2 f), (C components, R samples, E contacts), balanced to double
-        precision.
+        """Return the forces (C components, R samples, E contacts) of the springs of stiffness rho that tie each
+        contact's slip to the difference D Omega of the spins: rho D Omega - (v - 2 f), balanced to double precision.
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction limits. In
         single precision they are balanced once more.
