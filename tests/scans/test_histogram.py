@@ -83,7 +83,7 @@ def test_runs_and_scans_pool_together(scan, block):
     assert (mean.count == np.histogram(np.concatenate(own), mean.edges)[0]).all()
     with pytest.raises(InputError, match="20"):
         pooled([one, other], 7)
-    with pytest.raises(InputError, match="no 'colour'"):
+    with pytest.raises(InputError, match="no setting 'colour'"):
         pooled([one], by="colour")
 
 

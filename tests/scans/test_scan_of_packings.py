@@ -191,8 +191,6 @@ def test_what_cannot_be_is_refused_before_anything_is_solved(plan_of, bcc, tmp_p
         for call in (estimate, partial(scan, engine=Here())):
             with pytest.raises(InputError, match=sentence):
                 call(plan_of(text), tmp_path / "never")
-    with pytest.raises(InputError, match=r"time_limit is 3\.0, but method auto of a packing does not use it"):
-        scan(plan_of('packing = "bcc.npz"\ntime_limit = 3.0'), tmp_path / "never", engine=Here())
     assert not (tmp_path / "never").exists()
     with pytest.raises(FileError, match=r"none\.npz does not exist"):
         plan_of('[scan]\npacking = ["bcc.npz", "none.npz"]\n')
