@@ -4,6 +4,7 @@ import json
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ import time
 import h5py
 import numpy as np
 import pytest
+from taichi_bearings_cli.run import _how_to_go_on
 
 import taichi_bearings as tb
 from taichi_bearings import compiler
@@ -251,3 +253,21 @@ def test_a_checkpoint_that_was_changed_proves_nothing(tmp_path):
             file[name][...] = file[name][()] + 0.5
         said = refused("run", "--resume", tmp_path / "run", "--iterations", "1000")
         assert f"the checksum of {name} does not match" in said
+
+
+def test_an_interrupted_run_says_how_it_goes_on(tmp_path):
+    words = "run --shape 4,5,4 --method cundall-strack --duration 1e6 --figures none --checkpoint-every 0.2 --out run"
+    command = [sys.executable, "-m", "taichi_bearings_cli", *words.split()]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    checkpoint = tmp_path / "run" / "checkpoint.h5"
+    first = None
+    while first is None or checkpoint.stat().st_mtime_ns == first:  # the first one is written before any step
+        assert process.poll() is None
+        time.sleep(0.02)
+        first = first or (checkpoint.stat().st_mtime_ns if checkpoint.exists() else None)
+    process.send_signal(signal.SIGINT)
+    last = process.communicate()[0].splitlines()[-1].strip()
+    assert (process.returncode, last) == (130, "`bearings run --resume run` goes on from the last checkpoint")
+    assert tb.load(tmp_path / "run").status == "interrupted"
+    checkpoint.unlink()
+    assert _how_to_go_on(tmp_path / "run").startswith("this run cannot be resumed; with --checkpoint-every")
