@@ -73,7 +73,7 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 # Numbers below without a reason were found by trial. None can make an answer wrong: a bad guess costs a further trial.
 # The power of a minimum may lie above that of the path by so much, relative: sums of 1e5 contacts round by about 1e-12.
 # It may lie below by the second number: paths that come here have relative gaps of at most 1e-8.
-POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6
+MOST_ABOVE_PATH, MOST_BELOW_PATH = 1e-12, 1e-6
 DECIDED_RATIO = 1e2  # a contact seems to stick if its margin is larger than its slip by more than this factor
 # A contact seems to stick if a step has left less than this share of its slip and more than this share of its margin;
 # of one of the two a step leaves about a fifth.
@@ -200,13 +200,15 @@ def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resol
     iterate : the point of the path from which it was found.
     shared : what all samples share.
 
-    The path gives an upper bound on the least power. So a minimum may be above it by rounding only (POWER_BELOW), and
-    below it by the gap that the path still had (POWER_ABOVE).
+    The path gives an upper bound on the least power. So a minimum may be above it by rounding only
+    (MOST_ABOVE_PATH), and below it by the gap that the path still had (MOST_BELOW_PATH).
     """
     cost = replace(iterate, difference=settled.difference).cost
-    if not -POWER_ABOVE < cost / iterate.cost - 1 < POWER_BELOW:
+    if not -MOST_BELOW_PATH < cost / iterate.cost - 1 < MOST_ABOVE_PATH:
         return None
-    if not settled.sure or iterate.viscosity is not None:  # with viscosity all minima have the same slips
+    if (
+        not settled.sure or iterate.viscosity is not None
+    ):  # with viscosity at each contact all minima have the same slips
         return settled
     of_minimum = settled.difference, settled.dual, settled.slipping, settled.at_limit
     return replace(settled, tied=tied_contacts(shared.system, shared.order, iterate.friction, *of_minimum))
@@ -236,7 +238,7 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
       those tied as well that stuck at the end of the trial before, as their stiffness blurs the forces of the others;
       last, nothing tied.
 
-    The best minimum found is returned even if its states are not sure.
+    The last minimum found is returned even if its states are not sure.
     """
     path, settled = LastDecades.after(iterate, before, shared.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:

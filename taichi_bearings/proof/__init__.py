@@ -9,12 +9,13 @@ The problem
 Spheres at fixed places touch at contacts (i, j) with unit normals n from i to j. With u = R omega the surface of j
 slips past that of i with v = -(u_i + u_j) x n; spins of driven spheres are imposed, the others are free. A contact that
 slips by v has the potential phi(v) = mu F_n |v| + eta |v|^2 / 2, of which either term may be missing. Let y = K u + b
-be the slips of free spins u, b those of what is imposed with u = 0:
+be the slips of free spins u, with the sign of (u_i + u_j) x n = -v; b are those of what is imposed with u = 0:
 
     (P)    P* = least Phi(u),   Phi(u) = sum over contacts of phi(y)
 
-where P* is the least power with friction alone, half of it with damping alone. Friction F on the second spheres turns
-both spheres of a contact with n x F. Where it is in balance, K^T F = 0, the driven spheres do the work W(F) = F . b:
+where P* is the least power with friction alone, half of it with damping alone. Friction F on the second spheres
+points along y, and its torque on both spheres is -R n x F. Where it is in balance, K^T F = 0, the driven spheres do
+the work W(F) = F . b:
 
     (D)    P* = largest W(F) - sum over contacts of phi*(F) among all F in balance,
            phi*(F) = max(|F| - mu F_n, 0)^2 / (2 eta); without damping 0 up to mu F_n and infinite beyond
@@ -89,9 +90,9 @@ R              count                    samples, of a lattice or of one packing
 k              components, k            a component of spins: of discs one, of spheres three
 u              spin                     R omega; of lattices signed, and measured from the bottom
 y              slips(), slip            slips, and their sizes
-F, n x F       friction, moment         friction on the second sphere; what turns both spheres
+F, n x F       friction, moment         friction on the second sphere; minus its torque on both
 mu F_n, eta    holding, slope           friction that a contact bears; its damping
-b              imposed                  what is imposed on driven spheres
+b              imposed                  slips by what is imposed; `imposed` has its spins
 r              torques()                torques over the radius that friction leaves over
 E              bounds.excess            upper bound less lower bound
 1 / s          bounds.worst             largest friction over its limit

@@ -19,13 +19,14 @@ The proof
 1. Without any R: contacts of loops rest if the bound on |F*| that loops.py gives is below mu F_n
    (`at_rest_beside_loops`).
 2. For each load find R by springs at the contacts of X. Any R would do; springs that are weaker where a contact has
-   less friction left make the bounds of step 3 better, so several stiffnesses are tried.
+   less friction left make the bounds of step 3 better, so several stiffnesses are
+   tried for the loads of loops.
 3. Then G = F + sum of R f over f of other contacts + sum of R c. Its size at a contact of X is at most |F + R (middles
    of c)| + sum of |R| (half lengths of c) + sum of |R| (bounds on f).
-4. G does not quite balance: it leaves residuals of R and rounding. The torques of G - F* as they are exactly lie in the
-   range of K^T, so they are orthogonal to Z; any part along Z that is computed is rounding and is bounded as such. The
-   rest is taken away by a correction of G no larger than its size over the least singular value of K that is not 0;
-   exact_motions.py has a floor of it.
+4. G does not quite balance: it leaves residuals of R and rounding. The torques of G - F* as they are exactly lie in
+   the range of K^T, so they are orthogonal to Z: the parts of single loads along Z cancel in the sum over all loads,
+   and may be left out of each. The rest is taken away by a correction of G no larger than its size over the least
+   singular value of K that is not 0; exact_motions.py has a floor of it.
 5. X falls into parts that share no free sphere. All contacts of a part rest if all of them stay below mu F_n.
 
 Example. A sphere of X has two contacts of X that have 3 and 1 of their friction left, F = 0, and both can bear the same
@@ -294,8 +295,8 @@ class SpringsOfX:
     def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return friction on the q contacts that bears each of m loads, and a bound on the torques that it leaves over.
 
-        load : (n, m), torques on the n unknowns. Their part along motions without slip is left out, as it is 0 but for
-            rounding.
+        load : (n, m), torques on the n unknowns. Their part along motions without slip is left out, as these parts
+            cancel in the sum over all loads.
         most : (m,), the largest size of the number by which each load will be multiplied.
 
         Returns friction (3 q, m) for a unit of each load, three components of a contact after each other; and a bound

@@ -19,9 +19,9 @@ The proof
 1. Friction of size 1 has the direction n(z) = z / |z|. While |w| <= |z| / 4 it resists a change by (n(z + w) - n(z)) .
    w >= 0.72 (w . t)^2 / |z|. With |z| = 1, L = |z + w| and a the part of w along z, the left side is (w . t)^2 (L + 1)
    / (L (L + 1 + a)), least at L = 5/4 and a = 1/4: (9/4) / (5/4 x 5/2) = 0.72. Damping resists by eta |w|^2.
-2. So along v the power grows at least like -|g| |v| + 0.72 tau |v|^2, with |v| measured by h and |g| by 1 / h. It rises
-   outwards on the surface |v| = rho for any rho > |g| / (0.72 tau), if no slip changes by more than a quarter on the
-   way. As the power is convex, all minima are inside.
+2. So along a ray the derivative of the power at v, times |v|, is at least -|g| |v| + 0.72 tau |v|^2, with |v|
+   measured by h and |g| by 1 / h. The power rises outwards on the surface |v| = rho for any rho > |g| / (0.72 tau),
+   if no slip changes by more than a quarter on the way. As the power is convex, all minima are inside.
 3. Two minima inside would differ by a motion that changes every slip along its own direction alone, as the power is
    straight between them. Directions inside differ little from n(z), so the part of this motion across z is small, and
    its curvature H would be less than tau h: a contradiction. There is just one (`Curvature.remains`).

@@ -195,8 +195,8 @@ def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
 
 
 def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """Return the moments n x F of friction F, by which it turns both spheres of a contact: by component, C enclosures
-    (m,). For discs, whose friction and moment are one number, friction itself.
+    """Return the moments n x F of friction F, minus its torque over R on both spheres of a contact: by component, C
+    enclosures (m,). For discs, whose friction and moment are one number, friction itself.
 
     friction : F of m contacts by component, C enclosures (m,). normal : (m, D), unit normals n."""
     return friction if len(friction) == 1 else [-part for part in across(friction, normal)]

@@ -9,8 +9,9 @@ Symbols
     N (in shapes) : number of spheres. E : of contacts. n : of unknowns, the components of the spins of free spheres.
     F : friction at hand. F* : optimal friction. f = F* - F. K : matrix of slips, so K^T F are the torques of F.
     X : the contacts that can roll exactly (exact_motions.py).
-    Q : contacts that can dissipate, touch a free sphere outside X, and are not known to slip; here they are the
-        contacts of interest, divided into pieces that share no such sphere.
+    Q : contacts that can dissipate, touch a free sphere outside X, and whose friction is not known at every minimum
+        (that of contacts that slip or have damping alone is); here they are the contacts of interest, divided into
+        pieces that share no such sphere.
     q : number of contacts of a piece. Their friction has two components each, along two tangents.
     M : (2 q, n), rows of K for the contacts of a piece and the unknowns of its spheres, along the tangents.
     N (in formulas) : (2 q, m), columns of friction along loops: N exerts no torque, M^T N = 0 but for rounding.
@@ -66,7 +67,7 @@ class FrictionBounds:
     number : (N, 3), which unknown each component of a spin is, -1 where it is none (of driven spheres).
     exact : the contacts that can all roll exactly at once, and their motions.
     given : friction at hand by component, 3 enclosures (E,).
-    known : (E,) mask of the contacts that are known to slip.
+    known : (E,) mask of the contacts whose friction is known at every minimum: they slip, or have damping alone.
     most_change : (E,), bound on |optimal friction - friction at hand|.
     most_friction : (E,), bound on |optimal friction|.
     """

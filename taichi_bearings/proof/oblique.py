@@ -81,11 +81,12 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     bounds : the network of R samples of a packing with E contacts in all, its friction, and springs that balanced this
         friction. Several samples are treated as parts of one that no contact joins.
 
-    Returns (slides, distance, proven). slides : (E,) mask; every other contact that can dissipate is proven to rest at
-    every minimum. distance : (E,), for the contacts of the mask a bound on |slip at any minimum - given slip|, 0 for
-    others. A contact of the mask thus slips at every minimum if it has friction, or if its given slip is larger than
-    that bound. proven : (R,) mask of the samples for which all this is proven. Of several samples only the given spins
-    are tried, of a single one improved spins as well."""
+    Returns (slides, distance, proven), of which the first two hold for the samples of `proven` alone. slides : (E,)
+    mask; every other contact of them that can dissipate is proven to rest at every minimum. distance : (E,), for the
+    contacts of the mask a bound on |slip at any minimum - given slip|, 0 for others. A contact of the mask thus
+    slips at every minimum if it has friction, or if its given slip is larger than that bound. proven : (R,) mask of
+    the samples for which all this is proven. Of several samples only the given spins are tried, of a single one
+    improved spins as well."""
     network, unknown = bounds.network, bounds.unknown
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # the proof takes normals for units
     if unknown is None or not longest < UP:

@@ -139,9 +139,9 @@ class Grid(Listed):
         return found
 
     def moment(self, acts: np.ndarray) -> list[Enclosure]:
-        """Return the moments n x F of the stored friction F, by which it turns both spheres of a contact: by spin
-        component, C enclosures (m,), in `force_unit` of the samples. acts : (m,) mask of the contacts that take part;
-        others get 0."""
+        """Return the moments n x F of the stored friction F, minus its torque over R on both spheres of a contact:
+        by spin component, C enclosures (m,), in `force_unit` of the samples. acts : (m,) mask of the contacts that
+        take part; others get 0."""
         samples, nothing = self.samples, np.broadcast_to(0.0, self.contacts)  # takes no memory
         found, acting = (
             np.zeros((len(samples.components), *samples.scene.coefficient.shape)),

@@ -70,7 +70,7 @@ class States:
     """Proven contact states of one sample.
 
     known : (E,), the states that hold at all minima, UNDECIDED where nothing is proven.
-    unique : True if there is only one minimum, False if there are more, None if that is not known.
+    unique : True if all minima have the same slips, False if not, None if that is not known.
     reason : words that say why not all states are proven, or "".
     """
 

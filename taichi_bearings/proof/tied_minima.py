@@ -46,9 +46,10 @@ The proof
 
 Example. One domain lies between bottom and top, joined to the bottom by a contact with t = 0.3 and to the top by one
 with t = 0.7, both with friction 1. Its motion y costs nothing while 0.3 + y >= 0 and 0.7 - y >= 0: at y = -0.3 the
-first contact rests, at y = 0.7 the second one. Both are tied. Now let two contacts with friction 1/2 lead to the top,
-with t = 0.7 and 0.5. Then y <= 0.5, so the contact with 0.7 keeps a slip of 0.2 or more: it slips at every minimum, as
-the path by 0.5 is shorter. The other two are tied.
+first contact rests, at y = 0.7 the second one. Both are tied. Now let it be a wide domain of two members, which a
+turning contact joins, each with a contact of friction 1/2 to the top, with t = 0.7 and 0.5. Then y <= 0.5, so the
+contact with 0.7 keeps a slip of 0.2 or more: it slips at every minimum, as the path by 0.5 is shorter. The other two
+are tied.
 """
 
 from __future__ import annotations
