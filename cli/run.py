@@ -90,9 +90,7 @@ def command(
 
     def words() -> str:
         """Return the report in words, and the verdict of --verify if there is one."""
-        report = describe(summary, display.times())
-        if found.interrupted:
-            report += f"\n  {_how_to_go_on(found.path)}"
+        report = describe(summary, display.times()) + (_how_to_go_on(found.path) if found.interrupted else "")
         return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
     answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
@@ -104,12 +102,12 @@ def command(
 
 
 def _how_to_go_on(folder: Path) -> str:
-    """Return the sentence on how an interrupted run can be continued, or what it lacks. folder : the run directory."""
+    """Return a line on how an interrupted run can be continued, or what it lacks for that. folder : the run directory."""
     from taichi_bearings.runs.run_directory import CHECKPOINT_NAME
 
     if (folder / CHECKPOINT_NAME).is_file():
-        return f"`bearings run --resume {folder}` goes on from the last checkpoint"
-    return "this run cannot be resumed; with --checkpoint-every SECONDS it could be"
+        return f"\n  `bearings run --resume {folder}` goes on from the last checkpoint"
+    return "\n  this run cannot be resumed; with --checkpoint-every SECONDS it could be"
 
 
 def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], as_json: bool) -> None:
