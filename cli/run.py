@@ -102,7 +102,7 @@ def command(
 
 
 def _how_to_go_on(folder: Path) -> str:
-    """Return a line on how an interrupted run can be continued, or what it lacks for that. folder : the run directory."""
+    """Return a line on how an interrupted run can be continued, or what it lacks. folder : the run directory."""
     from taichi_bearings.runs.run_directory import CHECKPOINT_NAME
 
     if (folder / CHECKPOINT_NAME).is_file():
