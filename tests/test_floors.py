@@ -102,7 +102,7 @@ FILES_OF_RUNS = {
 LATTICES_ASKED_FOR = SLICES | FILES_OF_RUNS | {
     "analysis.domains", "analysis.slipless_network", "analysis.structure", "runs.caveats", "runs.cost", "runs.result",
     "runs.run", "runs.settings", "runs.verify", "scans.estimate", "scans.histogram", "scans.sample", "scans.scan",
-    "scans.stored_scans", "solvers.cundall_strack", "solvers.drive", "solvers.method", "solvers.on_lists",
+    "scans.stored_scans", "solvers.cundall_strack", "solvers.method", "solvers.on_lists",
     "solvers.on_strides",
 }  # fmt: skip
 """Modules that ask whether what is solved is a lattice, or take it for one."""

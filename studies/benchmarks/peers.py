@@ -37,7 +37,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Scene
-from taichi_bearings.solvers.packing_answer import forces_of
+from taichi_bearings.solvers.packing_states import forces_of
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)  # that peers are asked for, one after another
 HOW_TO_INSTALL = "not installed; pip install taichi-bearings[peers]"

@@ -22,10 +22,10 @@ from matplotlib.figure import Figure
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, label_in_plain_text, new_figure, shades
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.proof.curvature import Slipping, nearest_minimum
+from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers import GradientDescent, InteriorPoint
-from taichi_bearings.solvers.answer import judged
 from taichi_bearings.solvers.stopping import StopRule
 
 from .claims import Effort
@@ -167,7 +167,7 @@ def largest_slip_error(solution: Solution) -> float | None:
     """
     if not solution.states_proven.all():
         return None
-    judgement = judged(of_lattice(solution.scene), solution.spin, solution.spin_rounding, solution.friction)
+    judgement = Judgement.of(of_lattice(solution.scene), solution.spin, solution.spin_rounding, solution.friction)
     contacts = None if judgement is None else Slipping.of(judgement.network.motion)
     if contacts is None or (near := nearest_minimum(contacts)) is None:
         return None

@@ -40,6 +40,13 @@ class Judgement:
         """The contact law of the scene."""
         return self.scene.law
 
+    @classmethod
+    def of(cls, scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray) -> Judgement | None:
+        """Return what spins and friction prove by themselves, whatever a method believes; None for numbers that no
+        arithmetic can judge. The arguments are the fields."""
+        found = cls(scene, spin, spin_rounding, friction)
+        return found if found.can_be_judged else None
+
     def one(self, number: int) -> Judgement:
         """Return the judgement of the single sample with this number, 0 to R - 1."""
         if self.scene.replicas == 1:

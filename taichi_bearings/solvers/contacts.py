@@ -45,12 +45,14 @@ class Ended:
     """How a run of a method ended, with the best that it has reached.
 
     status : why the run ended.
-    best : the best state that was reached.
+    best : the best state that was reached, with the findings of the method.
     bound : (R samples,), the best proven lower bound on the objective of each sample.
     proof : (C components, R, E contacts), contact forces from which that bound follows.
     iterations : how many iterations were made.
     stop : the limits and the tolerance that the run was given.
     options : the method and its options.
+    slip_threshold : slip speed, length/time, up to which a contact counts as slipless; None for what the method can
+        resolve, as always in a packing.
     found : function that returns the spins and forces which a method for minima has reached in each sample of a
         packing.
     while_wanted : function that returns a context whose work ends with GivenUp by Ctrl-C, or when the time is over.
@@ -63,6 +65,7 @@ class Ended:
     iterations: int
     stop: StopRule
     options: "MethodOptions"
+    slip_threshold: float | None
     found: Callable[[], list[Found]]
     while_wanted: Callable[[], AbstractContextManager[None]]
 
@@ -113,6 +116,11 @@ class Contacts(ABC):
         """
         raise NotImplementedError
 
+    @property
+    def seconds_to_prove(self) -> float:
+        """An estimate of the seconds that the proof of an answer takes; 0 if that is not known."""
+        return 0.0
+
     @abstractmethod
     def proven_by(self, force: Forces) -> np.ndarray:
         """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
@@ -131,12 +139,14 @@ class Contacts(ABC):
         """
         raise NotImplementedError
 
-    def answered(self, ended: Ended) -> Solution | None:
-        """Return the solution of a run on a packing that ended; None for a lattice, whose solution drive.py computes.
+    @abstractmethod
+    def answered(self, ended: Ended) -> Solution:
+        """Return the answer of a run that ended, with what is proven of it; its clock and history are still to be set.
+
+        It is made by `answered` in answer.py from what was reached with these contacts.
 
         ended : how the run ended, and the best that it has reached.
         """
-        return None
 
     def state(self) -> dict[str, np.ndarray]:
         """Return by name the arrays that a checkpoint needs of the contacts, beside those of the method."""

@@ -22,14 +22,11 @@ from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
-from taichi_bearings.scene.scene import of_lattice
-from taichi_bearings.solvers.answer import answered, known_states, named
 from taichi_bearings.solvers.contacts import Ended
 from taichi_bearings.solvers.dynamics import Dynamics
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recorder, Recording
-from taichi_bearings.solvers.stopping import StopRule, ended_as
-from taichi_bearings.solvers.table import JUDGED_SECONDS
+from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import stage
 
 
@@ -210,7 +207,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
         with leaving.saving():  # what is reached from here on
             with stage("solving") as solving:
                 _follow(courses, [solving.tell, *asked.monitors])
-            with stage("proving", _seconds_to_prove(samples[0].scene)):
+            with stage("proving", samples[0].method.contacts.seconds_to_prove):
                 found = [course.answer(threshold) for course in courses]
     running = runtime.current() if options.needs_taichi else runtime.HOST
     if options.cpu_only:  # whose numbers are doubles, whatever those of fields are
@@ -249,13 +246,6 @@ def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
             del left[number]
             if drop is not None:
                 drop(courses[number].method)
-
-
-def _seconds_to_prove(scene: Bearing) -> float:
-    """Return an estimate of the seconds that the proof takes: by the size of a lattice; 0 (unknown) for packings."""
-    if (lattice := scene.network.lattice) is None:
-        return 0.0
-    return JUDGED_SECONDS[lattice.dimension] * lattice.sites * scene.replicas
 
 
 def uninterrupted(solution: Solution) -> Solution:
@@ -449,28 +439,20 @@ class Course:
 
         threshold : slip speed up to which a contact counts as slipless, length/time; None for what can be resolved.
         """
-        history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
-        best, status, options = self.best, self.status, self.method.options
+        last, best, method = self.last, self.best, self.method
+        final = replace(best.progress, ended=last.ended, findings=self.findings)
         ended = Ended(
-            status, best.progress, best.bound, best.proof, last.iteration, self.stop, options, self.method.found,
-            self._while_wanted,
+            self.status, final, best.bound, best.proof, last.iteration, self.stop, method.options, threshold,
+            method.found, self._while_wanted,
         )  # fmt: skip
-        of_packing = self.method.contacts.answered(ended)
-        findings = self.findings
-        if of_packing is not None:
-            findings = {**of_packing.findings, **findings}
-            return replace(of_packing, seconds=seconds, history=history, snapshots=snapshots, findings=findings)
-        # a lattice: judge spins and forces, then prove the contact states, unless that is given up
-        scene = of_lattice(self.scene)
-        final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
-        found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
-        status = ended_as(status, found, self.stop, isinstance(self.method, Dynamics))
-        moves = isinstance(self.method, Dynamics) and not scene.law.flows
-        has_ended, known = moves and threshold is None and status is Status.CERTIFIED, None
-        with suppress(GivenUp), self._while_wanted():
-            known = known_states(scene, final, judgement, has_ended)
-        found = named(found, final, known, has_ended, is_present=moves or threshold is not None)
-        return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
+        found = method.contacts.answered(ended)
+        return replace(
+            found,
+            seconds=self.seconds,
+            history=self.recorder.history(),
+            snapshots=self.recorder.snapshots(),
+            findings={**found.findings, **self.findings},
+        )
 
 
 OF_BEST = (

@@ -5,7 +5,7 @@ that take part, C components of a spin. The unknowns are u = R omega, radius tim
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,16 +18,16 @@ from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentList
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces
-from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
+from taichi_bearings.proof.contact_state import classify
 from taichi_bearings.scene import Bearing, Progress, Solution
 from taichi_bearings.scene.packing import Packing, of_packing
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
+from taichi_bearings.solvers.answer import answered
 from taichi_bearings.solvers.contacts import Ended, Inertia, Launch, Stepped
 from taichi_bearings.solvers.found import Found
-from taichi_bearings.solvers.packing_answer import judged
 from taichi_bearings.solvers.packing_bounds import PackingBounds
-from taichi_bearings.solvers.stopping import ended_as
+from taichi_bearings.solvers.packing_states import PackingReached
 
 if TYPE_CHECKING:
     from taichi_bearings.solvers.table import Motion
@@ -273,39 +273,64 @@ class OnLists(Stepped):
         bounds.witness = np.array(state["bounds.witness"])
 
     def answered(self, ended: Ended) -> Solution:
-        """Return the solution from the best spins and the best forces of a run that ended.
+        """Return the answer from the best spins and the best forces of a run that ended.
 
-        It is judged as a minimum found directly would be. In three places it has the values of the last state, not
-        those that are proven of the minima: in `force`, in the states (slipping or not) of a dynamics, and in those of
-        contacts in parts of the packing that nothing drives.
+        It is judged as a minimum found directly would be; the proof of its contact states is never given up.
         """
-        scene, bounds, row, stop, last = self.scene, self.bounds, ended.options, ended.stop, ended.best
-        system, acting = bounds.system, bounds.acting
-        # the best forces, judged together with the best spins as a minimum found directly would be
         with one_thread():
-            value, forces = bounds.of(last.force if last.proof is None else last.proof, last.staggered, whole=True)
-            proof = forces if value > ended.bound[0] else ended.proof
-            found = Found(
-                np.zeros(system.unknowns), proof[:, 0, bounds.of_system], row.name, everywhere=last.staggered[:, 0].T
-            )
-            (result,) = judged(system, [bounds.packing], [found], moves=row.is_dynamics)
-        # the values of the last state: forces, and states of contacts that nothing drives or of a dynamics
-        force, observed, slip = result.force.copy(), result.state.copy(), result.slip[0]
-        force[:, acting] = vector_length(last.force)
-        loose = np.setdiff1d(acting, system.numbers)
-        observed[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+            return answered(StepsReached(self.bounds, self.scene, ended), ended, nullcontext)
+
+
+class StepsReached(PackingReached):
+    """What a method that steps a packing has reached in its one sample: the best forces, with the best spins.
+
+    In three places it has the values of the last state, not those that are proven of the minima: in the forces, in the
+    states (slipping or not) of a dynamics, and in those of contacts in parts of the packing that nothing drives.
+
+    acting : (E,), numbers of the contacts that take part, for which the method has forces.
+    of_acting : the packing without the others.
+    last : the last state.
+    """
+
+    def __init__(self, bounds: PackingBounds, of_acting: Packing, ended: Ended) -> None:
+        """Judge the spins and the forces of a run that ended.
+
+        bounds : those that were proven on the way.
+        of_acting : the packing without the contacts that take no part.
+        """
+        last, system, moves = ended.best, bounds.system, ended.options.is_dynamics
+        value, forces = bounds.of(last.force if last.proof is None else last.proof, last.staggered, whole=True)
+        proof = forces if value > ended.bound[0] else ended.proof
+        still, spins = np.zeros(system.unknowns), last.staggered[:, 0].T
+        found = Found(still, proof[:, 0, bounds.of_system], ended.options.name, everywhere=spins)
+        super().__init__(system, [bounds.packing], [found], moves)
+        self.of_acting = of_acting
+        self.acting, self.last, self.iterations = bounds.acting, last, ended.iterations
+
+    def force(self, slip: np.ndarray) -> np.ndarray:
+        """Return the sizes (1, E contacts) of the contact forces of the last state. slip : not used."""
+        force = super().force(slip)
+        force[:, self.acting] = vector_length(self.last.force)
+        return force
+
+    def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
+        """Return the states (1, E contacts) that slips and forces of the last state show.
+
+        answer : the answer so far.
+        known : (1, E), the states that are proven, or None.
+        """
+        seen, slip, acting, scene = super().observed(answer, known), answer.slip[0], self.acting, self.scene
+        loose = np.setdiff1d(acting, self.system.numbers)
+        seen[0, loose] = np.where(slip[loose] > self.last.resolution, SLIPPING, SLIPLESS)
         if scene.law.holds:
-            now = result.slip[:, acting], last.force, float(np.max(last.resolution))
-            observed[:, acting] = classify(scene, *now)
-        if not scene.law.holds:
+            now = answer.slip[:, acting], self.last.force, float(np.max(self.last.resolution))
+            seen[:, acting] = classify(self.of_acting, *now)
+        else:
             # sum eta |slip - slip at the minimum|^2 is at most power minus bound: smaller slips may be none
-            left = max(result.objective[0] - result.lower_bound[0], 0.0)
-            apart = np.sqrt(left / scene.acting_coefficient[0])
-            observed[0, acting[slip[acting] <= apart]] = UNDECIDED
-        status = ended_as(ended.status, result, stop, row.is_dynamics)
-        moves, known = row.is_dynamics and not scene.law.flows, what_is_proven(result.state, result.proven)
-        state, proven = decided(observed, known, moves, has_ended=moves and bool(result.gap[0] <= stop.tolerance))
-        return replace(result, status=status, iterations=ended.iterations, force=force, state=state, proven=proven)
+            left = max(answer.objective[0] - answer.lower_bound[0], 0.0)
+            apart = np.sqrt(left / self.of_acting.acting_coefficient[0])
+            seen[0, acting[slip[acting] <= apart]] = UNDECIDED
+        return seen
 
 
 def team_of(fields: Fields, spec: ListSpec) -> Team:

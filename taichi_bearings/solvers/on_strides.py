@@ -15,11 +15,14 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
-from taichi_bearings.scene import Bearing, Progress, Scene
+from taichi_bearings.scene import Bearing, Progress, Scene, Solution
 from taichi_bearings.scene.scene import of_lattice
-from taichi_bearings.solvers.contacts import Inertia, Launch, Stepped
+from taichi_bearings.solvers.answer import answered
+from taichi_bearings.solvers.contacts import Ended, Inertia, Launch, Stepped
 from taichi_bearings.solvers.gear import largest_laplacian_eigenvalue, largest_weighted_eigenvalue
+from taichi_bearings.solvers.lattice_states import LatticeReached
 from taichi_bearings.solvers.part import Part
+from taichi_bearings.solvers.table import JUDGED_SECONDS
 
 if TYPE_CHECKING:
     from taichi_bearings.conic.proximal import Unknowns
@@ -239,6 +242,16 @@ class OnStrides(Stepped):
         checkpoint, prove.
         """
         return lower_bound(self.scene, force, self.spin_axes)
+
+    @property
+    def seconds_to_prove(self) -> float:
+        """An estimate of the seconds that the proof of an answer takes, by the size of the lattice."""
+        lattice = self.scene.lattice
+        return JUDGED_SECONDS[lattice.dimension] * lattice.sites * self.scene.replicas
+
+    def answered(self, ended: Ended) -> Solution:
+        """Return the answer to all samples from the best spins and the best forces of a run that ended."""
+        return answered(LatticeReached(self.scene, ended), ended, ended.while_wanted)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
         """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque

@@ -5,7 +5,7 @@ parts of the packing that touch a driven sphere), d tangents of a contact; u = R
 """
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -15,15 +15,16 @@ from taichi_bearings.conic.rolling import rolled
 from taichi_bearings.interrupts import GivenUp, look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces
-from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene import Progress, Solution
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers import nested_cuts
+from taichi_bearings.solvers.answer import answered
 from taichi_bearings.solvers.contacts import Contacts, Ended
 from taichi_bearings.solvers.found import Found
-from taichi_bearings.solvers.packing_answer import answers, as_minima, judged, refuse_unjudged, system_of_sample
 from taichi_bearings.solvers.packing_paths import MOST_STEPS, PackingPaths, viscous_spins
+from taichi_bearings.solvers.packing_states import PackingReached
 from taichi_bearings.solvers.part import Part
+from taichi_bearings.solvers.sample_system import system_of_sample
 from taichi_bearings.solvers.stopping import ended_as
 
 ENOUGH_FRICTION = 1e3  # friction beyond which a contact hardly slips, in units of power over fastest driven surface
@@ -48,7 +49,7 @@ class OnSystem(Contacts):
         self.samples = [packing.sample(number) for number in range(packing.replicas)]
         with one_thread():
             self.system = system_of_sample(self.samples[0])
-        self._judged: tuple[Sequence[Found], Sequence[Found], Judgement] | None = None
+        self._judged: tuple[Sequence[Found], PackingReached] | None = None
 
     @property
     def is_still(self) -> bool:
@@ -125,7 +126,7 @@ class OnSystem(Contacts):
         """
         staggered, force = self._stacked(ends)
         with one_thread():
-            judgement = self.judgement(ends)[1]
+            judgement = self.reached(ends).judgement
             return Progress(
                 iteration=iteration, staggered=staggered, spin_axes=self.spin_axes, force=force, resolution=0.0,
                 objective=judgement.objective, lower_bound=judgement.lower_bound,
@@ -145,8 +146,8 @@ class OnSystem(Contacts):
             force[:, number, system.numbers] = end.force
         return np.nan_to_num(spins), np.nan_to_num(force)
 
-    def judgement(self, ends: Sequence[Found]) -> tuple[Sequence[Found], Judgement]:
-        """Return the minima of all samples, and what they prove: states without slip where such exist.
+    def reached(self, ends: Sequence[Found]) -> PackingReached:
+        """Return the minima of all samples, with what they prove: states without slip where such exist.
 
         Raises InputError if no arithmetic can judge the numbers.
 
@@ -154,10 +155,8 @@ class OnSystem(Contacts):
         """
         known = self._judged
         if known is None or any(one is not other for one, other in zip(known[0], ends, strict=True)):
-            found, judgement = as_minima(self.system, self.samples, ends)
-            refuse_unjudged(judgement)
-            known = self._judged = ends, found, judgement
-        return known[1:]
+            known = self._judged = ends, PackingReached(self.system, self.samples, ends)
+        return known[1]
 
     def proven_by(self, force: Forces) -> np.ndarray:
         """Return 0 (R samples,): what forces prove is found at the end, from forces and spins.
@@ -171,13 +170,13 @@ class OnSystem(Contacts):
 
         ended : how the run ended, with the spins and forces that were reached.
         """
-        stop = ended.stop
         with one_thread():
-            found = answers(self.system, self.samples, *self.judgement(ended.found()), ended.while_wanted)
+            whole = answered(self.reached(ended.found()), ended, ended.while_wanted)
+            found = [whole.sample(number) for number in range(self.scene.replicas)]
             for number, one in enumerate(found):
                 if one.method == "interior-point" and one.scene.law.is_rate_independent:
                     one = self._without_contrast(number, one, ended)
-                found[number] = replace(one, status=ended_as(ended.status, one, stop, is_dynamics=False))
+                found[number] = replace(one, status=ended_as(ended.status, one, ended.stop, is_dynamics=False))
         return Solution.joined(found, self.scene)
 
     def _without_contrast(self, number: int, found: Solution, ended: Ended) -> Solution:
@@ -204,7 +203,8 @@ class OnSystem(Contacts):
                 (end,) = paths.found()
                 start = end.spins, np.zeros(system.unknowns) if end.rest is None else end.rest
                 spins, rounding = rolled(system, sample, start, capped)
-                (other,) = judged(system, [sample], [replace(end, spins=spins, rest=rounding)])
+                reached = PackingReached(system, [sample], [replace(end, spins=spins, rest=rounding)])
+                other = answered(reached, ended, nullcontext)
                 if not (other.gap[0] < found.gap[0] or other.power[0] < LESS_POWER * found.power[0]):
                     break
                 found = replace(other, iterations=found.iterations + other.iterations)

@@ -16,7 +16,7 @@ from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers.found import Found
-from taichi_bearings.solvers.packing_answer import forces_of, judgement_of
+from taichi_bearings.solvers.packing_states import forces_of, judgement_of
 
 
 class PackingBounds:
@@ -46,7 +46,7 @@ class PackingBounds:
             system, self.packing, exactly(np.zeros(system.unknowns)), np.ones(len(system.numbers), dtype=bool)
         )
         judgement = judgement_of(system, [self.packing], [Found(spins, np.zeros_like(system.offset), "", rest=rest)])
-        return judgement.slipless if judgement.can_be_judged else np.zeros(1, dtype=bool)
+        return np.zeros(1, dtype=bool) if judgement is None else judgement.slipless
 
     def of(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
         """Return a proven lower bound on the objective, 0 if none follows, and the forces (d, 1, E contacts) that prove
@@ -96,8 +96,8 @@ class PackingBounds:
         """
         packing, friction = self.packing, forces_of(self.system, force)[1]
         spin = packing.spins_of(exactly(spins[:, 0].T))
-        judgement = Judgement(packing, *spin, friction)
-        return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
+        judgement = Judgement.of(packing, *spin, friction)
+        return 0.0 if judgement is None else float(judgement.lower_bound[0])
 
     def _balanced(self, force: np.ndarray) -> np.ndarray:
         """Return contact forces (d tangents, A contacts) with their leftover torques balanced, or as they are if the

@@ -9,7 +9,7 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.scene import Bearing, Solution
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve, uninterrupted
-from taichi_bearings.solvers.packing_answer import system_of_sample
+from taichi_bearings.solvers.sample_system import system_of_sample
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, InteriorPoint
 from taichi_bearings.words import shown

@@ -16,9 +16,9 @@ from taichi_bearings.conic import central_path
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, LaunchedFactor
 from taichi_bearings.proof import judged_network, listed
+from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, grid_bundles, grid_cuts, operator_splitting
-from taichi_bearings.solvers.answer import judged
 from tests.scenes import make_scene
 
 
@@ -162,7 +162,7 @@ def test_a_whole_lattice_is_judged_by_slices_without_lists_of_contacts_or_search
     gc.collect()
     tracemalloc.start()
     try:
-        judgement = judged(scene, spin, np.zeros_like(spin), friction)
+        judgement = Judgement(scene, spin, np.zeros_like(spin), friction)
         before = tracemalloc.get_traced_memory()[0]
         assert (judgement.power > 0).all()
         assert (judgement.lower_bound == 0).all()

@@ -20,7 +20,7 @@ from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import drive
+from taichi_bearings.solvers import lattice_states
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
@@ -111,7 +111,7 @@ def hears(process):
 
 def test_a_limit_of_time_ends_the_proof_too_and_is_no_interrupt(monkeypatch):
     minimum()  # compiled
-    monkeypatch.setattr(drive, "known_states", for_ever)
+    monkeypatch.setattr(lattice_states.LatticeReached, "known", for_ever)
     began = time.monotonic()
     found = minimum(StopRule(seconds=1.0))
     assert time.monotonic() - began < 4

@@ -10,8 +10,7 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.solvers import nested_cuts
-from taichi_bearings.solvers import packing_answer as answer
+from taichi_bearings.solvers import nested_cuts, sample_system
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import KNOWN_LAWS, some_of
 
@@ -136,7 +135,7 @@ def test_networks_along_the_axes_have_the_minimum_of_any_other(seed, unsettled, 
         monkeypatch.setattr(descent, "resolve", lambda iterates, *_: [None] * len(iterates))
     own = tb.solve(packing)
     monkeypatch.setattr(ContactSystem, "signed", lambda self: None)
-    monkeypatch.setattr(answer, "_last", None)  # with the signed rows that it has kept
+    monkeypatch.setattr(sample_system, "_last", None)  # with the signed rows that it has kept
     other = tb.solve(packing)
     assert own.status == "certified"
     assert own.gap < 1e-12

@@ -6,7 +6,7 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.shared import system_of
-from taichi_bearings.solvers import packing_answer as answer
+from taichi_bearings.solvers import packing_states, sample_system
 from tests.packing.twins import random_packing
 
 ARRAYS = ("spin", "spin_rounding", "slip", "force", "friction", "state", "proven", "power", "lower_bound", "iterations")
@@ -43,7 +43,7 @@ def test_a_sample_has_the_same_bits_alone_and_beside_others(draw, monkeypatch):
     packings = [draw(seed) for seed in range(3)]
     block = tb.solve(tb.Packing.together(packings))
     for packing, beside in zip(packings, block, strict=True):
-        monkeypatch.setattr(answer, "_last", None)  # nothing is known of the network
+        monkeypatch.setattr(sample_system, "_last", None)  # nothing is known of the network
         alone = tb.solve(packing)
         for name in ARRAYS:
             assert np.array_equal(getattr(alone, name), getattr(beside, name)), name
@@ -84,4 +84,4 @@ def test_a_minimum_is_the_only_one_where_nothing_moves_along_its_slips(share):
     kernel = kernel_of(np.concatenate(kept))
     slips = np.einsum("te,teu,uk->ek", along, rows, kernel)
     expected = (state == 1) & (np.abs(slips) > 1e-7).any(axis=1)
-    assert np.array_equal(answer.tied(system, force, state), expected)
+    assert np.array_equal(packing_states.tied(system, force, state), expected)

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.runs.writing import write_state
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, PlanarCut
-from taichi_bearings.solvers.answer import judged, with_forces_of
+from taichi_bearings.solvers.answer import with_forces_of
 from taichi_bearings.solvers.drive import solve
 from tests.proof.forgeries import RUNS, fields_of, forged, honest_file, outcome
 from tests.proof.honest import contradictions, drawn
@@ -134,7 +135,7 @@ def test_states_that_are_proven_are_those_that_are_said(needs_f64):
     for seed in range(6):
         scene = make_scene((4, 5), seeds=(seed,), distribution="power-law:1e-15,1e15,-1")
         answer = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"))
-        states = judged(scene, answer.spin, answer.spin_rounding, answer.friction).states[0]
+        states = Judgement(scene, answer.spin, answer.spin_rounding, answer.friction).states[0]
         said, proven = answer.state[0], states.known
         known = (proven != ContactState.UNDECIDED) & (said != ContactState.DRIVEN)
         assert (said[known] == proven[known]).all()
@@ -181,7 +182,7 @@ def test_what_proves_and_what_is_proven_is_not_forged_unseen(name, tmp_path, nee
 
 def test_what_cannot_be_judged_is_not_said_to_be_proven(tmp_path, needs_f64):
     """A direction that no arithmetic of the proofs can follow is refused; scales beyond it are not certified."""
-    with pytest.raises(InputError, match="1e-100 of the largest"):
+    with pytest.raises(InputError, match="1e-100 times the largest"):
         run(RunSettings(shape=(4, 4, 4), direction=(1, 1e-200, 0)), tmp_path / "run")
     scene = make_scene((4, 5), normal_force=1e-80)
     answer = solve(scene, PlanarCut().build(), initial_spin(scene, "linear"))

@@ -13,8 +13,7 @@ from taichi_bearings.scans.estimate import units_of
 from taichi_bearings.scans.sample import solve_samples, state_path
 from taichi_bearings.scans.scan import scan
 from taichi_bearings.scene.packing import Packing
-from taichi_bearings.solvers import on_system
-from taichi_bearings.solvers import packing_answer as answer
+from taichi_bearings.solvers import on_system, sample_system
 from tests.scans.scan_faults import Here, die_of_several
 from tests.scans.test_scan import CLOCKS, assert_same_but_for_the_clock
 from tests.scans.test_scan_of_packings import save
@@ -34,7 +33,7 @@ def one_by_one(samples, *others):
     """Records of samples, each of a call of its own that knows nothing of the network."""
     found = []
     for sample in samples:
-        answer._last = None
+        sample_system._last = None
         found += solve_samples([sample], *others)
     return [without_clocks(record) for record in found]
 
@@ -105,15 +104,15 @@ def test_units_are_blocks_shared_by_the_workers(plan_of, tmp_path):
 
 def test_a_sample_that_fails_fails_alone(plan_of, tmp_path, monkeypatch):
     network(tmp_path)
-    samples, answers = plan_of(SEEDS).samples, on_system.answers
+    samples, answered = plan_of(SEEDS).samples, on_system.answered
     expected = one_by_one(samples)
 
-    def failing(system, packings, *others):
-        if any(packing.seed == 5 for packing in packings):
+    def failing(reached, *others):
+        if any(packing.seed == 5 for packing in reached.samples):
             raise ArithmeticError("no luck")
-        return answers(system, packings, *others)
+        return answered(reached, *others)
 
-    monkeypatch.setattr(on_system, "answers", failing)
+    monkeypatch.setattr(on_system, "answered", failing)
     found = [without_clocks(record) for record in solve_samples(samples)]
     assert found[:3] + found[4:] == expected[:3] + expected[4:]
     assert found[3]["scalars"] == {"status": "failed", "error": "ArithmeticError: no luck"}

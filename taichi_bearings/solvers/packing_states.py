@@ -1,12 +1,11 @@
-"""The answer to a sample of a packing: spins and forces that were found, what is proven of them, which contacts slip.
+"""What a method has reached in samples of a packing, and which of their contacts slip.
 
 Letters: N spheres, E contacts, A contacts of the *system* (those that take part in the motion and lie in parts of the
 packing that touch a driven sphere), d tangents of a contact (1 for discs, 2 for spheres), C components of a spin,
 u = R omega. The *unknowns* are the components of u of the free spheres of the system. A contact *bears* a force.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,15 +14,15 @@ from scipy import sparse
 from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
-from taichi_bearings.interrupts import GivenUp
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.proof.contact_state import SATURATED, decided
+from taichi_bearings.proof.contact_state import SATURATED
 from taichi_bearings.proof.enclosed import LEAST_SPEED
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.on_lattice import LEAST_SCALE, MOST_SCALE
-from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene import Solution
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, UNDECIDED
+from taichi_bearings.solvers.answer import Indicated, Reached
 from taichi_bearings.solvers.found import Found
 
 # at exact minima: relative friction margin above which a contact is surely slipless; slip, in units of the fastest
@@ -34,39 +33,89 @@ AT_REST = 1e-9  # slip, in units of the fastest imposed surface, up to which a c
 MOVED = 1e-7  # relative slip above which a motion moves a contact
 
 
-_last: tuple[Packing, ContactSystem] | None = None  # last packing that this process solved, and its system
-OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")  # all that a contact system depends on
+class PackingReached(Reached):
+    """What a method has reached in samples of a packing in which the same contacts take part; they are judged together.
+
+    system : the contacts that take part.
+    samples : each sample alone.
+    found : spins and forces of each sample.
+    """
+
+    scene: Packing
+    judgement: Judgement
+
+    def __init__(
+        self, system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found], moves: bool = False
+    ) -> None:
+        """Judge what was found; InputError is raised if no arithmetic can judge the numbers.
+
+        system : the contacts that take part.
+        samples : each sample alone.
+        found : spins and forces of each sample.
+        moves : True if the spins are those of a motion and are kept. Otherwise they are replaced by the slipless state
+            where one is proven to exist.
+        """
+        self.system, self.samples = system, samples
+        found, judgement = (
+            (found, judgement_of(system, samples, found)) if moves else _as_minima(system, samples, found)
+        )
+        if judgement is None:
+            raise InputError(
+                "the imposed spins or the coefficients are too small or too large for a proof; the largest radius * spin "
+                f"must be from {LEAST_SPEED} to {MOST_SCALE} length/time, "
+                f"the largest force from {LEAST_SCALE} to {MOST_SCALE}"
+            )
+        self.found, self.judgement, self.scene = found, judgement, Packing.together(samples)
+        self.spin, self.spin_rounding, self.friction = judgement.spin, judgement.spin_rounding, judgement.friction
+        self.method, self.iterations = found[0].method, max(of.steps for of in found)
+        self.findings = {
+            "proof": judgement.proof,
+            "driven_power": judgement.driven_power,
+            "slipless_motions": np.full(len(found), system.motions, dtype=object),
+        }
+
+    def force(self, slip: np.ndarray) -> np.ndarray:
+        """Return the sizes (R samples, E contacts) of the contact forces that were found. slip : not used."""
+        return np.stack([forces_of(self.system, _finite(of.force))[0] for of in self.found])
+
+    def indicated(self, slip: np.ndarray) -> Indicated:
+        """Return the contacts that take no part, and no state of the others. slip : not used."""
+        state = np.where(self.judgement.acts, UNDECIDED, DRIVEN)
+        if len(self.found) == 1:
+            return Indicated(state)
+        steps, methods = np.array([of.steps for of in self.found]), [of.method for of in self.found]
+        return Indicated(state, own={"iterations": steps, "method": np.array(methods, dtype=object)})
+
+    def known(self, has_ended: bool) -> np.ndarray:
+        """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is.
+        has_ended : not used.
+        """
+        return self.judgement.known
+
+    def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
+        """Return the states (R samples, E contacts) that slips and friction margins show. Where no proof of states was
+        wanted, those that the method has settled are not used either, as it takes long to tell which are tied.
+
+        answer : the answer so far. known : (R, E), the states that are proven, or None.
+        """
+        found = self.found if known is not None else [replace(of, slips=None) for of in self.found]
+        known = np.full(answer.state.shape, UNDECIDED) if known is None else known
+        rows = zip(self.samples, found, answer.slip, known, strict=True)
+        seen = np.stack([_states(self.system, sample, of, slip, row) for sample, of, slip, row in rows])
+        return np.where(self.judgement.acts, seen, DRIVEN)
 
 
-def system_of_sample(packing: Packing) -> ContactSystem:
-    """Return the contact system of a packing: that of the last one if only coefficients differ, as between seeds."""
-    from taichi_bearings.conic.shared import system_of  # and with it Taichi's kernels
-
-    global _last
-    known = _last
-    if known is None or not _alike(known[0], packing):
-        known = _last = None  # its memory is free before another one is found
-        known = _last = packing, system_of(packing)
-    return known[1]
-
-
-def _alike(one: Packing, other: Packing) -> bool:
-    """Return True if two packings have the same network, and the same contacts of it take part."""
-    same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
-    return same and np.array_equal(one.acting, other.acting)
-
-
-def as_minima(
+def _as_minima(
     system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found]
-) -> tuple[Sequence[Found], Judgement]:
-    """Return what was found, and what it proves; samples that have a state without slip get that.
+) -> tuple[Sequence[Found], Judgement | None]:
+    """Return what was found, and what it proves, or None; samples that have a state without slip get that.
 
     system : the contacts that take part.
     samples : samples of one network, of which the same contacts take part.
     found : spins and forces of each sample.
     """
     judgement = judgement_of(system, samples, found)
-    if judgement.can_be_judged and judgement.slipless.any():
+    if judgement is not None and judgement.slipless.any():
         slips = (judgement.network.slip.most > 0).reshape(len(samples), -1).any(axis=1)
         if (replaced := judgement.slipless & slips).any():
             pairs = zip(samples, found, replaced.tolist(), strict=True)
@@ -75,108 +124,9 @@ def as_minima(
     return found, judgement
 
 
-def refuse_unjudged(judgement: Judgement) -> None:
-    """Raise InputError for numbers that no arithmetic can judge."""
-    if not judgement.can_be_judged:
-        raise InputError(
-            "the imposed spins or the coefficients are too small or too large for a proof; the largest radius * spin "
-            f"must be from {LEAST_SPEED} to {MOST_SCALE} length/time, "
-            f"the largest force from {LEAST_SCALE} to {MOST_SCALE}"
-        )
-
-
-def judged(
-    system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found], moves: bool = False
-) -> list[Solution]:
-    """Return what was found of each sample as an answer, with all that is proven of it; its status is left open.
-
-    system : the contacts that take part.
-    samples : samples of one network, of which the same contacts take part; they are judged together.
-    found : spins and forces of each sample.
-    moves : True if the spins are those of a motion and are kept. Otherwise they are replaced by the slipless state
-        where one is proven to exist.
-    """
-    of = system, samples, found
-    found, judgement = (found, judgement_of(*of)) if moves else as_minima(*of)
-    return answers(system, samples, found, judgement)
-
-
-def answers(
-    system: ContactSystem,
-    samples: Sequence[Packing],
-    found: Sequence[Found],
-    judgement: Judgement,
-    while_wanted: Callable[[], AbstractContextManager[None]] = nullcontext,
-) -> list[Solution]:
-    """Return the answer of each sample; its status is left open.
-
-    system : the contacts that take part.
-    samples : samples of one network, of which the same contacts take part.
-    found : spins and forces of each sample.
-    judgement : what these prove.
-    while_wanted : function that returns a context inside which the proof of contact states ends with GivenUp where it
-        is no longer wanted; nothing is proven of the states then.
-    """
-    refuse_unjudged(judgement)
-    values = {name: getattr(judgement, name) for name in JUDGED}
-
-    def all_of(found: Sequence[Found], known: np.ndarray) -> list[Solution]:
-        """Return all answers. known : (R, E), the states that are proven, UNDECIDED where nothing is."""
-        rows = values | {"known": known}
-        return [
-            _answer(system, sample, of, {name: v[number : number + 1] for name, v in rows.items()})
-            for number, (sample, of) in enumerate(zip(samples, found, strict=True))
-        ]
-
-    with suppress(GivenUp), while_wanted():
-        return all_of(found, judgement.known)
-    return all_of([replace(of, slips=None) for of in found], np.full(values["slip"].shape, UNDECIDED))
-
-
-JUDGED = (
-    "spin", "spin_rounding", "slip", "acts", "power", "objective", "lower_bound", "gap", "largest_torque",
-    "proof", "driven_power",
-)  # fmt: skip
-"""What an answer takes from a judgement: arrays with one row for each sample."""
-
-
-def _answer(system: ContactSystem, packing: Packing, found: Found, of: dict[str, np.ndarray]) -> Solution:
-    """Return the answer of one sample.
-
-    of : the rows of the sample, by the names in JUDGED, and `known`, the states that are proven.
-    """
-    law, slip = packing.law, of["slip"]
-    force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
-    observed = np.where(of["acts"], _states(system, packing, found, slip[0], of["known"][0]), DRIVEN)
-    state, proven = decided(observed, of["known"])
-    return Solution(
-        scene=packing,
-        method=found.method,
-        status=Status.STALLED,
-        iterations=found.steps,
-        spin=of["spin"],
-        spin_rounding=of["spin_rounding"],
-        slip=slip,
-        power_per_contact=law.power(packing.material, slip),
-        force=force[None],
-        friction=friction[None],
-        state=state,
-        proven=proven,
-        power=of["power"],
-        objective=of["objective"],
-        lower_bound=of["lower_bound"],
-        gap=of["gap"],
-        largest_balance_residual=of["largest_torque"],
-        findings={
-            "proof": of["proof"],
-            "driven_power": of["driven_power"],
-            "slipless_motions": np.array([system.motions], dtype=object),
-        },
-    )
-
-
-def judgement_of(system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found]) -> Judgement:
-    """Return what the spins and the forces that were found prove; numbers that are not finite count as 0.
+def judgement_of(system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found]) -> Judgement | None:
+    """Return what the spins and the forces that were found prove; None for numbers that no arithmetic can judge.
+    Numbers that are not finite count as 0.
 
     system : the contacts that take part.
     samples : samples of one network, of which the same contacts take part.
@@ -187,9 +137,14 @@ def judgement_of(system: ContactSystem, samples: Sequence[Packing], found: Seque
         u = system.all_spins(of.spins) if of.everywhere is None else of.everywhere
         rest = np.append(np.zeros(system.unknowns) if of.rest is None else of.rest, 0.0)[system.moved]
         spins.append(packing.spins_of((np.nan_to_num(u, posinf=0.0, neginf=0.0), rest)))
-        friction.append(forces_of(system, np.nan_to_num(of.force, posinf=0.0, neginf=0.0))[1])
+        friction.append(forces_of(system, _finite(of.force))[1])
     spin, rounding = (np.stack(parts) for parts in zip(*spins, strict=True))
-    return Judgement(Packing.together(samples), spin, rounding, np.stack(friction))
+    return Judgement.of(Packing.together(samples), spin, rounding, np.stack(friction))
+
+
+def _finite(force: np.ndarray) -> np.ndarray:
+    """Return forces with 0 in place of numbers that are not finite."""
+    return np.nan_to_num(force, posinf=0.0, neginf=0.0)
 
 
 def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:

@@ -1,0 +1,241 @@
+"""What a method has reached on a lattice, and which states of its contacts that indicates and proves.
+
+Shapes: R samples, E contacts, C carried spin components. The *jump* of a scene is the difference between the spins that
+are imposed on its top and on its bottom, 1/time. A state is *proven* if it is that of the contact at every minimum.
+"""
+
+import numpy as np
+
+from taichi_bearings.lattice.grid import laboratory_forces
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap, saturation
+from taichi_bearings.proof.contact_state import (
+    SATURATED,
+    ContactState,
+    classify,
+    decided,
+    separate,
+    too_uneven,
+    unresolved,
+)
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.scene import Progress, Scene, Solution
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.answer import Indicated, Reached
+from taichi_bearings.solvers.contacts import Ended
+from taichi_bearings.solvers.without_slip import without_slip
+
+ROUNDED_LIMIT = 1e-11  # relative distance from the friction limit that rounding leaves on a slipping contact
+MISSING_SLIP = 1e2  # a contact that misses its friction limit by a share x is trusted to slip only above 1e2 x R jump
+
+
+class LatticeReached(Reached):
+    """What a method has reached in all samples of a lattice.
+
+    final : the best state that it has reached.
+    bound : (R,), the lower bound that the method knows.
+    proof : (C components, R samples, E contacts), forces near those of the method that prove a bound by themselves.
+    options : the method and its options.
+    threshold : slip speed, length/time, up to which a contact counts as slipless; None for what the method can resolve.
+    """
+
+    scene: Scene
+
+    def __init__(self, scene: Scene, ended: Ended) -> None:
+        """Judge the spins and the forces of a run that ended."""
+        final, forces, self.options = ended.best, ended.proof, ended.options
+        # a sample whose least power is 0 gets the state without slip, whatever the method came to
+        if not self.options.is_dynamics:
+            final = without_slip(scene, final)
+            idle = scene.is_cut_off | (scene.jump == 0)
+            forces = np.where(idle[:, None], 0.0, forces) if idle.any() else forces
+        self.scene, self.final, self.bound = scene, final, ended.bound
+        self.threshold = ended.slip_threshold
+        self.spin, self.spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
+        self.proof = certifying_forces(scene, forces, final.spin_axes, ended.bound, final.objective - ended.bound)
+        self.friction = laboratory_forces(self.proof, scene.lattice, final.spin_axes)
+        self.judgement = Judgement.of(scene, self.spin, self.spin_rounding, self.friction)
+        self.method, self.iterations, self.findings = self.options.name, ended.iterations, final.findings
+
+    def numbers(self) -> dict[str, np.ndarray]:
+        """Return slips, power, bounds and leftover torques: as they are proven, or what the method says where nothing
+        can be judged, as with a law that is not known to the proofs. The torques of a dynamics are those of its motion.
+        """
+        scene, final = self.scene, self.final
+        if self.judgement is not None:
+            moves = {"largest_balance_residual": final.largest_balance_residual} if self.options.is_dynamics else {}
+            return super().numbers() | moves
+        slip = scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
+        objective = power = final.objective
+        if scene.law.minimises != "power":
+            power = scene.law.power(scene.material, slip).sum(axis=1)
+        bound = np.zeros_like(self.bound) if scene.law.is_sum else self.bound
+        gap, residual = relative_gap(scene, objective, bound), final.largest_balance_residual
+        return {
+            "slip": slip, "power": power, "objective": objective, "lower_bound": bound, "gap": gap,
+            "largest_balance_residual": residual,
+        }  # fmt: skip
+
+    def force(self, slip: np.ndarray) -> np.ndarray:
+        """Return the sizes (R samples, E contacts) of the contact forces: those of a dynamics now, or those that prove
+        the bound. slip : (R, E), slip speeds, length/time.
+        """
+        return self._of_motion(slip) if self.options.is_dynamics else vector_length(self.proof)
+
+    def _of_motion(self, slip: np.ndarray) -> np.ndarray:
+        """Return the sizes (R samples, E contacts) of the contact forces of a dynamics at its last moment.
+
+        Where contacts can hold a force without slip, the dynamics knows it; else the law gives it from the slip.
+        Without viscosity a force is cut off at the friction limit, beyond which only the rounding of far stronger
+        contacts can lift it.
+
+        slip : (R, E), slip speeds.
+        """
+        scene = self.scene
+        if not scene.law.holds:
+            return scene.law.force(scene.material, slip)
+        ratio = max(getattr(self.options, "static_ratio", 1.0), 1.0)
+        most = np.inf if scene.law.flows else scene.strength * ratio
+        absent = scene.coefficient == 0
+        limit = most * np.where(absent, 1.0, scene.coefficient)
+        return np.where(absent, 0.0, np.minimum(vector_length(self.final.force), limit))
+
+    def indicated(self, slip: np.ndarray) -> Indicated:
+        """Return the states that method, slips and forces indicate, with the slip speeds up to which contacts count as
+        slipless. slip : (R, E), slip speeds, length/time.
+        """
+        known = _known_by_contact(self.judgement, self.options.is_dynamics)
+        state, each, of_all = _states_and_thresholds(self.scene, slip, self.final, self.threshold, known, self.proof)
+        ended = self.final.ended
+        return Indicated(state, of_all, {"slip_threshold": each} | ({} if ended is None else {"iterations": ended}))
+
+    def known(self, has_ended: bool) -> np.ndarray | None:
+        """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is; None if
+        no proof is tried.
+
+        A proof is tried in samples where the method believes to have found these states, and in all samples where the
+        proof is cheap (one spin component, or viscosity) or where a motion has come to a minimum.
+
+        has_ended : True if a motion is proven to have come to a minimum.
+        """
+        scene, judgement, believed = self.scene, self.judgement, self.final.states_believed
+        one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
+        together = one_component or scene.law.flows or has_ended
+        asked = np.full(scene.replicas, together) if believed is None or together else np.array(believed)
+        if judgement is None or not asked.any():
+            return None
+        with one_thread():
+            if asked.all():
+                return judgement.known
+            undecided = np.full(scene.coefficient.shape[1], ContactState.UNDECIDED)
+            return np.stack([judgement.one(n).known[0] if asks else undecided for n, asks in enumerate(asked)])
+
+    def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
+        """Return the states (R samples, E contacts) that were indicated; of those that a method has established, only
+        what slip and friction are large enough to tell.
+
+        answer : the answer with these states.
+        known : (R, E), the states that are proven, or None.
+        """
+        if self.final.state is None or not self.scene.law.is_rate_independent:
+            return answer.state
+        return above_noise(answer, np.full(answer.state.shape, ContactState.UNDECIDED) if known is None else known)
+
+
+def _states_and_thresholds(
+    scene: Scene,
+    slip: np.ndarray,
+    final: Progress,
+    threshold: float | None,
+    known: np.ndarray | None,
+    proof: Forces,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return contact states (R samples, E contacts), and the slip speeds up to which contacts count as slipless: (R,),
+    and one for all samples.
+
+    Without a threshold, a contact that seems to slip while its friction in `proof` is below its limit is undecided,
+    unless `known` has its state. If some slipping contact is slower than what the slip alone resolves, the friction has
+    told it apart; the speed that is returned then is the largest slip of a slipless contact.
+
+    slip : (R, E), slip speeds, length/time.
+    final : the best state that the method has reached.
+    threshold : the slip speed that the user asked for, or None for what can be resolved.
+    known : (R, E), states that are proven contact by contact, or None.
+    proof : (C components, R, E), forces that prove the lower bound.
+    """
+    if threshold is not None:
+        state = _states(scene, slip, final, threshold, asked=True)
+        return state, np.full(scene.replicas, threshold), threshold
+    # slips computed from rounded spins: smaller ones than this share of the imposed slip are rounding
+    rounding = 1e-12 * scene.lattice.radius * scene.jump if final.slip is None else 0.0
+    resolves = np.maximum(final.resolution, rounding) * np.ones(scene.replicas)
+    state = _states(scene, slip, final, float(resolves.max()), asked=False)
+    if known is not None:
+        off = (state == ContactState.SLIPPING) & (saturation(scene, proof) < SATURATED) & (not scene.law.flows)
+        state = np.where(off, ContactState.UNDECIDED, state)
+        state = decided(state, known)[0]
+    found = separate(scene, slip, state)
+    largest, smallest = np.fmax(found.largest_slipless, 0.0), np.fmin(found.smallest_slipping, np.inf)
+    each = np.where(smallest <= resolves, largest, np.maximum(resolves, largest))
+    of_all = float(largest.max() if smallest.min() <= each.max() else each.max())
+    return state, each, of_all
+
+
+def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
+    """Return the states (R samples, E contacts) that are proven of every minimum where a proof looks at each contact
+    alone; else None.
+
+    That is so where the force grows with the slip, and for minima with one spin component. A dynamics without viscosity
+    gets None, as its states are those of its motion, not of the minima.
+
+    judgement : what is proven of the answer, or None.
+    is_dynamics : True if the method is a dynamics.
+    """
+    if judgement is None or not (judgement.law.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
+        return None
+    return judgement.known
+
+
+def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
+    """Return contact states (R samples, E contacts): those that the method has established, or else those that slip and
+    friction give.
+
+    slip : (R, E), slip speeds, length/time.
+    final : the best state that the method has reached.
+    threshold : slip speed up to which a contact counts as slipless, length/time.
+    asked : True if the user gave it. Then a slipping contact that is slower becomes slipless, and a slipless one that
+        is faster becomes undecided.
+    """
+    if final.state is None:
+        return classify(scene, slip, final.force, threshold)
+    state = final.state
+    if asked:
+        slow = (state == ContactState.SLIPPING) & (slip <= threshold)
+        fast = (state == ContactState.SLIPLESS) & (slip > threshold)
+        state = np.where(slow, ContactState.SLIPLESS, np.where(fast, ContactState.UNDECIDED, state))
+    return np.where(scene.idle, ContactState.DRIVEN, state).astype(np.uint8)
+
+
+def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
+    """Return the states (R samples, E contacts) of an answer with UNDECIDED where slip and friction are too small to
+    tell them.
+
+    known : (R, E), the states that are proven; a contact that has one keeps its state.
+
+    Another contact becomes undecided
+
+    * if it seems to slip, but the gap between power and lower bound could explain its slip, or its friction is off the
+      limit by more than its slip allows (MISSING_SLIP);
+    * if it seems slipless, but bears all the friction that it can;
+    * in samples whose coefficients are too uneven for floating-point numbers, unless an exact cut has solved them.
+    """
+    scene, slips = answer.scene, answer.state == ContactState.SLIPPING
+    limit = scene.strength * scene.coefficient
+    missing = limit - answer.force - ROUNDED_LIMIT * limit
+    faint = MISSING_SLIP * missing * scene.slip_radius * scene.jump > answer.slip * limit
+    doubtful = slips & (unresolved(answer) | faint)
+    doubtful |= (answer.state == ContactState.SLIPLESS) & (answer.force >= SATURATED * limit)
+    if "cut_is_unique" not in answer.findings:  # cuts are exact, whatever the contrast
+        doubtful |= too_uneven(answer)[:, None] & (answer.state != ContactState.DRIVEN)
+    doubtful &= known == ContactState.UNDECIDED
+    return np.where(doubtful, ContactState.UNDECIDED, answer.state).astype(np.uint8)
