@@ -61,8 +61,8 @@ class PackingReached(Reached):
         )
         if judgement is None:
             raise InputError(
-                "the imposed spins or the coefficients are too small or too large for a proof; the largest radius * spin "
-                f"must be from {LEAST_SPEED} to {MOST_SCALE} length/time, "
+                "the imposed spins or the coefficients are too small or too large for a proof; the largest radius * "
+                f"spin must be from {LEAST_SPEED} to {MOST_SCALE} length/time, "
                 f"the largest force from {LEAST_SCALE} to {MOST_SCALE}"
             )
         self.found, self.judgement, self.scene = found, judgement, Packing.together(samples)

@@ -162,7 +162,7 @@ def test_a_whole_lattice_is_judged_by_slices_without_lists_of_contacts_or_search
     gc.collect()
     tracemalloc.start()
     try:
-        judgement = Judgement(scene, spin, np.zeros_like(spin), friction)
+        judgement = Judgement.of(scene, spin, np.zeros_like(spin), friction)
         before = tracemalloc.get_traced_memory()[0]
         assert (judgement.power > 0).all()
         assert (judgement.lower_bound == 0).all()
