@@ -63,7 +63,9 @@ class NumpySweep:
     """
 
     def __init__(self, arrays: Arrays) -> None:
-        """Take the arrays, whose spins the sweeps change, and make all buffers."""
+        """Take the arrays, whose spins the sweeps change, and make all buffers: for each axis and spin component the
+        forces on all contacts along the axis; two of that length for intermediate results; the sum of the forces on
+        each sphere."""
         self.arrays, self.layout, self.kept = arrays, arrays.layout, arrays.kept
         most = self.layout.sites + self.layout.strides[0]
         self.force = [[np.empty(most, arrays.dtype) for _ in kept] for kept in self.kept]

@@ -109,7 +109,11 @@ def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, An
 
 @in_our_style
 def draw_exponents(of: Any) -> Figure:
-    """Draw the figure. of : the values that :func:`study` names, as attributes.
+    """Draw the figure of random cuts.
+
+    of : the values that :func:`study` names, as attributes. Used are `weight` and `middle`: by length, (samples,)
+        weights and middle heights of cuts with held ends; `theta`, `zeta` and `further`: fits of their growth; `held`
+        and `free`: tables with columns `length`, `height`, `skewness`, `its_error`; `free_length`, in discs.
 
     (a) Standard deviations of weight and middle height of cuts with held ends against their length, with the fitted
         laws.

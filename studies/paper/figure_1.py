@@ -245,7 +245,9 @@ def draw_configurations(of: Any) -> Figure:
     """Draw the figure: (a) viscous and (b) Coulomb spins of one sample as colour, with its minimum cut in black, and
     (c) how much heavier the second lightest cut of each sample is; those whose descent ended elsewhere are marked.
 
-    of : the values that :func:`study` names, as attributes.
+    of : the values that :func:`study` names, as attributes. Used are `viscous` and `coulomb` (nx, ny), sizes of spins
+        where the top has 1; `above` (nx, ny), True above the minimum cut; `exact`, a table with a row for each sample
+        and the columns `distance`, weight of the second lightest cut over that of the lightest, less 1, and `differs`.
     """
     figure = new_figure(DOUBLE, 2.5)
     parts: Any = figure.subfigures(1, 2, width_ratios=(2.1, 1.1), wspace=0.05)
@@ -263,8 +265,10 @@ def draw_configurations(of: Any) -> Figure:
 
 
 def _draw_ranks(axes: Any, exact: Any) -> None:
-    """Draw how much heavier the second cut of each sample is than the first, by rank. exact : the samples, sorted by
-    that column, `distance`.
+    """Draw how much heavier the second lightest cut of each sample is than the lightest, against the sample's rank.
+
+    exact : table of the samples, sorted by `distance`, that difference over the weight of the lightest cut. Its column
+        `differs` is True where a descent ended elsewhere than at the lightest cut; these are marked.
     """
     ranks = np.arange(1, len(exact) + 1)
     for chosen, mark, colour, ms, label in (

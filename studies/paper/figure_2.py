@@ -152,7 +152,11 @@ def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
 
 @in_our_style
 def draw_relaxation(of: Any) -> Figure:
-    """Draw the figure for one sample. of : the values of :func:`names_of` as attributes.
+    """Draw the figure for one sample.
+
+    of : the values of :func:`names_of` as attributes. Used are `place`, index of the sample; `runs` and `rigid`: for
+        each start the relaxation (a Run) with springs and with rigid contacts; `minima`, a table with the columns
+        `power` and `cut_power`, energy/time; `fastest`, the larger one of the imposed spins, 1/time.
 
     (a) Power over its initial value, and (b) its excess over the least power, against time; an inset of (a) enlarges
         the end, around the power of the minimum cut. (c) Spins of the dynamics with springs at the beginning and at the

@@ -111,7 +111,12 @@ def system_of(settings: RunSettings) -> str:
 
 @in_our_style
 def draw_limits(named: Any) -> Figure:
-    """Draw the figure in six panels. named : the values of `names_of` as attributes.
+    """Draw the figure in six panels, for cubes of side L.
+
+    named : the values of `names_of` as attributes. Used are `of_systems`: by name of a system (lattice, driving and
+        friction) the table of its samples; `limits_of`: by system and quantity its extrapolation to infinite size;
+        `paper` and `spanning`: tables of the samples of the paper's bearing, all of them and those whose slipless
+        contacts join bottom and top; `common`, the largest side that all systems have.
 
     (a, b, c) Three shares against 1/L, for the first two systems: means, fitted lines, and the extrapolated values with
     all errors at 1/L = 0.

@@ -128,7 +128,10 @@ def reached_by_chance(lattice: Lattice, density: float) -> float:
 
 @in_our_style
 def draw_sizes(named: Any) -> Figure:
-    """Draw the figure, six panels. named : the values of :func:`names_of` as attributes.
+    """Draw the figure, six panels.
+
+    named : the values of :func:`names_of` as attributes. Used is `table`, with a row for each sample and the columns of
+        :func:`numbers_of`.
 
     Against the side of the cube: least power over that of the minimum cut; shares of spheres and contacts; share of
     samples that span; paths; spheres of the largest domain that is locked to no driven plane. The last panel shows what
@@ -179,7 +182,12 @@ def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> N
 
 
 def _by_threshold(axes: Any, largest: Any) -> None:
-    """Draw numbers of network and domains against the slip threshold. largest : table of the largest cubes."""
+    """Draw numbers of the slipless network and of rigid domains, means over samples, against the slip threshold below
+    which contacts are taken for slipless.
+
+    largest : table of the largest cubes, with columns NAME_seen (samples, thresholds + 1); the last number is by the
+        certified states.
+    """
     for name, colour, label in (
         ("slipless", ORANGE, "slipless contacts"),
         ("domains", BLUE, "rigid domains"),

@@ -285,7 +285,12 @@ def study(folder: Path, effort: Effort) -> Found:
 
 @in_our_style
 def draw_odd_loops(of: Any) -> Figure:
-    """Draw three panels for each lattice. of : the values that :func:`study` names, as attributes.
+    """Draw three panels for each lattice.
+
+    of : the values that :func:`study` names, as attributes. Used are `courses`: by lattice, size L and number n of odd
+        contacts (which close loops of an odd number of discs) the shares (samples,) of discs that roll with the top;
+        `rest`: for lattices of discs, by spin of the bottom over that of the top, the shares (samples,) at rest;
+        `ruled`: by lattice the exponent a of panel (b), with the smallest size that it holds for.
 
     (a) The share s of discs that roll with the top, against the number n of odd contacts.
     (b) Discs: s n^(1/2) against n / L^(2/3), over the points where odd contacts alone hold the interface. Spheres: s

@@ -140,7 +140,8 @@ def draw_parameters(of: Any) -> Figure:
     """Draw (a) power over its initial value and (b) its excess over the least power, of the first sample, against F_n
     t; a curve for each variant, the paper's in black.
 
-    of : the values that :func:`study` names, as attributes.
+    of : the values that :func:`study` names, as attributes. Used are `courses`: by variant its relaxation (a Run) of R
+        samples with T recorded times; `excess`: by variant (T, R), power over the least one, less 1; `seed`.
     """
     figure = new_figure(7.1, 3.2)
     left, right = figure.subplots(1, 2)

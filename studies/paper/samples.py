@@ -398,12 +398,12 @@ class Run:
 def relax(
     scene: Scene, start: str, springs: CundallStrack | None = None, steps: int = STEPS, times: np.ndarray = TIMES
 ) -> Run:
-    """Return the relaxation by Cundall-Strack dynamics, followed until each sample is proven to be within END of its
-    least power, or for `steps` time steps.
+    """Return the relaxation of all samples of a scene by Cundall-Strack dynamics, followed until each is proven to be
+    within a relative END of its least power, or for `steps` time steps.
 
-    start : name of the initial spins.
+    start : which spins to begin from: the name of an initial state, such as "random".
     springs : options of the dynamics; by default stiffness and damping of the paper.
-    times : times at which the power is recorded.
+    times : (T,), times at which the powers are recorded.
 
     With rigid contacts the power F_n sum mu |v| would fall all the time. With springs it may rise: a contact that does
     not slip is held by spring and damper and creeps at a speed of up to mu F_n / A_t.
@@ -412,8 +412,10 @@ def relax(
 
 
 def relax_rigidly(scene: Scene, start: str) -> Run:
-    """Return the relaxation with rigid contacts, without springs, followed until each sample is proven to be within
-    RIGID_END of its least power. The power is recorded at each step.
+    """Return the relaxation of all samples of a scene with rigid contacts, without springs, followed until each is
+    proven to be within a relative RIGID_END of its least power. Their powers are recorded at each step.
+
+    start : which spins to begin from: the name of an initial state, such as "random".
     """
     return _followed(scene, start, RigidLimit(), StopRule(RIGID_END), Recording())
 

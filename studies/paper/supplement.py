@@ -207,11 +207,13 @@ def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
 
 @in_our_style
 def draw_decades(of: Any) -> Figure:
-    """Draw the figure: (a) histograms of the minimum and of all descents; (b) the histogram of the longest descent,
-    divided into contacts that slip at the minimum and others; (c) the power of each slipping contact at the minimum
-    against that in the longest descent.
+    """Draw the figure: (a) histograms of the power of single contacts, at the certified minimum and at the end of each
+    gradient descent; (b) that of the longest descent, divided into contacts that slip at the minimum and others;
+    (c) for each contact that slips at the minimum, its power there against that in the longest descent.
 
-    of : the values of :func:`names_of` as attributes.
+    of : the values of :func:`names_of` as attributes. Used are `minimum`, `descent` (the longest one) and `descents`
+        (all of them, shortest first), each an Ending with `power` (n,), of the n contacts that can slip over
+        F_n R omega_T, and the mask `slips` (n,).
     """
     figure = new_figure(7.1, 2.6)
     panels: Any = figure.subplots(1, 3)

@@ -132,7 +132,12 @@ def row_of(point: tuple[int, float], found: Mapping[str, np.ndarray]) -> dict[st
 
 @in_our_style
 def draw_surfaces(of: Any) -> Figure:
-    """Draw the figure, four panels against the side. of : the values that :func:`study` names, as attributes.
+    """Draw the figure, four panels against the side.
+
+    of : the values that :func:`study` names, as attributes. Used are `weight`: by side, weights (samples,) of cuts;
+        `flat`: by lowest friction and side, roughness (samples,) of cuts, spheres^2; `theta` and `zeta`: fits of the
+        growth of these two; `cubes`: by side, a table of minima with the columns `power`, `cut` and `layers`; `towers`:
+        by height, `layers` (samples,).
 
     (a) Standard deviation of the weight of cut surfaces.
     (b) Their width (root of the mean roughness), for each lowest friction.

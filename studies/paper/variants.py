@@ -174,7 +174,9 @@ def draw_distributions(of: Any) -> Figure:
     """Draw the figure, a row for each distribution: least power over that of the minimum cut, share of samples whose
     slipless contacts join bottom and top, share of slipless contacts, and decades of power.
 
-    of : the values of :func:`names_of_distributions` as attributes.
+    of : the values of :func:`names_of_distributions` as attributes. Used is `all`: by distribution of the friction a
+        table of samples, with the columns `power_over_cut`, `slipless_fraction`, `decades`, and the masks `spans` and
+        `states_proven`.
     """
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 4, sharey=True)
@@ -197,8 +199,11 @@ def draw_distributions(of: Any) -> Figure:
 
 @in_our_style
 def draw_drivings(of: Any) -> Figure:
-    """Draw the figure. Dots are samples, the line is their mean. of : the values of :func:`names_of_drivings` as
-    attributes.
+    """Draw the figure of samples under several drivings. Dots are samples, the line is their mean.
+
+    of : the values of :func:`names_of_drivings` as attributes. Used are `reference`, `other` and `rates`: tables of the
+        same samples under the reference driving, by name under other axes of rotation, and by name with other values of
+        C. Their columns are `angle`, degrees, `overlap` and `power_over_cut`.
 
     (a) Overlap of the slipless contacts with those under the reference, and (b) least power over that of the minimum
         cut, both against the angle of the jump.

@@ -103,6 +103,7 @@ class Sample:
     """A small sample: its spins and contacts as arrays of decimals.
 
     spin : (spins,) one after the other: components of the free spheres, a zero for the bottom, those of the top.
+    jump : by spin component, spins of the top less those of the bottom, (columns,) or (1,) decimals. top : these, flat.
     unknowns : number of components of free spheres, which come first.
     low, up : (E, C) index into `spin` of each component of the lower and of the upper sphere of a contact.
     felt : (E, C) 1 for components that make the contact slip, else 0.

@@ -133,7 +133,8 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 class _Step:
     """A Newton step of S samples that is not taken yet.
 
-    slot : 0 or 1, where the rows hold the changes of bounds, slips and forces.
+    slot : 0 or 1. Memory has rows for two steps, and this one's changes of bounds, slips and forces are in those of
+        this number.
     spins : (unknowns or more, S), changes of the spins.
     found : (numbers, S), what the kernel found: the multiples of the step at which primal points (bound >= |slip|) and
         dual points (friction >= |force|) leave their cones, then sums over the contacts from which the change of the
@@ -198,12 +199,15 @@ class Path:
         samples : number of places, 1 or LANES, the number of lanes of a SIMD vector.
         """
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
-        self._given: list[Iterate | None] = [None] * samples
-        self._spins = self._spins_before = np.zeros_like(self._rows.spins)
+        self._given: list[Iterate | None] = [None] * samples  # by place, the point where the sample began; None: free
+        self._spins = self._spins_before = np.zeros_like(self._rows.spins)  # (unknowns or more, S), now and a step ago
+        # whether spheres have inertia; whether primal and dual points have to go equally far (inertia or viscosity)
         self._moving = self._together = False
-        self._inertia = 0.0
-        self._viscosity: np.ndarray | None = None  # as factors of the slips in two rows, then (below) as stiffnesses
+        self._inertia = 0.0  # weight of the inertia, which is added to the diagonal of the Newton matrix
+        # viscosity: (2 * contacts, S), factors of both components of the slips; the same as stiffnesses of contacts
+        self._viscosity: np.ndarray | None = None
         self._viscous: Viscous = None
+        # (S,) each, after a step: sum of friction * slip; that less the work of the forces; price of unbalanced torques
         self._power, self._excess = np.zeros((2, samples))
         self._price: np.ndarray | None = None
 
@@ -270,7 +274,7 @@ class Path:
             rejected = going & (further.reach < step.reach + LEAST_GAIN)
             step = further.but(rejected, step) if rejected.any() else further
             going &= ~rejected
-        if rejected.any():  # what is better is in the other slot
+        if rejected.any():  # the better step is in the rows of the other one of the two steps in memory
             slots = [rows.values[_in(slot, 0) : _in(slot, kernels.STEP_ROWS)] for slot in (0, 1)]
             slots[step.slot][..., rejected] = slots[1 - step.slot][..., rejected]
         # Refine the last solve, and go STEP_SHARE of the way to the boundary.
@@ -299,7 +303,8 @@ class Path:
         force, would after a longer step lie more than a factor PRODUCT_SPREAD from the target are brought closer to it.
 
         step : the present step. target : (S,), product to aim at. going : (S,) mask of the samples to correct; the
-            others keep the step or, where it was `rejected` (S,), the better one before it, which is in the other slot.
+            others keep the step or, where it was `rejected` (S,), the better one before it, which is in the rows of
+            the other of the two steps in memory.
         """
         lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
@@ -357,11 +362,12 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """Return the step of bounds, slips and forces of S samples that belongs to the change of spins which was solved
-        for last, and how far it may go.
+        """Return the Newton step that follows from the change of spins solved for last. It holds the change of spins
+        (unknowns or more, S) and the multiples of the step, (2, S), at which bounds and slips, and frictions and
+        forces, leave their cones; with inertia or viscosity both have to go equally far, so the smaller one counts.
+        The changes of bounds, slips and forces are written to the rows of the step. Letters: S samples.
 
-        slot : 0 or 1, where the rows get the step. With inertia or viscosity primal and dual points have to go equally
-            far.
+        slot : 0 or 1, which of the two steps in memory is written: 0 the predictor's, then by turns for correctors.
         """
         spins = self._rows.spins.copy()
         self._rows.change(_in(slot, kernels.CHANGE))

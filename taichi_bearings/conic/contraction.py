@@ -63,13 +63,13 @@ class Contraction:
     """The contacts that are left when some contacts are tied, over one unknown for each set of spins that are tied
     together.
 
-    whole : the system before.
-    system : contacts that are not tied, over the new unknowns.
-    kept : their numbers in the system before, (contacts left,). Contacts that cannot slip, because tied ones make their
-        two ends equal, are left out as well.
+    whole : the system in which no contact is tied; its unknowns are single spins ("spins" below).
+    system : the contacts that are not tied, with one unknown for each set of tied spins.
+    kept : (contacts left,), the index in `whole` of each contact of `system`. Contacts that cannot slip, because tied
+        ones make their two ends equal, are left out as well.
     unknowns : number of sets.
-    number : (unknowns before,), set of each spin, -1 if the set is tied to a driven plane.
-    imposed : (unknowns before,), spin of the driven plane where `number` is -1, else 0.
+    number : (spins,), index of the set of each spin, -1 if the set is tied to a driven plane.
+    imposed : (spins,), spin of the driven plane where `number` is -1, else 0.
     owners : the sample of each new unknown and of each contact left.
     contradicts : (samples,) mask, True where tied contacts join driven planes that turn differently, which cannot be.
     """
@@ -152,8 +152,11 @@ class Contraction:
         return np.argsort(last)
 
     def _dissected(self, own: slice, place: np.ndarray) -> np.ndarray:
-        """Return the order of the new unknowns `own` by nested dissection, with each set at the mean place of its
-        spins. own : their range. place : (D, unknowns before), where each spin is, in D dimensions.
+        """Return the unknowns of one sample, (unknowns of the sample,), counted from its first, in an order of nested
+        dissection. An unknown stands for a set of spins that are tied together and is placed at their mean.
+
+        own : range of the sample's unknowns among those of all samples.
+        place : (D, spins), coordinates in D dimensions of each spin of the system in which no contact is tied.
         """
         free = self.number >= 0
         number = self.number[free]

@@ -119,7 +119,7 @@ class FrictionStage:
         self.system, self.matrix, self.radius = system, matrix, radius
         self.spin_scale, self.force_scale = spin_scale, force_scale
         self.factorisations = 0
-        self._factorised: tuple[float, np.ndarray] | None = None  # inertia and stiffness
+        self._factorised: tuple[float, np.ndarray] | None = None  # what is factorised: inertia, stiffnesses
 
     def solve(self, friction: Friction, base: np.ndarray, start: np.ndarray, guess: np.ndarray) -> StageEnd | None:
         """Return spins and forces at the end of a stage, where forces and inertia balance; None if Newton's method gets

@@ -60,10 +60,11 @@ class LastDecades:
 
         Letters: n contacts with up to d slip components.
         """
-        self._large, self._matrix = spins[0], matrix
+        self._large, self._matrix = spins[0], matrix  # (unknowns,), high parts of the spins, which stay
         bound = iterate.bound - length(iterate.difference) + length(difference)
         self.point = replace(iterate, spins=spins[1], bound=bound, difference=difference)
         self.sticking = self.at_limit = np.zeros(len(iterate.friction), dtype=bool)
+        # (n,) slip over margin, and the product, at the point before; 0 and infinity at the start of each `decide`
         self._ratios, self._product = np.zeros(len(iterate.friction)), np.inf
 
     @classmethod

@@ -34,7 +34,9 @@ class NewtonMatrix:
     Stiffnesses over twenty decades can leave a pivot that rounding made negative. Then the diagonal is raised by as
     little as helps (DIAGONAL_SHIFTS), and iterative refinement by the caller has to mend the rest.
 
-    memory : work space that another matrix can share.
+    memory : work space that another matrix can share. Kept privately are, for each part, its Cholesky factorisation,
+        which of its entries change, and where these stand among the entries of all parts; and a sparse matrix, (entries
+        of all parts, numbers of all stiffnesses), that turns stiffnesses into entries.
     """
 
     def __init__(
@@ -79,7 +81,7 @@ class NewtonMatrix:
             end += count
         columns = (len(system.offset) + 1) * system.offset.size // 2
         self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
-        self._kept = dict[int, ContactRows]()
+        self._kept = dict[int, ContactRows]()  # by number of samples side by side, the memory of their Newton steps
 
     def compile(self, samples: int = 1) -> None:
         """Compile the kernels for factorising one sample or several side by side, and those for smaller systems, so

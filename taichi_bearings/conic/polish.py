@@ -103,9 +103,9 @@ class _PreciseSystem:
     """Slips and torques of a system with tied contacts, in twice the precision. A contact is tied if the spins at its
     two ends are made equal, as one unknown; n contacts with up to d slip components are left.
 
-    contracted : the contacts that are left, over the sets of tied spins. owners : sample of each of them.
-    top : (unknowns before,), imposed spin of the top above each, sum of two doubles; None where imposed spins are
-        doubles.
+    contracted : the contacts that are left; its unknowns are sets of tied spins. owners : sample of each of them.
+    top : (spins,), for each single spin the imposed spin of the top above it, sum of two doubles; None where imposed
+        spins are doubles.
     imposed : places in (d, n) where imposed spins contribute to the slips, and how much, as sums of two doubles: -1 or
         1 times the jump.
     """

@@ -83,7 +83,10 @@ class Unknowns(ABC):
 
 
 class OfLattice(Unknowns):
-    """All free spins of a lattice in some components; all other components are at rest."""
+    """All free spins of a lattice in some components; all other components are at rest.
+
+    spin_axes : numbers of these components, 0 to 2. height : axis from the bottom plane to the top plane.
+    """
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float) -> None:
         """Take some spin components of a scene on a lattice.
@@ -118,7 +121,11 @@ class OfLattice(Unknowns):
 
 class OfNetwork(Unknowns):
     """Free spins of any network, each multiplied by the root of its inertia over the mean one, so that all are equally
-    hard to turn. Components that turn no contact are left out."""
+    hard to turn. Components that turn no contact are left out.
+
+    sphere, component : (unknowns,), sphere and spin component of each unknown.
+    root : (unknowns,), root of the sphere's inertia over the mean inertia.
+    """
 
     def __init__(self, bearing: Bearing, unit: float, inertia: np.ndarray) -> None:
         """Take a bearing, of which all contacts have to be in use. unit : speed that is counted as one, of u = radius *
@@ -170,23 +177,26 @@ class ProximalSteps:
     def __init__(self, scene: Bearing, unknowns: Unknowns, unit: float, inertia: float) -> None:
         """Scale coefficients and inertia of every sample, and analyse the Newton matrix.
 
-        scene : the bearing. unknowns : its spins as one vector. unit : difference of spins that is counted as one.
+        scene : the bearing. unknowns : its spins as one vector. unit : difference of spins counted as one, 1/time.
         inertia : mean moment of inertia of the spheres; over radius squared if the unknowns are :class:`OfNetwork`.
         """
         self.scene, self.unknowns, self.unit = scene, unknowns, unit
         self._system = unknowns.system
         self._matrix = NewtonMatrix(self._system, unknowns.order)
         compile_passes()
+        # (R, n): coefficients of the n contacts of R samples, over their mean in the sample
         acting = scene.positive_coefficient[:, self._system.contact]
         mean = acting.mean(axis=1)
         self._coefficient = acting / mean[:, None]
         flow = scene.slip_radius * unit
+        # (R,), force that is counted as one; then for each sample (n,), viscosities in its units, or None
         self._force_unit = scene.strength * (1.0 if scene.law.holds else flow) * mean
         viscosities = scene.viscosity_beside_friction
         self._viscosity: list[np.ndarray | None] = [
             None if viscosities is None else flow / own * viscosities[replica, self._system.contact]
             for replica, own in enumerate(self._force_unit)
         ]
+        # (R,), time in which the unit of force brings a sphere from rest to the unit of spin
         self._slowness = inertia * unit / (scene.slip_radius * self._force_unit)
 
     def step(self, staggered: np.ndarray, duration: float) -> Step:
@@ -215,11 +225,14 @@ class ProximalSteps:
     def _step_with_friction(
         self, friction: np.ndarray, viscosity: np.ndarray | None, inertia: Inertia
     ) -> tuple[Iterate, int, bool]:
-        """Return the point at the end of a step with friction, the number of Newton steps taken, and True if it is
-        solved. Newton steps begin with bounds well above the slips and no forces of friction.
+        """Return three things: the point (spins, slips and forces) at the end of a step in time with friction; the
+        number of Newton steps taken; and True if it is solved.
 
-        friction, viscosity : (n,), in the units of the step; no viscosity: None.
-        inertia : its origin is the spins before the step.
+        Newton steps begin without forces of friction, at the spins before the step (or at those at which viscous
+        forces balance). The bounds of the slips begin above them by about the root mean square of all slips.
+
+        friction, viscosity : (n,), over the mean coefficient of the sample; no viscosity: None.
+        inertia : what resists a change of the spins; its `origin` (unknowns,) is the spins before the step.
 
         Letters: n contacts.
         """

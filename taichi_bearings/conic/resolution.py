@@ -375,8 +375,9 @@ def _smooth_minima(
 class _SmoothPower:
     """The power of some samples as a function of the spins while all contacts that do not slip are tied. It is smooth.
 
+    iterates, samples : for each sample the point of the central path with its frictions; number of samples.
     slipping : for each sample a mask (n,) of its n contacts that slip.
-    tied : the contacts and unknowns that are left.
+    tied : the contacts that are left, and the unknowns: one for each set of spins that tied contacts make equal.
     matrix : second derivative of the power, factorised sample by sample.
     friction, viscosity : (kept,), of the contacts that are left, `kept` in number, all samples one after the other; no
         viscosity: None.
@@ -385,10 +386,12 @@ class _SmoothPower:
     """
 
     def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], shared: Surroundings) -> None:
-        """Tie all contacts that do not slip, and analyse the matrix of second derivatives.
+        """Tie all contacts that do not slip, which makes the spins across each of them equal, and analyse the matrix of
+        second derivatives.
 
-        iterates : for each sample the point of the path, whose frictions are used.
-        slipping : for each sample a mask (n,). shared : what all samples share.
+        iterates : for each sample the point of the central path, whose frictions and viscosities are used.
+        slipping : for each sample a mask (n,) of its contacts that slip.
+        shared : what all samples share: system of contacts, order of elimination, Newton matrix.
         """
         self.iterates, self.samples, whole = iterates, len(iterates), shared.system.copies(len(iterates))
         self.tied = Contraction(whole, shared.order, ~np.concatenate(slipping), self.samples)
@@ -470,10 +473,14 @@ class _SmoothPower:
     def _each(
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
     ) -> list[Resolved]:
-        """Return the minima sample by sample.
+        """Return the result of each sample at its minimum.
 
-        spins : (samples * unknowns,), before tying. rests : for each sample (unknowns,) what its spins lack, or None.
-        difference, dual : (d, kept), slips and minus the friction forces of the contacts left.
+        spins : (samples * unknowns,), all unknown spins of the samples, one for each unknown of the system in which no
+            contact is tied (a set of tied spins has one value several times).
+        rests : for each sample (unknowns,), low parts: what has to be added to the doubles `spins` for twice the
+            precision; None where that is not known.
+        difference, dual : (d, kept), slips and minus the friction forces of the `kept` contacts that are not tied, of
+            all samples one after the other.
 
         Letters: d slip components.
         """

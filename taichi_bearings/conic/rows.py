@@ -29,12 +29,13 @@ class ContactRows:
 
     A row holds one number for every contact; contact by contact, the numbers of all samples follow each other. Slips
     and forces are vectors of up to two components and take two rows, one after the other; the second is 0 at contacts
-    with one component. `contacts` counts the contacts with those that fill up blocks.
+    with one component. A stiffness is a symmetric 2 x 2 matrix and takes three rows. `contacts` counts the contacts
+    with those that fill up SIMD blocks.
 
     values : (rows, contacts, S), all rows.
-    spins : (unknowns or more, S), changes of the spins, or torques on them.
-    samples : S.
-    place : (unknowns,), place of each unknown in `spins`.
+    spins : (unknowns or more, S), array that is read as changes of the spins, and overwritten with torques on them.
+    samples : S, the number of samples, which stand side by side.
+    place : (unknowns,), row of `spins` in which each unknown stands.
     """
 
     def __init__(
@@ -47,8 +48,10 @@ class ContactRows:
         """Reserve memory for the contacts of a system, one row for each kind of number, and prepare the maps between
         spins and slips.
 
-        spins : array (unknowns or more, S) that is used for spins and torques; S is the number of samples.
-        place : (unknowns,), place of each unknown in it; None if they are in order.
+        system : the n contacts, with up to d slip components each.
+        spins : array (unknowns or more, S) that is kept: changes of spins are read from it and torques are written
+            into it. S is the number of samples.
+        place : (unknowns,), row of `spins` in which each unknown stands; None if they are in order.
         laplacian : sparse matrix that turns the stiffnesses of the contacts (all entries [0, 0] of their matrices, then
             all [0, 1], ...) into the entries of the Newton matrix; None if :meth:`add_stiffnesses` is not called.
         """
@@ -57,15 +60,18 @@ class ContactRows:
         two = system.felt.sum(axis=0) == 2
         kinds = [np.flatnonzero(~two), np.flatnonzero(two)]
         begins = np.cumsum([0, *(-(-len(own) // kernels.BLOCK) * kernels.BLOCK for own in kinds)])
+        # (n,), place of each contact in a row; length of a row, with the contacts that fill up blocks
         self._at, contacts = np.empty(system.offset.shape[1], dtype=np.int64), int(begins[2])
         for begin, own in zip(begins, kinds, strict=False):
             self._at[own] = begin + np.arange(len(own))
+        # block of BLOCK numbers with which the contacts with two components begin; numbers of a row, of all samples
         self._first_two = int(begins[1]) * self.samples // kernels.BLOCK
         self._contacts, self._length = contacts, contacts * self.samples
         self._flat = aligned_zeros(kernels.ROWS * self._length, kernels.BLOCK)
         self.values = self._flat.reshape(kernels.ROWS, contacts, self.samples)
         for row, value in PADDING.items():
             self.values[row] = value
+        # constants that a kernel is given, and what it finds, each repeated or found apart for every place of a block
         self._numbers = np.zeros((MOST_CONSTANTS, kernels.BLOCK // self.samples, self.samples))
         found = aligned_zeros(kernels.FOUND * kernels.BLOCK * self.samples, kernels.BLOCK)
         self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)
@@ -78,6 +84,7 @@ class ContactRows:
         if laplacian is not None:
             terms, stiffness = laplacian.tocoo(), self._places(d * (d + 1) // 2)
             self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, (terms.shape[0], 3 * contacts))
+        # calls of kernels with their arguments, ready to be repeated, by kernel and rows (or sums and places)
         self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:

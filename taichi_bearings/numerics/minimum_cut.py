@@ -203,9 +203,13 @@ def graph_cut(
 ) -> GraphCut:
     """Find a lightest cut between the first and the last node of an undirected graph.
 
-    ends : (2, edges) nodes that each edge joins. edges : (edges,) weights.
-    above : (nodes,) True on the far side (that of the last node) of a cut that is known.
-    rounding : relative error of each weight. slack : absolute error of the sum of all weights beyond that.
+    A cut parts the nodes into a side with the first and a side with the last node; its weight is that of the edges
+    between the sides.
+
+    ends : (2, edges) nodes that each edge joins. edges : (edges,) weights, none negative.
+    above : (nodes,) True on the side of the last node, for any cut that is known.
+    rounding : relative error of each weight. slack : absolute error of the weight of a cut beyond that, in the unit of
+        the weights. Cuts that are heavier by no more than these errors count as equally light.
     """
     cut, light = above[ends[0]] != above[ends[1]], False
     while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit

@@ -31,9 +31,9 @@ class _Front:
     """The result of eliminating one front, a set of unknowns x that is eliminated together with what it is coupled to:
     it gives x[kept] = -solve(top^T, below^T x[free and border]).
 
-    kept, free : numbers of the front's own unknowns with and without a pivot.
-    border : numbers of the later unknowns that it is coupled to.
-    top : Cholesky factor (kept, kept) of the pivots.
+    kept, free : indices of the unknowns x that have a pivot, and of those that have none and so can be anything.
+    border : indices of the later unknowns that x is coupled to.
+    top : Cholesky factor (kept, kept), lower triangle, of the block of the unknowns with a pivot.
     below : (free + border, kept), the rows of the factor below it.
     """
 

@@ -238,9 +238,10 @@ def behind(lattice: Lattice, view: View) -> np.ndarray:
 
 
 def _draw_contacts(axes: Axes, network: SliplessNetwork, view: View, width: float) -> str:
-    """Draw the slipless contacts and the path, and return words that say which contacts are drawn, if not all.
+    """Draw the contacts that do not slip and, in green, the shortest path over them from the bottom to the top; return
+    words that say which contacts are drawn, "" for all.
 
-    width : of the picture in inches. view : from where the lattice is seen.
+    network : the spheres and these contacts. width : of the picture in inches. view : from where the lattice is seen.
     """
     lattice, chosen, words = network.lattice, network.slipless, ""
     sheet = Sheet.of_lattice(lattice, view=view)
@@ -272,11 +273,13 @@ def _draw_contacts(axes: Axes, network: SliplessNetwork, view: View, width: floa
 
 
 def _draw_turning(axes: Axes, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
-    """Draw the spheres of the path from the back to the front, with an arrow for each spin, and the shadow of the path
-    on the floor.
+    """Draw the spheres of the shortest slipless path of a network, coloured by speed, with their spins. In 3D: spheres
+    from the back to the front, an arrow for each spin, and the shadow of the path on the floor. In 2D: discs, each with
+    a symbol of the sense in which it turns.
 
-    spin : laboratory spins, (nx, ny, nz, 3). speed : (nx, ny, nz), which gives the colour. view : from where the
-        lattice is seen.
+    spin : laboratory spins, 1/time: (nx, ny, nz, 3) in 3D, (nx, ny) in 2D.
+    speed : (nx, ny, nz) or (nx, ny), the place of each sphere on the scale of colours, 0 to 1.
+    view : from where the lattice is seen, in 3D.
     """
     path, lattice, shape = network.shortest_path, network.lattice, network.lattice.shape
     of_path, sheet = tuple(path.T), Sheet.of_lattice(network.lattice, view=view)

@@ -63,13 +63,15 @@ IN_A_LOOP = 1e-7  # force of a contact over that of a loop, above which it belon
 class FrictionBounds:
     """Bounds on the friction of each contact of a packing at every minimum, before loops are looked at.
 
+    "Optimal" is friction at any minimum of the power; the friction "at hand" is the one stored with the solution.
+
     network : the packing, with N spheres and E contacts.
     number : (N, 3), which unknown each component of a spin is, -1 where it is none (of driven spheres).
     exact : the contacts that can all roll exactly at once, and their motions.
-    given : friction at hand by component, 3 enclosures (E,).
+    given : friction at hand by component, 3 enclosures (E,), in units of force.
     known : (E,) mask of the contacts whose friction is known at every minimum: they slip, or have damping alone.
-    most_change : (E,), bound on |optimal friction - friction at hand|.
-    most_friction : (E,), bound on |optimal friction|.
+    most_change : (E,), bound on |optimal friction - friction at hand|, force.
+    most_friction : (E,), bound on |optimal friction|, force.
     """
 
     network: JudgedNetwork
@@ -124,8 +126,11 @@ class FrictionBounds:
 
     @cached_property
     def left_over(self) -> np.ndarray:
-        """(N,), bound on each component of the torque on each sphere that the friction at hand leaves over, and that
-        rounding adds when `rows` multiplies a change of friction. (An entry of `rows` has fewer than 64 roundings.)"""
+        """(N,), bound on the size of each component of an error of the torque on each of N spheres, force*length.
+
+        It is the sum of two bounds: on the torque that the friction at hand, which is not quite in balance, leaves
+        over; and on what rounding adds when the matrix `rows` multiplies any change of friction up to `most_change`,
+        where an entry of `rows` has fewer than 64 roundings."""
         torques = self.network.torques(moments(self.given, self.network.graph.normal))
         return np.asarray(
             (np.max([part.most for part in torques], axis=0) + 64 * EPS * self.sum_at_spheres(self.most_change)) * UP

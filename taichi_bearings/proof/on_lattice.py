@@ -146,11 +146,12 @@ class OnLattice:
         return np.indices(self.lattice.shape)[component].ravel()
 
     def leader(self, component: int) -> np.ndarray:
-        """Return for each sphere two indices, (2, R * N): of the first sphere of the bottom and of the first of the top
-        in its layer, the spheres with the same coordinate along the component. (Where all layers are driven alike, they
-        count as one.)
+        """Return for each of N spheres of R samples two indices, (2, R * N): of the first sphere of the bottom plane
+        and of the first of the top plane that lie in its layer, the spheres with the same coordinate along the
+        component. Where all layers are driven alike, they count as one.
 
-        All driven spheres of a plane and layer have the same component of the spin as this first one, their leader."""
+        All driven spheres of one plane and layer have the same component of the spin as this first one, their
+        leader."""
         first = self.layer(component) * math.prod(self.lattice.shape[component + 1 :])
         low = (np.arange(self.count)[:, None] * first.size + first).ravel()
         return np.stack([low, low + self.lattice.shape[-1] - 1])
@@ -168,8 +169,11 @@ class OnLattice:
         return values
 
     def anchor(self, component: int) -> np.ndarray:
-        """Return for each sphere the index (R * N,) of the sphere with which it turns in a spin component whatever the
-        contacts do: for driven ones the first of their plane and layer, for free ones themselves."""
+        """Return (R * N,), for R samples of N spheres: for each sphere the index of the first sphere that is bound to
+        have the same spin component, whatever the contacts do.
+
+        For a driven sphere that is the first one of its driven plane with the same coordinate along the component (of
+        the whole plane where all these layers are driven alike); for a free sphere it is the sphere itself."""
         return self.as_led(np.arange(self.count * self.sublattice.size), component)
 
     @cached_property

@@ -381,8 +381,12 @@ class Saturated:
 
     @classmethod
     def of(cls, motion: Motion) -> Saturated | None:
-        """Find the contacts of a motion that do not slip, yet bear all their friction, but for MISSED_LIMIT; None if
-        one of them bears a considerable part of it (MISSED_DIRECTION) along both components."""
+        """Return the contacts of a motion that rest although they carry at least the share 1 - MISSED_LIMIT of their
+        friction limit mu F_n, each with the component along which it carries more.
+
+        motion : stored spins of one sample, with the contacts that rest and the friction of all. Returns None if at
+        one of these contacts both components of the friction exceed MISSED_DIRECTION times the limit: then no single
+        direction in which it would begin to slip can be chosen."""
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts

@@ -88,9 +88,11 @@ class DenseFront:
         columns, update : addresses of the first diagonal entry of the own columns, and of the update. Only lower
             triangles are used.
         """
+        # `cost` counts operations; `_fault` is set by LAPACK at a pivot that is not positive
         self.cost = own**3 / 3 + own**2 * border + own * border**2
         self._fault, self._stopped = ctypes.c_int(0), False
         firsts = range(0, own, tuning.PANEL_COLUMNS)
+        # calls by panel (some own columns) and by sheet (some columns of the update)
         self._panels = [
             _panel_calls(first, own, own + border - first, height, columns, self._fault) for first in firsts
         ]
@@ -98,6 +100,7 @@ class DenseFront:
         for first in range(0, border, tuning.SHEET_COLUMNS):
             left, place = columns + DOUBLE_BYTES * (own + first), update + DOUBLE_BYTES * update_size(first, pitch)
             self._sheets.append(_sheet_calls(own, border - first, height, left, pitch - first, place))
+        # events, set when the panel is complete; none for a small front, all of which is done by one thread
         self._done = [Event() for _ in self._panels] if self.cost > tuning.SHARED_FRONT_OPERATIONS else []
 
     def tasks(self) -> list[Task]:
@@ -122,11 +125,15 @@ class DenseFront:
             done.set()
 
     def _work(self, calls: list[Call], panel: int | None = None) -> bool:
-        """Make some calls; return False if a pivot is not positive.
+        """Make some calls of LAPACK and BLAS for this front, one after the other; return False if a pivot is not
+        positive or the elimination was stopped.
 
-        calls : each a tuple (number of the panel of own columns that it has to wait for, -1 for the last one, None for
-            none; routine; its arguments).
-        panel : number of the panel that is complete after the calls, None for none.
+        calls : tuples (panel whose completion to await: its number, -1 the last panel, None no wait; routine; its
+            arguments). A panel is some of the front's own columns, those of the unknowns that are eliminated in it.
+        panel : number of the panel that is complete after the calls, None if none is; its event is then set, which
+            lets waiting calls go on.
+
+        Raises GivenUp after a wait if the work is no longer wanted.
         """
         for before, routine, arguments in calls:
             if self._done and before is not None:

@@ -178,7 +178,8 @@ class DenseFactor(Factor):
     """
 
     def __init__(self, pattern: BlockPattern) -> None:
-        """Reserve memory for one matrix of a dense pattern."""
+        """Reserve memory for one matrix of a dense pattern: its entries (size * size, 1), and right-hand side and
+        solution (size, 1)."""
         self.entries, self.solution = np.zeros((max(1, pattern.entries), 1)), np.zeros((max(1, pattern.size), 1))
         self._size, self._factor = pattern.size, np.zeros((0, 0))
 
@@ -201,7 +202,8 @@ class SciPyFactor(Factor):
     """Factors of one matrix after the other by SuperLU, which needs no kernel."""
 
     def __init__(self, pattern: SparsePattern, lanes: int) -> None:
-        """Reserve memory for `lanes` matrices of one pattern."""
+        """Reserve memory for `lanes` matrices of one pattern: entries (entries, lanes), and right-hand sides and
+        solutions (unknowns, lanes)."""
         self.entries, self.solution = np.zeros((pattern.entries, lanes)), np.zeros((pattern.size, lanes))
         self._pattern, self._factors = pattern, list[SuperLU | None]()
 
@@ -279,6 +281,7 @@ class CalledFactor(Factor):
         self._layout, self._memory, self._size = Layout(pattern, apart=True), memory, pattern.size
         self.entries, self._vector = np.zeros((pattern.entries, 1)), np.zeros((self._layout.vector, 1))
         self.solution = self._vector[: pattern.size]
+        # the factor's doubles; by batch, the work of elimination; calls of both halves of substitution, in turn
         self._numbers, self._work, self._halves = np.zeros(0), list[_BatchWork](), list[Callable[[], None]]()
         self._seen = -1  # `changes` of the memory when this factor took it
 
@@ -346,8 +349,10 @@ class _BatchWork:
     def __init__(self, batch: Batch, fronts: list[DenseFront], arrays: tuple[np.ndarray, ...]) -> None:
         """Prepare assembly and tasks.
 
-        batch : which fronts, and their work items. fronts : their eliminations. arrays : tables, entries and numbers,
-            as kernels take them.
+        batch : which fronts, and the work items that fill them (an item is some columns of one front).
+        fronts : the eliminations of these fronts.
+        arrays : three flat arrays, as kernels take them: tables of the layout (int32), entries of the matrix, and all
+            doubles of the factor.
         """
         alone = batch.numbers < tuning.SHARED_ASSEMBLY_NUMBERS
         kernel = elimination.assemble_serially if alone else elimination.assemble

@@ -98,7 +98,7 @@ class Pattern(SparsePattern):
 
     @cached_property
     def width(self) -> np.ndarray:
-        """(fronts,) length of the border of each front."""
+        """(fronts,) number of unknowns in the border of each front, the later unknowns that it is coupled to."""
         return np.diff(self.share)
 
     @property
@@ -113,9 +113,10 @@ class Pattern(SparsePattern):
         return float((own**3 / 3 + own**2 * width + own * width**2).sum())
 
     def within(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
-        """Return the local row (n,) of each of n unknowns within its front: own rows first, then the border.
+        """Return the row (n,) of each of n unknowns within a front, a dense matrix: first the rows of the unknowns that
+        are eliminated in it, then those of its border, the later unknowns that these are coupled to.
 
-        front : (n,) number of the front. unknown : (n,) place of the unknown in the order of elimination.
+        front : (n,) index of the front. unknown : (n,) place of the unknown in the order of elimination.
         """
         number = np.repeat(np.arange(len(self.own)), self.width) * np.int64(self.size) + self.border
         behind = np.searchsorted(number, front * np.int64(self.size) + unknown) - self.share[front]

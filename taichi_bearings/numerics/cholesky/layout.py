@@ -20,11 +20,13 @@ Integers = TypeVar("Integers", int, np.ndarray)
 
 @dataclass(frozen=True)
 class Batch:
-    """Fronts that are worked on at once.
+    """Fronts that are worked on at once. A front is a dense block of the factorisation: the unknowns that are
+    eliminated together, with the later unknowns that they are coupled to.
 
-    fronts : their numbers.
-    numbers : how many doubles they have.
-    items : begin and end among all work items of those that assemble them; an item is some columns of one front.
+    fronts : (fronts of the batch,), the index of each among all fronts.
+    numbers : memory that they need, in doubles.
+    items : (begin, end) of the work items that assemble these fronts, in the list of all items. An item is some
+        columns of one front, which one thread fills with matrix entries and with what earlier fronts leave.
     """
 
     fronts: np.ndarray
@@ -105,12 +107,14 @@ class Layout:
         self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
 
     def _work(self, batches: list[np.ndarray], updates: np.ndarray) -> tuple[np.ndarray, list[Batch]]:
-        """Split the assembly of the fronts into items of at least ASSEMBLY_NUMBERS numbers, which threads share.
+        """Split the assembly of the fronts into items of at least ASSEMBLY_NUMBERS doubles, which threads share.
+        Returns the items, (n, 3): index of a front, first column and end of the columns; and the batches with their
+        items.
 
         A front is a dense symmetric matrix; assembly fills it with matrix entries and what the fronts below it leave.
 
-        batches : for each batch the numbers of its fronts. updates : (fronts,) doubles of the update of each front.
-        returns : items (n, 3), a front, its first column and the end of its columns; the batches with their items.
+        batches : for each batch the indices of its fronts, which are worked on at once.
+        updates : (fronts,) doubles of the update of each front, the matrix that its elimination leaves for later ones.
         """
         columns = self.own + self.border
         least = np.maximum(1, tuning.ASSEMBLY_NUMBERS // np.maximum(columns, 1))  # columns of an item
@@ -147,7 +151,8 @@ def update_size(border: Integers, height: Integers) -> Integers:
 def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return (fronts,) the sum of the values of each front and of all fronts below it in the elimination tree.
 
-    parent : (fronts,) number of the front above each one, or -1; children come before parents. values : (fronts,).
+    parent : (fronts,) index of the front above each one in the tree, -1 for none; children come before parents.
+    values : (fronts,) any numbers. A front is a set of unknowns that are eliminated together.
     """
     total = values.tolist()
     for n, above in enumerate(parent.tolist()):
@@ -177,13 +182,14 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
 
 
 def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> tuple[np.ndarray, int]:
-    """Return where each update lies until its parent has taken it, (fronts,), and the most doubles in use at a time.
+    """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; and
+    the most doubles of it that are in use at one time.
 
-    The update of a front is the matrix that its elimination adds to that of the later unknowns it is coupled to.
-    Memory is taken at the first free stretch that is long enough.
+    The update of a front is the matrix that its elimination adds to that of the later unknowns it is coupled to. It
+    lies there until the front above has taken it. Memory is taken at the first free stretch that is long enough.
 
-    parent : (fronts,) front above each, or -1. size : (fronts,) doubles of each update. batches : fronts worked on at
-        once.
+    parent : (fronts,) index of the front above each, or -1. size : (fronts,) doubles of each update.
+    batches : for each batch the indices of its fronts, which are worked on at once; children come first.
     """
     places, free, peak = np.empty(len(size), dtype=np.int64), [(0, ENDLESS)], 0  # starts and lengths, never touching
     batch, waiting = np.empty(len(size), dtype=np.int64), [list[tuple[int, int]]() for _ in batches]

@@ -10,7 +10,9 @@ from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LEAF_UNKNOWN
 
 JOINED = 2.0  # measured: updates are that much larger as fronts are joined to save calls
 Tree = tuple[float, float, tuple[float, ...]]
-"""Doubles of a region's factor; the most that its updates hold at a time; all its updates by depth, root first."""
+"""What a region of the lattice takes, in doubles: its factor; the update matrices that are alive at one time, at most;
+all update matrices at each depth of its dissection, the region's own first. (An update matrix is what the elimination
+of some unknowns adds to the matrix of later ones.)"""
 
 
 @lru_cache(maxsize=64)
@@ -35,8 +37,12 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return float(total)
 
     def tree(region: Region) -> Tree:
-        """Return the doubles of a region's factor, the most that its updates (what fronts leave for later unknowns)
-        hold at a time, and all its updates by depth, root first. Regions of one shape and border share them."""
+        """Return three sizes, in doubles: of the factor of a region; of the update matrices that are alive at one time,
+        at most; and of all update matrices at each depth of the region's dissection, a tuple, its own first.
+
+        An update matrix is what the elimination of some unknowns adds to the matrix of later ones. region : by spin
+        component, a box of spheres, the unknowns to eliminate. Regions of the same shape and number of neighbours
+        are computed once."""
         corner = np.min([low for low, _ in region.values()], axis=0)
         moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
         border = neighbours(region)
@@ -46,8 +52,10 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return the doubles of a region's factor, the most that its updates hold at a time, and all its updates by
-        depth, from those of its halves. border : number of unknowns outside that touch the region."""
+        """Return the three sizes of a region as `tree` does (doubles of its factor; of the update matrices alive at one
+        time, at most; of all of them at each depth), computed from those of its two halves.
+
+        region : by spin component, a box of spheres. border : number of unknowns outside that touch the region."""
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:

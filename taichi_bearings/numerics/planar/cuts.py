@@ -66,7 +66,7 @@ def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[sli
     sideways : weights (B, w - 1, h) of contacts along the rows of B grids of w columns and h rows, none negative; those
         of the bottom and the top row take no part.
     upward : weights (B, w, h - 1) of contacts between the rows.
-    yields : the numbers of some grids, as a slice, and their cuts.
+    yields : pairs: the range of some of the B grids, as a slice, and the cuts of these grids.
     """
     batch, columns, rows = upward.shape
     step = max(1, BUNDLE_FACES // ((columns - 1) * rows))
