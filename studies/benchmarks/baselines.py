@@ -36,7 +36,9 @@ class Arrays:
     """
 
     def __init__(self, scene: Scene, precision: str) -> None:
-        """Make the arrays of a scene of one sample. precision : "f64" or "f32"."""
+        """Make the arrays of a scene of one sample: random spins, coefficients of friction, and steps of a sweep.
+        precision : "f64" or "f32", the type of all numbers.
+        """
         axes, dtype = scene.minimum_spin_axes, np.dtype(np.float64 if precision == "f64" else np.float32)
         self.dtype, self.layout = dtype, Layout(1, scene.lattice.shape, block=1)
         self.kept = [tangential(axis, axes) for axis in range(scene.lattice.dimension)]

@@ -81,7 +81,8 @@ class ConicProgramme:
         return scene.impose_driving(scene.clip_to_box(staggered, axes), axes)
 
     def forces(self, z: np.ndarray) -> np.ndarray:
-        """Return contact forces (C, 1, E), staggered, from the multipliers z of the rows."""
+        """Return contact forces (C, 1, E), staggered: C components of the forces on E contacts. z : multipliers of the
+        rows of the constraints."""
         scene, pairs = self.scene, self.inequalities // 2
         if not scene.law.holds:
             along = scene.lattice.radius * scene.jump / 2 * z
@@ -94,8 +95,8 @@ class ConicProgramme:
         return staggered_forces(friction[None], scene.lattice, scene.minimum_spin_axes)
 
     def with_friction(self, scene: Scene) -> "ConicProgramme":
-        """Return the programme of another Coulomb sample of the same lattice and driving: only the costs in `linear`
-        change.
+        """Return the programme of another Coulomb sample of the same lattice and driving: only the costs of the slips
+        change, which are the last entries of `linear`, the linear part of the function to be minimised.
         """
         linear = self.linear.copy()
         costs = linear[self.system.unknowns :]

@@ -436,7 +436,8 @@ def minima_of(scene: Scene) -> Table:
 
     Columns: `power` and its proven `lower_bound`, and `cut_power` of the minimum cut, energy/time; `below_cut`, True if
     the minimum is proven to have less power than any two rigid domains; `cut_is_minimum`, True if it is proven that no
-    state has a power lower than that of the cut by more than a share SAME of it; `spin`, laboratory frame.
+    state has a power lower than that of the cut by more than a share SAME of it; `spin` (*N, 3), laboratory
+    frame, 1/time.
     """
     solution, cut = solved(scene, InteriorPoint(settle=False), StopRule(1e-10)), cut_of(scene)
     unit = scene.normal_force * scene.lattice.radius * scene.jump

@@ -160,20 +160,15 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
 def draw_yield_surface(named: Any) -> Figure:
     """Draw the figure of the torques that bearings of L^3 spheres withstand, averaged over samples.
 
-    T_x and T_y are the torques on the top plane about x and y; T_c is the one that belongs to the bearing state C x
-    of the top, whose staggered spins point away from its middle and grow with the distance from it.
-
-    (a) The surface of the torques (T_x, T_y), and (b) of (T_x, T_c). Points: torques at the directions solved, an inner
-        bound. Thin lines: bounds by the power of each direction, an outer one. Dotted circle and dashed square: for
-        comparison, as large as the surface of the largest cubes.
-    (c) Against L: the share of the yield torque about one axis that is lost while the top rotates about the other
-        ("crossed"); the share by which the power about x + y falls short of the sum of those about x and about y.
-    (d) The power per area against 1 / L, with fits.
-
-    named : the values of :func:`names_of` as attributes. Used are, by side L, `body`: mean powers (directions,) and
-        torques (directions, 3) in units of F_n R L^2; `crossed` and `square`: the two shares that are left, (samples,)
-        each, with the fits `fading` and `squaring`; `per_area`: by direction, powers (samples,) by side, with the fits
-        `limits_of`.
+    T_x, T_y: torques on the top about x and y; T_c: the one that belongs to its bearing state C x (staggered spins that
+    point away from the middle and grow with the distance from it).
+    (a) Surface of (T_x, T_y), (b) of (T_x, T_c). Points: torques at the directions solved (inner bound); thin lines:
+        bounds by the power of each direction (outer); circle and square: for comparison, as large as the last surface.
+    (c) Share of the yield torque about one axis that is lost while the top rotates about the other ("crossed"); share
+        by which the power about x + y falls short of the sum of those about x and y. (d) Power per area against 1 / L.
+    named : values of :func:`names_of`. Used are, by side L, `body`: mean powers (directions,) and torques (directions,
+        3) in units of F_n R L^2; `crossed`, `square`: shares left, (samples,), with the fits `fading`, `squaring`;
+        `per_area`: by direction and side, powers (samples,), with the fits `limits_of`.
     """
     directions, plane = np.array(DIRECTIONS), len(PLANE)
     figure = new_figure(DOUBLE, 5.2)

@@ -409,10 +409,10 @@ class _SmoothPower:
         """Run Newton's method until all torques balance, and set `spins`, `difference` and `balanced`. No slip may be
         reversed.
 
-        spins : where to begin, (samples * unknowns,) spins before tying, as sums of two doubles.
-        returns : (kept,) mask of the contacts left that come to rest and have to be tied: they did not slip to begin
-            with, or the next step would reverse their slip. Samples with such contacts, and those in which the method
-            fails, end unbalanced.
+        spins : where to begin, (samples * unknowns,) single spins, as sums of two doubles; tied ones get their mean.
+        returns : (kept,) mask of those contacts, among the `kept` that are not tied, that come to rest and have to be
+            tied: they did not slip to begin with, or the next step would reverse their slip. Samples with such
+            contacts, and those in which the method fails, end unbalanced.
         """
         system, owners, self.spins = self.tied.system, self.tied.owners, self.tied.contracted(spins)
         self.difference = self.tied.differences(self.spins)

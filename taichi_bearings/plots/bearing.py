@@ -252,7 +252,8 @@ def colour_bar(figure: Figure, axes: Axes | list[Axes], label: str, norm: Normal
 def name_cut(axes: Axes, axis: int, index: int, before: str = "", after: str = "") -> None:
     """Write title and axis labels for a plane through a lattice.
 
-    axis, index : axis across the plane and its number. before, after : words of the title around the name of the plane.
+    axis, index : the plane consists of the spheres whose coordinate along `axis` (0 to 2) is `index`.
+    before, after : words of the title before and after the name of the plane.
     """
     axes.set_title(f"{before}${AXES[axis]} = {index}${after}")
     right, up = (name for name in AXES if name != AXES[axis])

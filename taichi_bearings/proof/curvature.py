@@ -256,8 +256,8 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
 
     # The minimum is within rho = 1.5 |g| / tau of these spins, as 1.5 > 1 / 0.72. Each block has its own radius.
     def turn(tau: float) -> np.ndarray:
-        """Return for each of n contacts the bound (n,) on the change of its slip, over the size of the slip, that
-        follows if the curvature is at least `tau` times its diagonal."""
+        """Return for each of n contacts the bound (n,) on the change of its slip up to the minimum, over the size of
+        the slip, that follows if the curvature is at least `tau` times its diagonal."""
         radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
         reach = radius[block] / root  # largest |v| of each variable, as h v^2 <= rho^2
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
@@ -383,8 +383,9 @@ class Form:
         return 1 / np.sqrt(self.squares)
 
     def floor(self, sharp: bool = False) -> np.ndarray:
-        """Return for each of R samples a proven lower bound tau (R,) of the eigenvalues of the scaled form, for all
-        matrices A within the bounds of errors; 0 where none is found.
+        """Return for each of R samples a number tau (R,) that is proven to be no larger than any eigenvalue of A^T A,
+        where A is the scaled matrix `rows` or any other that differs from it by no more than `doubt`; 0 where none is
+        found.
 
         sharp : True to spend more time on a bound that is as large as possible; False to try CURVATURE_SHARE first,
             which is enough for most networks."""

@@ -223,7 +223,7 @@ class Near:
 
     @property
     def samples(self) -> Samples:
-        """To which of R samples each of the n unknown spin components belongs."""
+        """The sample, one of R, to which each of the n unknown spin components belongs."""
         return self.network.samples_of(np.nonzero(self.number >= 0)[0])
 
     def curvature(self, firmness: float = 1.0) -> Form | None:

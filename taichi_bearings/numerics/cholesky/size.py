@@ -37,12 +37,9 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return float(total)
 
     def tree(region: Region) -> Tree:
-        """Return three sizes, in doubles: of the factor of a region; of the update matrices that are alive at one time,
-        at most; and of all update matrices at each depth of the region's dissection, a tuple, its own first.
-
-        An update matrix is what the elimination of some unknowns adds to the matrix of later ones. region : by spin
-        component, a box of spheres, the unknowns to eliminate. Regions of the same shape and number of neighbours
-        are computed once."""
+        """Return three sizes, in doubles: of the factor of a region; of the update matrices (what eliminated unknowns
+        add to the matrix of later ones) alive at one time, at most; of all of them at each depth of its dissection, a
+        tuple, its own first. region : by spin component, a box of spheres. Regions of one shape and border share it."""
         corner = np.min([low for low, _ in region.values()], axis=0)
         moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
         border = neighbours(region)
@@ -52,10 +49,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return the three sizes of a region as `tree` does (doubles of its factor; of the update matrices alive at one
-        time, at most; of all of them at each depth), computed from those of its two halves.
-
-        region : by spin component, a box of spheres. border : number of unknowns outside that touch the region."""
+        """Return the three sizes of a region that `tree` says, from those of its halves. border : number of unknowns
+        outside that touch the region."""
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:
