@@ -65,10 +65,10 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
         report = histogram(runs, normalise=normalise, by=by, page=page, **asked)
     lines = []
     for part in report.get("groups", [report]):
-        name = f"{by} {part[by]}: " if by else ""
+        group = f"{by} {part[by]}" if by else "in all"
         others = ", ".join([f"{part['slipless']:,} slipless", *other_contacts(part["tied"], part["undecided"])])
-        slipping, of_samples = part["slipping"], part["census"]
-        lines.append(f"{name}{slipping:,} slipping contacts, {others}, {of_samples}")
+        slipping, samples = part["slipping"], part["census"]
+        lines.append(f"{group}: {slipping:,} slipping contacts; not in the histogram: {others}; from {samples}")
     if report["slipping"]:
         units = "" if normalise == "none" else f" in units of {report['units']}"
         smallest, largest = report["smallest_power"], report["largest_power"]

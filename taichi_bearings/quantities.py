@@ -250,12 +250,12 @@ SAMPLES = _named(
                  lambda a: a.solution.states_proven),
         Quantity("unproven", "1", "number of contacts of which it is not proven whether they slip",
                  lambda a: a.solution.unproven),
-        Quantity("largest_slipless_slip", "length/time", "largest slip of a slipless contact",
+        Quantity("largest_slipless_slip", "length/time", "largest slip speed of a contact that counts as slipless",
                  _of_unique_slips(lambda a: _separation(a).largest_slipless)),
-        Quantity("smallest_slipping_slip", "length/time", "smallest slip of a slipping contact",
+        Quantity("smallest_slipping_slip", "length/time", "smallest slip speed of a contact that counts as slipping",
                  _of_unique_slips(lambda a: _separation(a).smallest_slipping)),
-        Quantity("separation_decades", "1", "orders of magnitude from the largest slipless to the smallest slipping"
-                 " slip",
+        Quantity("separation_decades", "1", "powers of ten between two slip speeds: the smallest of a contact that"
+                 " counts as slipping and the largest of one that counts as slipless",
                  _of_unique_slips(_decades)),
         Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),

@@ -57,7 +57,9 @@ class RunDirectory:
                 exchange(self.partial, self.path)
                 shutil.rmtree(self.partial, ignore_errors=True)
             else:
-                raise FileExistsError(errno.EEXIST, "another program created something there in the meantime")
+                raise FileExistsError(
+                    errno.EEXIST, "another program created a file or folder of this name in the meantime"
+                )
 
 
 @contextlib.contextmanager

@@ -124,8 +124,10 @@ def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, object]) -> Re
     except FileError as error:
         raise InputError(str(error)) from None
     if isinstance(law := scene.get("law"), str) and law not in LAWS:
-        known = f"known are {', '.join(LAWS)}, and laws of one's own once the file that defines them is imported"
-        raise FileError(f"{path} has the law {shown(law)}; {known}")
+        raise FileError(
+            f"{path} has the law {shown(law)}; known are {', '.join(LAWS)}, and laws of one's own once the file that"
+            " defines them is imported"
+        )
     try:
         settings = RunSettings.from_mapping(scene, "its scene")
     except FileError as error:

@@ -134,7 +134,8 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
         key, equals, value = condition.partition("=")
         if not equals or key not in table:
             raise InputError(
-                f"where is {condition!r}; it must be KEY=VALUE with a KEY of {', '.join(table)}{meant(key, table)}"
+                f"--where {condition!r} cannot be used; it must be KEY=VALUE with a KEY of {', '.join(table)}"
+                f"{meant(key, table)}"
             )
         values = table[key]
         if values.dtype == object or values.dtype == bool:
@@ -143,11 +144,13 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
             try:
                 found = values == float(value)
             except ValueError:
-                raise InputError(f"where is {condition!r}; {key} has numbers, so VALUE must be one") from None
+                raise InputError(
+                    f"--where {condition!r} cannot be used; {key} has numbers, so VALUE must be one"
+                ) from None
         if not found.any():
             known = [str(v) for (v,) in groups(table, [key])]
             some = ", ".join(known[:20]) + " ..." * (len(known) > 20)
-            raise InputError(f"where is {condition!r}; {key} is one of {some}{meant(value, known)}")
+            raise InputError(f"--where {condition!r} selects no sample; {key} is one of {some}{meant(value, known)}")
         chosen &= found
     return {name: values[chosen] for name, values in (table | {REASON: _reasons(scan, table, request)}).items()}
 

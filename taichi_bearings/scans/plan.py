@@ -231,8 +231,10 @@ def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
                     f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}"
                 )
             if count > most:
-                too_many = f"with it the scan has more than {MOST_SAMPLES:,} samples, the most that are allowed"
-                raise InputError(f"{key} in [scan] has {count:,} values; {too_many}")
+                raise InputError(
+                    f"{key} in [scan] has {count:,} values; with it the scan has more than {MOST_SAMPLES:,} samples,"
+                    " the most that are allowed"
+                )
             columns[key] = [value(number) for number in range(int(count))]
         if len(set(map(len, columns.values()))) > 1:
             words = ", ".join(f"{key} has {len(values)}" for key, values in columns.items())

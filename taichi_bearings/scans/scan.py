@@ -207,7 +207,7 @@ def scan(
             course.write_files()
         except FileError as error:
             kept = len(parts.read_journals(folder))  # some of those that were being written too
-            raise FileError(f"{error}; {kept:,} samples are kept there, and the same command continues") from None
+            raise FileError(f"{error}; {kept:,} samples are kept in {folder}, and the same command continues") from None
     return course.report(stopped.is_set()) | {"workers": engine.workers}
 
 

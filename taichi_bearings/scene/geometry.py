@@ -73,10 +73,9 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
         is_far = found.size[own] > found.reach[own]
         hint = found.remedy() or ("; across a periodic side it needs a normal" if is_far else "")
         first, second = contact[own].tolist()
-        raise InputError(
-            f"contact {own} {'does not touch' if is_far else 'is pressed too far'}: spheres {first} and {second} "
-            f"{misfit(found.size[own], found.reach[own])}{hint}"
-        )
+        fault = "does not touch" if is_far else "is pressed too far"
+        distance_and_radii = misfit(found.size[own], found.reach[own])
+        raise InputError(f"contact {own} {fault}: spheres {first} and {second} {distance_and_radii}{hint}")
     return found.along
 
 

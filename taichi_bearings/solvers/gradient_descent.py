@@ -123,7 +123,8 @@ class GradientDescentMethod(Swept):
             slopes = scene.law.steepest((scene.strength * bounds,), self._largest_slip())
             if not np.isfinite(slopes).all():
                 raise InputError(
-                    f"law is {scene.law.name!r}; gradient-descent needs a law whose slope `steepest` is finite"
+                    f"law is {scene.law.name!r}, whose force is infinitely steep at some slip; gradient-descent needs a"
+                    " finite slope, so take another method"
                 )
             bounds = scene.slip_radius * slopes
         if self.viscosity is not None:

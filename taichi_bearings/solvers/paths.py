@@ -72,6 +72,6 @@ def _settled(state: Mapping[str, np.ndarray], number: int, now: Iterate) -> Reso
         is_mask = name not in likes
         like = now.friction if name in ("slipping", "at_limit", "tied") else likes.get(name, now.spins)
         if values.shape != like.shape or values.dtype.kind != ("u" if is_mask else "f"):
-            raise ValueError(f"{name} of a settled minimum has {values.dtype} of shape {values.shape}")
+            raise ValueError(f"{name} of a settled minimum has the wrong type {values.dtype} or shape {values.shape}")
         given[name] = values.astype(bool) if is_mask else values
     return Resolved(**given, borne=bool(state[begin + "borne"]), viscosity=now.viscosity)

@@ -111,7 +111,9 @@ def test_a_run_says_what_its_bound_rests_on(page, tmp_path):
 def test_gradient_descent_refuses_a_law_that_is_infinitely_steep(page, monkeypatch):
     scene = Scene.random((4, 5), law="thickening")
     monkeypatch.setattr(type(scene.law), "steepest", lambda self, of, slip: np.full_like(of[0], np.inf))
-    with pytest.raises(InputError, match="gradient-descent needs a law whose slope `steepest` is finite"):
+    with pytest.raises(
+        InputError, match="whose force is infinitely steep at some slip; gradient-descent needs a finite slope"
+    ):
         solve(scene, METHODS["gradient-descent"]().build(), initial_spin(scene, "linear"), StopRule(1e-6))
 
 

@@ -119,7 +119,7 @@ WRONG = [
     (
         ATOMS.replace("ATOMS\n3", "ATOMS\n2"),
         CONTACTS,
-        'at line 22 the line "ITEM: TIMESTEP" is expected, since 2 rows are announced',
+        'at line 22 the line "ITEM: TIMESTEP" must follow the 2 rows that the header announces',
     ),
     (ATOMS.replace("ATOMS\n3", "ATOMS\n99999999999999"), CONTACTS, "line 14 must be a whole number"),
     (ATOMS.replace("10 1 0.5", "10 1 zero"), CONTACTS, "at line 21 a row of 9 numbers is expected"),
@@ -173,8 +173,8 @@ def test_what_is_no_dump_is_one_sentence_with_its_line(tmp_path, atoms, contacts
 
 def test_what_is_asked_for_must_be_there(tmp_path):
     for others, words in [
-        ({"step": 100, "driven_types": {1: 0}}, "timestep 100 is not there or not complete in both"),
-        ({"step": 150}, "timestep 150 is not there or not complete in both"),
+        ({"step": 100, "driven_types": {1: 0}}, "timestep 100 must be complete in both .* it is missing or cut off"),
+        ({"step": 150}, "timestep 150 must be complete in both .* it is missing or cut off"),
         ({"driven_types": {3: 0}}, "driven names 3, but the dump has no atom or type of that number"),
         ({"driven": {10: 0}}, "one of driven and driven_types"),
         ({"spin": {1: (0, 0, 1)}}, "spin lacks body 0"),

@@ -54,7 +54,7 @@ def test_with_force_another_run_that_came_for_the_old_one_stays(tmp_path):
         write_run(directory.partial, "ours")
         (tmp_path / "a").rename(tmp_path / "b")
         write_run(tmp_path / "a", "theirs")
-        with pytest.raises(FileError, match="another program created something there in the meantime"):
+        with pytest.raises(FileError, match="another program created a file or folder of this name in the meantime"):
             directory.publish()
     assert [(tmp_path / name / "run.h5").read_text() for name in ("a", "b")] == ["theirs", "old"]
 

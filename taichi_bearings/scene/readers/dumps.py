@@ -236,5 +236,5 @@ class _Reader:
             after = next(self.lines, b"ITEM: ")
             if not after.startswith(b"ITEM: ") and after.strip():
                 self.line += 1
-                raise self._wrong(f'the line "ITEM: TIMESTEP" is expected, since {count} rows are announced')
+                raise self._wrong(f'the line "ITEM: TIMESTEP" must follow the {count} rows that the header announces')
         return np.frombuffer(values, dtype=np.float64).reshape(count, len(wanted))

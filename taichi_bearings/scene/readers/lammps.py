@@ -151,7 +151,10 @@ def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tu
     if asked.step is None:
         raise FileError(f"no timestep is complete in both {atoms} and {contacts}{reasons}")
     asked_step = shown(asked.step)
-    raise FileError(f"timestep {asked_step} is not there or not complete in both {atoms} and {contacts}{reasons}")
+    raise FileError(
+        f"timestep {asked_step} must be complete in both {atoms} and {contacts}; it is missing or cut off in"
+        f" at least one{reasons}"
+    )
 
 
 def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
@@ -289,7 +292,8 @@ def _normals(
     if wrong[own]:
         unknown = frame.box is None or frame.box.periodic is None
         hint = "; if that is across a periodic side, name it by `periodic`" if unknown and not is_near[own] else ""
-        raise InputError(f"{line}: atoms {i} and {j} {misfit(size[own], reach[own])}{hint}")
+        distance_and_radii = misfit(size[own], reach[own])
+        raise InputError(f"{line}: atoms {i} and {j} {distance_and_radii}{hint}")
     raise InputError(f"{line}: the contact of atoms {i} and {j} is there a second time; each must be there once")
 
 
