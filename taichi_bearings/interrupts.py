@@ -185,7 +185,7 @@ class Interrupt:
 
     A second signal ends the process, unless it comes so soon that the step cannot have ended.
 
-    heard : a signal has come.
+    heard : True once a signal has come.
     """
 
     def __init__(self) -> None:

@@ -26,7 +26,13 @@ class Kind:
     known: Collection[str] = ()  # words that it is one of, if it is
 
     def __init__(self, read: Reader, allowed: str, metavar: str) -> None:
-        """Take the attributes of the class."""
+        """Take what the kind is made of.
+
+        read : function that turns a text or another value into the value of the option; ValueError, TypeError, KeyError
+            or OverflowError if it cannot.
+        allowed : words that complete "it must be ...".
+        metavar : what stands for the value in the help text.
+        """
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
     def named(self, name: str, value: object) -> Any:

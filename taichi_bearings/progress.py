@@ -45,7 +45,7 @@ class TerminalLine:
     """
 
     def __init__(self, line: Callable[[], str]) -> None:
-        """Take the function that returns the text; nothing is shown yet. line : see the class."""
+        """Prepare to show; nothing is shown yet. line : function that returns the text, called at each writing."""
         self.line, self._over = line, threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 
@@ -104,6 +104,7 @@ class Display:
 
     def __init__(self, since: float | None = None) -> None:
         """Prepare to listen. since : when the time begins, by time.perf_counter(); None for now."""
+        # time of the last stage that began or ended, and the context that ends line and listening
         self.stages, self.seconds = list[Stage](), {BETWEEN: 0.0}
         self._since = time.perf_counter() if since is None else since
         self._context = ExitStack()

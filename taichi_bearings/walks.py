@@ -53,7 +53,12 @@ Guard = tuple[str, str, str]
 
 
 class Unkept(Exception):
-    """Raised if a walk depends on something that cannot be named, so that it is not kept."""
+    """Raised if a walk is not to be kept on file. A walk is the translation of a kernel's Python source into Taichi's
+    intermediate code, as a list of calls of the compiler's core.
+
+    It is raised if a walk depends on something that has no name which is the same in every process, such as a function
+    of a user; and for kernels in debug mode or with automatic differentiation.
+    """
 
 
 def keep(compiler: Any, folder: Path, writes: bool) -> None:
@@ -71,7 +76,7 @@ def keep(compiler: Any, folder: Path, writes: bool) -> None:
 
 
 class _Kept:
-    """The walks that one process finds in a folder and keeps there. A walk is the sequence of calls of the compiler's
+    """The walks that one process finds in a folder and adds to it. A walk is the sequence of calls of the compiler's
     core by which the source of a kernel becomes intermediate code.
 
     core : the compiled part of Taichi. reader : the module of Taichi that defines the class of kernels.
@@ -79,19 +84,27 @@ class _Kept:
     """
 
     def __init__(self, core: Any, reader: Any, folder: Path, writes: bool) -> None:
-        """Take the attributes of the class."""
+        """Take the compiler's core, its module of kernels, the folder, and whether new walks (recorded calls of the
+        core that translate a kernel) are written into it.
+        """
         self.core, self.reader, self.folder, self.writes = core, reader, folder, writes
+        # one walk at a time is made; the compiler's settings as texts, by the `id` of Taichi's program
         self._lock, self._settings = threading.Lock(), dict[int, list[str]]()
 
     def materialize(self) -> Callable[..., None]:
-        """Return the method that takes the place of `Kernel.materialize` of Taichi: it repeats a stored walk, or makes
-        the walk."""
+        """Return the function that takes the place of Taichi's method `Kernel.materialize`, which translates a kernel
+        into intermediate code. It repeats a stored walk (the calls of the compiler's core that make up this
+        translation) instead, if there is one, and otherwise lets Taichi translate and stores its calls."""
 
         def materialized(kernel: Any, key: Any = None, args: Any = None, arg_features: Any = None) -> None:
-            """Make the intermediate code of a kernel for some arguments, unless it was made before.
+            """Make the intermediate code of a kernel for some arguments, unless it was made before: from the file of an
+            earlier process if there is one, else by Taichi's own translation of its source, which is then stored.
 
-            key : under which Taichi finds the compiled kernel again. args : the arguments. arg_features : what the
-                compiler looks at in each of them.
+            A walk is this translation, as the list of calls of the compiler's core. `kernel.walked` is Taichi's method;
+            `_repeated` uses a file, and `_walked` calls Taichi's method and writes a file.
+
+            kernel : as `self` in Taichi's method. key : under which Taichi finds the compiled kernel again.
+            args : the arguments. arg_features : what the compiler looks at in each of them.
             """
             kernel.runtime.materialize()
             if key in kernel.compiled_kernels:
@@ -109,12 +122,12 @@ class _Kept:
 
     def _name(self, kernel: Any, args: Any, features: Any) -> str:
         """Return the name of the file for the walk of a kernel with these arguments: a digest of all that the walk
-        depends on.
+        depends on. A walk is the translation of the kernel's source by calls of the compiler's core.
 
         args : values of the arguments, of which those of templates enter.
         features : what the compiler looks at in the others.
 
-        Raises Unkept if something cannot be named.
+        Raises Unkept if something cannot be named, in debug mode, and for kernels with automatic differentiation.
         """
         config, slots = kernel.runtime.prog.config(), set(kernel.template_slot_locations)
         if args is None or features is None or config.debug or kernel.autodiff_mode != self.reader.AutodiffMode.NONE:
@@ -128,7 +141,8 @@ class _Kept:
         return f"{hashlib.sha256(repr(inputs).encode()).hexdigest()}.walk"
 
     def _repeated(self, kernel: Any, key: Any, place: Path) -> bool:
-        """Make the intermediate code of a kernel by the walk in a file; return False if there is no usable walk.
+        """Make the intermediate code of a kernel by the walk in a file: repeat the calls of the compiler's core that
+        an earlier process recorded. Return False if there is no such file, or none that can be used.
 
         key : under which Taichi finds the compiled kernel again. place : path of the file.
         """
@@ -150,7 +164,8 @@ class _Kept:
         return True
 
     def _walked(self, kernel: Any, wishes: tuple[Any, ...], place: Path) -> None:
-        """Have the compiler walk through a kernel's source, and keep its calls in a file if `writes`.
+        """Have the compiler walk through a kernel's source, which translates it into intermediate code, and write the
+        calls of the core that it makes to a file, if `self.writes`.
 
         wishes : the arguments of `Kernel.materialize`. place : path of the file.
 
@@ -213,6 +228,10 @@ class _Record:
 
     def __init__(self, core: Any) -> None:
         """Begin without calls. core : the compiled part of Taichi."""
+        # The rest is what `walk` makes of the calls. The place of a value is the number, from 0, of the step that
+        # returns it, or a negative number for an object that every walk begins with (`_given`, by type) or for a
+        # constant (`_constants`, by how it is stored). `_places` has it by the `id` of the value. `_steps` are the
+        # calls: name, places of the arguments, and keywords of the last of these.
         self.calls, self.functions = list[tuple[str, tuple[Any, ...], dict[str, Any], Any]](), list[Any]()
         self._core, self._kinds = core, core.DataType
         self._given = {kind: -1 - n for n, kind in enumerate(_given_kinds(core))}
@@ -231,8 +250,9 @@ class _Record:
         return heard
 
     def guards(self) -> list[Guard]:
-        """Return the guards of a walk, sorted: names that the functions read in their modules, with texts about their
-        values. A stored walk is used only if all of these are unchanged.
+        """Return the guards of a walk (the recorded calls that translate a kernel), sorted: the names that its
+        functions read in their modules, with texts about their values. A stored walk is used only if all of these are
+        unchanged.
 
         Functions of the compiler itself are left out. Raises Unkept if another one is not of this package's kernels.
         """
@@ -248,8 +268,9 @@ class _Record:
         return sorted(found)
 
     def walk(self) -> Walk:
-        """Return the recorded calls as a walk that can be stored (see `Walk`), without queries whose results no other
-        call takes.
+        """Return the recorded calls as a walk that can be stored: names of the functions that are called, constants,
+        and calls with numbers that say where their arguments come from. Queries whose results no other call takes are
+        left out.
 
         Raises Unkept if an argument cannot be stored.
         """
@@ -269,8 +290,9 @@ class _Record:
         return self._needed()
 
     def _needed(self) -> Walk:
-        """Return the walk of the steps that change something, and of those whose results these take, directly or
-        through others."""
+        """Return the walk as it is stored: names of the functions that are called, constants, and calls. It has the
+        steps (recorded calls) that change something, and those whose results these take, directly or through others;
+        steps and places are numbered anew."""
         steps, needed, kept = self._steps, bytearray(len(self._steps)), list[int]()
         looks = {name: name.rpartition(".")[2].startswith(QUERIES) for name in {step[0] for step in steps}}
         for number in range(len(steps) - 1, -1, -1):
@@ -289,7 +311,7 @@ class _Record:
         return list(names), list(self._constants), calls
 
     def _note(self, name: str, places: list[int], named: tuple[str, ...], result: Any) -> None:
-        """Write down one step, and where later steps find its result, or an item of that.
+        """Write down one step of a walk (a call of the core), and where later steps find its result, or items of it.
 
         name : of what is called. places : where its arguments are found. named : the keywords of the last of these.
         result : what the call returned.
@@ -306,8 +328,8 @@ class _Record:
                     self._steps.append((ITEM, [number, self._constant((PLAINLY, n))], ()))
 
     def _place(self, value: Any) -> int:
-        """Return where a value is found when the walk is repeated: the number of the step whose result it is, or -1,
-        -2, ... for the objects that a walk begins with and then for constants.
+        """Return where a value is found when the walk (the list of recorded calls, or steps) is repeated: the number of
+        the step whose result it is, or -1, -2, ... for the objects that a walk begins with and then for constants.
 
         Raises Unkept for an object that is none of these.
         """
@@ -328,7 +350,8 @@ class _Record:
         raise Unkept
 
     def _constant(self, described: tuple[Any, ...]) -> int:
-        """Return the place (a negative number) of a constant of the walk, which gets a new one when it is first seen.
+        """Return the place (a negative number, by which the recorded calls refer to it) of a constant of the walk; a
+        constant gets a new place when it is first seen.
 
         described : its sort (PLAINLY, KIND or MEMBER) and what `_made` makes it of. Its text is part of the key, so
             that equal numbers of different types, and the two zeros, are different constants.
@@ -348,7 +371,8 @@ class _Record:
 
 
 def _given_kinds(core: Any) -> list[Any]:
-    """Return the types of the objects that every walk begins with, in the order in which `_repeat` has them."""
+    """Return the types of the objects with which every walk (list of recorded calls of the core) begins, in the order
+    in which `_repeat` has them."""
     return [core.DebugInfo, core.CompileConfig, core.Kernel, core.ASTBuilder]
 
 
@@ -373,12 +397,12 @@ def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
 
 
 def _listed(*values: Any) -> list[Any]:
-    """Return the values as a list: the step `LIST` of a walk."""
+    """Return the values as a list. In a walk, a list of recorded calls, this is the step `LIST`, which makes one."""
     return list(values)
 
 
 def _made(core: Any, sort: int, value: Any, more: Any = None) -> Any:
-    """Return a constant of a walk, from how it is stored.
+    """Return a constant of a walk (a value that recorded calls of the core take), from how it is stored.
 
     sort : `PLAINLY`, `KIND` or `MEMBER`.
     value : the constant itself, the name of a type of numbers, or the name of an enumeration.
@@ -451,14 +475,15 @@ def _value_at(module: str, name: str) -> str:
 
 @cache
 def _surroundings() -> list[str]:
-    """Return the version of Python, and digests of the source of this file and of this package's kernels: walks depend
-    on all of these."""
+    """Return the version of Python, and digests of the source of this file and of this package's kernels: walks (the
+    recorded translations of kernels) depend on all of these."""
     files = [Path(__file__), *sorted((Path(__file__).parent / "kernels").glob("*.py"))]
     return [sys.version, *(hashlib.sha256(file.read_bytes()).hexdigest() for file in files)]
 
 
 def _settings(config: Any) -> list[str]:
-    """Return a text for each setting of the compiler that a walk may depend on: its name and value."""
+    """Return a text, name and value, for each setting of the compiler that a walk (the recorded translation of a
+    kernel) may depend on."""
     names = [
         name for name, value in vars(type(config)).items() if isinstance(value, property) and name not in UNRELATED
     ]
@@ -466,7 +491,11 @@ def _settings(config: Any) -> list[str]:
 
 
 def _read(place: Path) -> tuple[Walk, list[Guard]]:
-    """Return the walk in a file, and its guards. Raises OSError if there is no file, ValueError if it is damaged."""
+    """Return the walk in a file (the recorded translation of a kernel: names, constants and calls), and its guards:
+    names in modules, with texts about the values that they must still have.
+
+    Raises OSError if there is no file, ValueError if it is damaged.
+    """
     kept = place.read_bytes()
     if hashlib.sha256(kept[32:]).digest() != kept[:32]:
         raise ValueError(place)
@@ -474,7 +503,8 @@ def _read(place: Path) -> tuple[Walk, list[Guard]]:
 
 
 def _write(place: Path, walk: Walk, guards: list[Guard]) -> None:
-    """Write a walk and its guards to a file, whole or not at all: another process may write the same file just then.
+    """Write a walk (the recorded translation of a kernel) and its guards (what must be unchanged for it to be used) to
+    a file, whole or not at all: another process may write the same file just then.
 
     Of more than `MOST_FILES` files in the folder the older half is deleted.
     """

@@ -51,10 +51,11 @@ class BalanceKernels:
         spec : names and numbers of components of the fields, in the order of their rows (a row is one number of every
             sphere).
         stencil : spin components, dimension and periodic axes of the lattice."""
-        slot = first_slots(spec)
+        slot = first_slots(spec)  # first row of each field by name
         self.pull, self.potential = slot["pull"], slot["potential"]
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
         self.ahead = AHEAD if self.block == 1 else 1
+        # for each spin component, whether its chains close to rings
         self.closed = tuple(side in stencil.periodic for side in stencil.coupled_sides)
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:

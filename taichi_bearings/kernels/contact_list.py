@@ -49,21 +49,24 @@ class ListSweeps(Sweeps):
         law : name of a force law in `contact.FORCES`.
         corrector : coefficients of Gear's corrector; empty for gradient descent."""
         super().__init__(block_size())
+        # rows of each field by name, counted from 0 for the fields of spheres and again for those of contacts
         self.rows, end = dict[str, tuple[int, ...]](), 0
         for name, count in (*spec[0], *spec[1]):
             self.rows[name], end = tuple(range(end, end + count)), end + count
         self.sphere_rows = sum(count for _, count in spec[0])
         for name, _ in spec[1]:
             self.rows[name] = tuple(row - self.sphere_rows for row in self.rows[name])
+        # components of a spin, and unit tangents of a contact: 1 for discs, 2 for spheres
         self.components, self.tangents = len(self.rows["force"]), max(1, len(self.rows["across"]) // 3)
         gear = [f"gear_{n}" for n in range(len(corrector))]
         self.force_law, self.corrector, self.order = FORCES[law], corrector, len(corrector)
         self.rows["coefficients"] = self.rows["coefficient"] + self.rows.get("viscosity", ())
         self.holds, self.tally = "elongation" in self.rows, "work" in self.rows
+        # for each spin component the rows that Gear's method keeps, and those that a step writes
         self.gear, self.written = (
             tuple(zip(*(self.rows[name] for name in names if name in self.rows), strict=True))
             for names in (gear, (*gear, "predicted", "integral"))
-        )  # of each component
+        )
         self.averages, self.momentum = "force_sum" in self.rows, "spin" in self.rows
         self.contact_rows = end - self.sphere_rows
 

@@ -138,28 +138,33 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     parts, numbers = 2, 8
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
-        """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every
-        site) each field stands, by axis or by spin component; and which fields there are, so that `holds` is True with
-        friction and `tally` with an energy balance.
+        """Set the constants for which the kernel is compiled: the rows of memory in which each field stands, and which
+        fields there are. A row is one number of every site; a field has one row for each spin component or for each
+        component of a contact's force.
 
-        spec : names and numbers of components of the fields, in the order of their rows.
+        spec : pairs (name of a field, number of its rows), in the order of memory.
         stencil : spin components, dimension and periodic axes of the lattice.
         corrector : coefficients of Gear's corrector, that of the spin first."""
-        super().__init__(stencil.block, stencil.periodic)
+        super().__init__(stencil.block, stencil.periodic)  # `block` is how many sites are worked on together
+        # slot: first row of each field, by name; order: numbers kept of a spin; tally: True with an energy balance
         slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
+        # for each axis, the rows of the spin components that make its contacts slip, or of the forces along those
         self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
         self.force = stencil.force_rows(slot["force"])
-        self.holds = "elongation" in slot
+        self.holds = "elongation" in slot  # whether contacts have friction, by springs
         if self.holds:
             self.integral = stencil.spin_rows(slot["integral"])
             self.elongation = stencil.force_rows(slot["elongation"])
+        # for each axis, the row of the friction coefficient, and of the viscosity if there is one
         names = [name for name in ("coefficient", "viscosity") if name in slot]
         self.coefficients = tuple(tuple(slot[name] + axis for name in names) for axis in axes)
         # rows of the first component that a step writes; those of the others follow
         moved = [*(f"gear_{n}" for n in range(self.order)), "predicted", "integral"]
         self.moved = tuple(slot[name] for name in moved if name in slot)
-        # for each component the two axes whose contacts it makes slip, with the rows of the forces that so pull on it
+        # A spin component makes the contacts along two axes slip, and their forces change it. `pulling` has for each
+        # component two pairs (axis, row of that force); `self.pulling` has the first pair of each component, then the
+        # second.
         pulling = [
             [(a, self.force[a][kept.index(c)]) for a, kept in enumerate(stencil.slip_components) if c in kept]
             for c in range(stencil.components)
@@ -197,9 +202,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
-            of sites after which a ring along each axis closes, and the place of `first` in each ring. strides[axis::3]
-            are those of one axis.
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
+            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, and compliance and memory of a spring that slips; others are not used."""
         if ti.static(self.tally):
@@ -226,8 +231,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
-            of sites after which a ring along each axis closes, and the place of `first` in each ring."""
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
+            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis."""
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):
@@ -241,14 +247,18 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
         """Make one step of Gear's method for the spins of a block of spheres, by the contact forces that pull on them.
 
-        The loop over the spin components is one at run time, so that its body is compiled once.
+        For each spin component `motion` returns the numbers that are kept of a spin (itself and its scaled
+        derivatives), its predicted end, and its predicted mean; they are written into the rows `moved`. `pulling` says
+        by which forces along which two axes a component is changed. With `tally` forces on driven spheres are summed
+        too. The loop over the components is one at run time, so that its body is compiled once.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first sphere of the block.
-        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
-            of sites after which a ring along each axis closes, and the place of `first` in each ring.
-        response : time step * radius / inertia, which turns a force into the change of a spin."""
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
+            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
+        response : time step * radius / inertia, 1/(force * time), which turns a force into the change of a spin."""
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
         for c in range(self.stencil.components):
             # the force on each sphere: that of its upper contact less that of its lower one, along each axis
@@ -275,8 +285,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first site of the block.
-        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
-            of sites after which a ring along each axis closes, and the place of `first` in each ring.
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
+            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, compliance and memory of a spring that slips, and time step * radius /
             inertia.

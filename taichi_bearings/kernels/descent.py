@@ -54,6 +54,8 @@ class DescentSweeps(Sweeps):
         stencil : spin components, dimension and periodic axes of the lattice.
         law : name of a force law in `contact.FORCES`."""
         super().__init__(stencil.block, stencil.periodic)
+        # slot: first row of each field by name; components: numbers of the spin components; coefficients: for each axis
+        # the row of the friction coefficient, and of the viscosity if there is one
         self.slot = slot = first_slots(spec)
         self.stencil, self.force_law = stencil, FORCES[law]
         self.momentum, self.averages = "spin" in slot, "spin_sum" in slot
@@ -67,6 +69,7 @@ class DescentSweeps(Sweeps):
 
         # sweeps of even parity go from `point` to `point_next`, which begins `apart` rows further, the others back
         self.point, self.apart = of_sites("point"), slot["point_next"] - slot["point"]
+        # for each axis, the rows of `point` for the spin components that make its contacts slip
         self.point_rows = stencil.spin_rows(slot["point"])
         self.weight, self.spin = of_sites("inverse_weight"), of_sites("spin") if self.momentum else ()
         if self.averages:
@@ -131,8 +134,9 @@ class DescentSweeps(Sweeps):
         part : not used, as a sweep has one part.
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first site of the block.
-        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the sites
-            after which a ring along each axis closes, and the place of `first` in each ring.
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
+            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
         numbers : step; sharpness, 1 over the spin difference up to which friction grows; three lower and three upper
             ends of the interval in which spins stay; 1 to add spins and forces to their sums, else 0.
         sweep : number of the sweep since the momentum was last set to zero.

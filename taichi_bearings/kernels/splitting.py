@@ -39,6 +39,8 @@ class ContactStep(Sweeps):
         stencil : spin components, dimension and periodic axes of the lattice."""
         super().__init__(stencil.block, stencil.periodic)
         self.together = 1  # solving for the spins comes between two of these steps
+        # slot: first row of each field by name. Then the rows that belong together: for each axis those of the spin
+        # components that make its contacts slip, and those of its contact forces; `pull` has one for each component.
         self.slot, self.stencil = first_slots(spec), stencil
         self.potential = stencil.spin_rows(self.slot["potential"])
         self.trial, self.spring = stencil.force_rows(self.slot["trial"]), stencil.force_rows(self.slot["spring"])
@@ -91,8 +93,9 @@ class ContactStep(Sweeps):
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first site of the block.
-        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
-            of sites after which a ring along each axis closes, and the place of `first` in each ring.
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
+            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha."""
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
@@ -111,8 +114,9 @@ class ContactStep(Sweeps):
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first sphere of the block.
-        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
-            of sites after which a ring along each axis closes, and the place of `first` in each ring."""
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
+            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis."""
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
@@ -131,8 +135,9 @@ class ContactStep(Sweeps):
         part : 0 for the contacts, 1 for the spheres.
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first site of the block.
-        strides : list: distance in memory to the upper neighbour along x, y and z; with periodic axes then the number
-            of sites after which a ring along each axis closes, and the place of `first` in each ring.
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
+            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
         sweep, carried : not used; `walk` takes the same arguments in all methods."""
         if ti.static(part == 0):

@@ -58,7 +58,11 @@ class Team:
     """
 
     def __init__(self, size: int) -> None:
-        """Begin with all workers. size : their number, 0 on a GPU."""
+        """Begin with all workers, and launches of TRIAL_SECONDS; a worker alone begins with those of PIECE_SECONDS, as
+        no smaller team can follow.
+
+        size : number of workers, threads of the CPU that wait for each other; 0 on a GPU.
+        """
         self.size, self.arrived = size, np.zeros(1, np.int32) if size else ti.ndarray(ti.i32, 1)
         self.workers, self.piece = size, TRIAL_SECONDS if size > 1 else PIECE_SECONDS
         self.rest_until, self.rest = 0.0, FIRST_REST
@@ -162,7 +166,8 @@ class Sweeps:
     parts, repeats, numbers, measures = 1, 1, 1, 6
 
     def __init__(self, block: int, periodic: tuple[int, ...] = ()) -> None:
-        """Set the constants for which the kernel is compiled, and how many turns a launch on a GPU makes.
+        """Set the constants for which the kernel is compiled: block, periodic axes, whether it runs on a GPU, and
+        `together`, how many turns (steps over all sites) one launch there makes.
 
         block : number of sites that are worked on together.
         periodic : axes of the lattice that close on themselves."""

@@ -95,7 +95,8 @@ class Contacts(ABC):
     spin_axes: tuple[int, ...]
 
     def paths(self, spin: np.ndarray, settle: bool) -> Part:
-        """Return the central paths of all samples, for the interior-point method.
+        """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
+        along which Newton steps lead to the minimum.
 
         spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         settle : True to go on along the paths until contact states are settled.
@@ -103,14 +104,14 @@ class Contacts(ABC):
         raise NotImplementedError
 
     def cuts(self, spin: np.ndarray) -> Part:
-        """Return what finds the minimum cuts of all samples.
+        """Return the solver that finds the minimum cuts of all samples, for the planar cut.
 
         spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         """
         raise NotImplementedError
 
     def linear_systems(self, spin: np.ndarray) -> Part:
-        """Return what balances the viscous forces of all samples.
+        """Return the solver that finds the spins of all samples at which viscous forces balance.
 
         spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         """
@@ -192,8 +193,9 @@ class Stepped(Contacts):
         """Allocate the fields, and load the coefficients of the law into them.
 
         spec : names of the fields, with the numbers that each sphere (in packings also each contact) has in them.
-        viscosity : (R samples, E contacts), viscosity of each contact of a law with friction and viscosity, in the unit
-            of the kernels; None for other laws.
+        viscosity : (R samples, E contacts), viscosity of each contact of a law with friction and viscosity, multiplied
+            by the radius: kernels multiply it by a spin difference; for gradient descent also divided by the unit of
+            the friction coefficients. None for other laws.
         """
 
     @abstractmethod

@@ -44,6 +44,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
 
     time_step : length of a step, time.
     stability_bound : largest stable step, time.
+    common_inertia : moment of inertia by which the kernel divides torques where the field `is_free` is 1, mass *
+        length^2 on a lattice, mass in a packing.
     start_spin : largest spin at the start, 1/time.
     team, sweeps : threads and kernel.
     before_last : the state, by name, before a shorter last step; None if none was made.
@@ -58,7 +60,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
     balance_before: tuple[np.ndarray, ...] | None = None  # work, injected, power and pull of contacts before that step
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare the dynamics: choose the time step, and load spins, derivatives and inertias.
+        """Prepare the dynamics: choose the time step, load spins, their time derivatives and inertias into the fields
+        (arrays on the device), and compile the kernel.
 
         scene : what to solve.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
@@ -70,6 +73,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
         # the kernels multiply viscosities by spin differences, hence the radius
         self.contacts.allocate(self.needed(), None if beside is None else scene.slip_radius * beside)
+        # the largest stable step, from the fastest modes of the network
         bound = largest_step(options, scene.law.holds, *self.contacts.fastest_modes(self.inertia))
         self.common_inertia = self.contacts.common_inertia(self.inertia)
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # without contacts any step is stable
@@ -79,6 +83,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.time_step = options.time_step or DEFAULT_STEP * self.stability_bound
         self.start_spin = float(np.abs(spin).max())
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
+        # by what the kernel multiplies torques: 0 for driven spheres, else the common inertia over that of the sphere
         is_free = np.where(scene.is_driven, 0.0, self.common_inertia / self.inertia)
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.network.shape)))
         self.team, self.sweeps = self.contacts.spring_kernel(GEAR_COEFFICIENTS[options.gear_order])

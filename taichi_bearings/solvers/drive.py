@@ -278,6 +278,9 @@ class Course:
     last : the progress at the end.
     seconds : wall time that it took, that before a checkpoint included.
     findings : further results of the method at the end, by name, (R samples,) each.
+    scene, method : what is solved, and the method that makes the steps.
+    stop, recording : when it ends, and the simulated times at which a dynamics is recorded.
+    checkpoints, interrupt : where states are saved, None for nowhere; and what hears Ctrl-C.
     target : iteration at which the progress is read next.
     launch : iterations that are made at a time, adapted to half a second.
     best, recorder : the best state so far, and the history.
@@ -472,12 +475,12 @@ class _Best:
     """
 
     def __init__(self, method: Method) -> None:
-        """Begin without any state. method : the one whose states will be compared."""
+        """Begin without any state, and with empty forces and bounds. method : the one whose states will be compared."""
         self.scene, self.method, self.keeps_best = method.scene, method, not isinstance(method, Dynamics)
         self.progress: Progress
         self.proof: Forces = np.zeros(0)  # none yet
         self.bound = np.zeros(0)  # none yet
-        self._gap, self._improved_at = np.inf, 0
+        self._gap, self._improved_at = np.inf, 0  # the least gap that counted as progress, and its iteration
 
     @property
     def objective(self) -> np.ndarray:

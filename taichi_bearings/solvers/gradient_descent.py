@@ -45,12 +45,15 @@ class GradientDescentMethod(Swept):
     """Gradient descent on the dissipated power. An iteration is one sweep, in which all spins move; sweeps are made in
     pairs.
 
-    The gradient is divided by a diagonal metric, which bounds the curvature of the power at each sphere.
+    The gradient is divided by a diagonal metric: one number for each spin component of each sphere, the sum over its
+    contacts of a bound on the curvature of their power, up to a factor that the step length has.
 
-    momentum : True to accelerate the descent.
-    viscosity : (R samples, E contacts), viscosity of each contact beside friction, in the unit of the coefficients, or
-        None.
+    momentum : True to accelerate the descent, by Nesterov's momentum.
+    averages : True with friction and without momentum: spins and forces are then averaged over sweeps.
+    viscosity : (R samples, E contacts), viscosity of each contact beside friction, in the unit of the coefficients per
+        spin difference, or None.
     box : interval in which spins stay, lower ends of three components and then upper ends, 1/time.
+    team, sweeps : the threads that run the kernel, and the kernel.
 
     With momentum:
 
@@ -78,15 +81,21 @@ class GradientDescentMethod(Swept):
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare the descent: load the spins at the start and the metric, and compile the kernels.
 
+        The metric is diagonal, one number for each spin component of each sphere: the sum of bounds on the curvature of
+        the power of its contacts. Its inverse is the field `inverse_weight`, by which gradients are multiplied.
+
         scene : what to solve.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to
             the interval between the driven spins where a minimum is known to lie in it.
         """
         super().begin(scene, spin)
+        # the scene as the contacts have it: in a packing without those contacts that take no part
         scene, contacts = self.scene, self.contacts
-        beside = scene.viscosity_beside_friction  # in units of the coefficients:
+        # multiplied by a spin difference this viscosity is a force in the unit `strength` of the friction coefficients
+        beside = scene.viscosity_beside_friction
         self.viscosity = None if beside is None else scene.slip_radius / scene.strength * beside
         self.averages = scene.law.holds and not self.momentum
+        # fields of the spheres, with a number for each spin component, and fields of the contacts
         names = [*contacts.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
         spheres = dict.fromkeys(names, len(self.spin_axes))
         of_contacts = [*contacts.forces, *(["force_sum"] if self.averages else [])]
@@ -100,9 +109,10 @@ class GradientDescentMethod(Swept):
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
         self.least_width = 1e2 * float(np.finfo(precision).eps) * jump  # a hundred roundings of a spin
+        # spin difference below which friction is smoothed; without momentum it is not
         self.width = FIRST_WIDTH * jump if self.momentum else self.least_width
         self.step_length = FIRST_SPIN_STEP * jump
-        self.iteration = self.age = 0
+        self.iteration = self.age = 0  # sweeps so far, and since the momentum was last set to zero
         self.last_smooth = np.full(scene.replicas, np.inf)
         self._load_weights()
         self._begin_epoch(FIRST_EPOCH)

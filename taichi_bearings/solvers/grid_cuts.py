@@ -34,8 +34,10 @@ class GridCuts(Part):
     """
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], spin: np.ndarray) -> None:
-        """Prepare to cut: find the imposed spin difference of each plane.
+        """Prepare to cut: find the imposed spin difference of each plane. All forces begin with 0, and all contacts as
+        slipless.
 
+        scene : the lattice with its R samples.
         spin_axes : number of the axis of the one spin component that is computed.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which stay until the cut is made.
         """

@@ -24,5 +24,8 @@ class InteriorPointMethod(Minimiser):
     resumes = True
 
     def part_of(self) -> Part:
-        """Return the central paths of all samples of this scene, which make the steps of the method."""
+        """Return the solver that makes the Newton steps of all samples of this scene, along their central paths: curves
+        of spins and forces that end at the minimum. A `Part` is the solver inside a method, chosen by the kind of
+        scene: one for lattices, one for packings.
+        """
         return self.contacts.paths(self.start, self.options.settle)

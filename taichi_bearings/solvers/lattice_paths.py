@@ -96,14 +96,17 @@ class LatticePaths(Paths):
     """
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], spin: np.ndarray, settle: bool) -> None:
-        """Build the contact system and its matrix, and put all samples at their starts.
+        """Build the contact system and its matrix, and put all samples at the starts of their central paths: the curves
+        of spins and forces along which Newton steps lead to the minimum.
 
+        scene : the lattice with its R samples.
         spin_axes : numbers of the axes of the C spin components that are computed.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to
             the interval between the driven spins.
         settle : True to go on along the paths until contact states are settled.
         """
         self.scene, self.spin_axes = scene, spin_axes
+        # imposed spins of the top less those of the bottom, in `unit`, as sums of two doubles (C, *plane)
         top, self.unit = scene.driving.top_in_units(spin_axes), float(scene.driving.unit[0][0])
         self.frustrated = bool(top[0].any())
         self.system, order, matrix = _skeleton(scene.lattice, spin_axes, top[0].tobytes())
@@ -111,13 +114,14 @@ class LatticePaths(Paths):
         # spin of the top above each free sphere, as a pair of doubles
         high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)
         shared = Surroundings(self.system, order, matrix, (high, low))
-        small = scene.lattice.sites < BATCHED_SITES
+        small = scene.lattice.sites < BATCHED_SITES  # samples so small are stepped several at a time
         super().__init__(shared, scene.lattice.sites, small, True, settle)
         if self.frustrated:
             compile_passes()  # all before the clock starts
             matrix.compile()  # the last sample may be alone
             if small and scene.replicas > 1:
                 matrix.compile(LANES)
+        # the spins to start from, within the interval of the driven ones, and those of the free spheres in `unit`
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
         start = free_spins(inside / (self.unit or 1.0))
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]

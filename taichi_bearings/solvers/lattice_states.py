@@ -42,15 +42,20 @@ class LatticeReached(Reached):
     scene: Scene
 
     def __init__(self, scene: Scene, ended: Ended) -> None:
-        """Judge the spins and the forces of a run that ended."""
+        """Judge the spins and the forces of a run that ended. Samples of a minimisation whose least power is 0 get the
+        state without slip, and no forces.
+
+        scene : the lattice with its R samples. ended : how the run ended, with the best spins and forces it reached.
+        """
         final, forces, self.options = ended.best, ended.proof, ended.options
-        # a sample whose least power is 0 gets the state without slip, whatever the method came to
+        # samples whose least power is 0 (`idle`), whatever the method came to
         if not self.options.is_dynamics:
             final = without_slip(scene, final)
             idle = scene.is_cut_off | (scene.jump == 0)
             forces = np.where(idle[:, None], 0.0, forces) if idle.any() else forces
         self.scene, self.final, self.bound = scene, final, ended.bound
         self.threshold = ended.slip_threshold
+        # laboratory spins with their rounding, forces that prove the bound, and the same in the laboratory
         self.spin, self.spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
         self.proof = certifying_forces(scene, forces, final.spin_axes, ended.bound, final.objective - ended.bound)
         self.friction = laboratory_forces(self.proof, scene.lattice, final.spin_axes)

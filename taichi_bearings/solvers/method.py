@@ -29,7 +29,7 @@ class Method:
 
     A method never prints, times, opens a file or decides when to stop.
 
-    options : the row of the table of methods that it was built from.
+    options : the options of this method, an object of its class in table.py.
     scene : what it solves.
     contacts : the fields and kernels of the contacts of this scene.
     iteration : how many iterations were made.
@@ -44,11 +44,12 @@ class Method:
     spin_axes: tuple[int, ...]
 
     def __init__(self, options: "MethodOptions") -> None:
-        """Take the options of the method, a row of the table of methods."""
+        """Take the options of the method: an object of its class in table.py."""
         self.options: Any = options
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare to solve a scene: load the fields, if any, and compile the kernels.
+        """Prepare to solve a scene. Here only the contacts are chosen, with the scene and the spin axes that they have;
+        subclasses load fields (arrays on the device), if any, and compile kernels.
 
         spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         """
@@ -145,20 +146,25 @@ class Method:
 class Minimiser(Method):
     """A method that finds minima by a part which the contacts choose: one for lattices, another one for packings.
 
-    start : laboratory spins at the start, 1/time. part : what makes the iterations.
+    start : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins at the start, 1/time.
+    part : the solver that makes the iterations.
     """
 
     start: np.ndarray
     part: Part
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare to solve a scene. spin : laboratory spins to start from, 1/time; packings have no use for them."""
+        """Prepare to solve a scene: choose the solver (`part`) that fits its contacts.
+
+        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time; not used for
+            packings.
+        """
         super().begin(scene, spin)
         self.start = spin
         self.part = self.part_of()
 
     def part_of(self) -> Part:
-        """Return the part that fits the contacts of this scene."""
+        """Return the solver (`Part`) that fits the contacts of this scene: one for lattices, or one for packings."""
         raise NotImplementedError
 
     @property

@@ -34,34 +34,25 @@ MANTISSA_BITS = 53
 
 @dataclass(frozen=True)
 class _Cover:
-    """The graph whose nested minimum cuts give the spins; a double cover in parts with odd loops.
+    """The graph whose minimum cuts give the spins of least power.
 
-    A node is a free spin u times a sign by which neighbours differ, called U; in parts with odd loops, which have no
-    such signs, each spin has two nodes that are each other's twins: U = u and U = -u. Further nodes stand for the
-    driven values.
-
-    free : number of nodes that are to be found.
-    low, high : (edges,), the two nodes of each edge.
-    weight : (edges,), friction limits as whole numbers of `unit`.
-    contact, sign : (edges,), the contact of each edge; its force is the sum of sign * flow from low to high.
-    values : the sorted driven values of U, as sums of two doubles, because radius * spin is no double in general.
-    opposite : for each value the number of the value that is its negative, 0 if there is none.
-    unit : unit of the weights, force.
-    mirror : (free,), the twin of each node, -1 if it has none.
-    rest : the highest number of a value, in parts with twins, that is not positive; 0 if there is none.
+    A node stands for a free spin u times a sign by which neighbours differ, called U. Parts of the network with odd
+    loops have no such signs; there each spin has two nodes (twins), for U = u and for U = -u: a double cover. One
+    further node stands for each value of U that is imposed on driven spheres; these values are sorted, and the number
+    of a value is called its level. An edge stands for a contact, with its friction limit as weight.
     """
 
-    free: int
-    low: np.ndarray
-    high: np.ndarray
-    weight: np.ndarray
-    contact: np.ndarray
-    sign: np.ndarray
-    values: Pair
-    opposite: np.ndarray
-    unit: float
-    mirror: np.ndarray
-    rest: int
+    free: int  # number of nodes that stand for free spins; those of the driven values come after them
+    low: np.ndarray  # (edges,), number of the first node of each edge
+    high: np.ndarray  # (edges,), number of its second node
+    weight: np.ndarray  # (edges,), friction limits as whole numbers of `unit`
+    contact: np.ndarray  # (edges,), place of the edge's contact among the A contacts of the system
+    sign: np.ndarray  # (edges,), 1 or -1; the force of a contact is the sum of sign * flow from low to high
+    values: Pair  # two arrays (levels,): the sorted driven values of U, length/time, as sums of two doubles
+    opposite: np.ndarray  # (levels,), for each value the number of its negative, 0 if there is none
+    unit: float  # unit of the weights, force
+    mirror: np.ndarray  # (free,), number of the twin of each node, -1 if it has none
+    rest: int  # the highest level of a value that is not positive, in parts with twins; 0 if there is none
 
 
 def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarray]:
@@ -110,13 +101,17 @@ def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
 
 
 def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> tuple[_Cover, np.ndarray]:
-    """Return the graph of a packing, and the sign of each unknown (unknowns,), by which neighbours differ.
+    """Return the graph whose minimum cuts give the least power, and the sign (unknowns,) of each unknown spin.
+
+    Without odd loops neighbours have different signs, a node is sign * spin, and a contact is one edge. In a part with
+    odd loops there are no such signs: each unknown has two nodes, spin and -spin, and each contact two edges of half
+    the weight between opposite nodes (double cover).
 
     system : the A contacts that take part.
     packing : one sample.
     component : (A,), the spin component that each contact couples.
     """
-    # signs by which neighbours differ, or a second copy of the unknowns in odd parts
+    # a second node (`mirrored`, else -1) for each unknown in a part with odd loops; signs elsewhere
     count = system.unknowns
     spheres = packing.contact[system.numbers]
     feels = np.any(system.feels, axis=1)
@@ -124,13 +119,15 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
     within, some = np.all(ends >= 0, axis=1), np.any(ends >= 0, axis=1)
     odd, sign = odd_pieces(count, *ends[within].T)
     mirrored = np.where(odd, count + np.cumsum(odd) - 1, -1)
-    # contacts between two unknowns, and those of an unknown with an imposed spin
+    # contacts between two unknowns (inner), and those of an unknown with an imposed spin (rim)
     inner, rim = np.flatnonzero(within), np.flatnonzero(some & ~within)
     units, unit = _whole(packing, system.numbers)
     units = np.minimum(units, units[rim].sum())  # no minimum cut holds more
+    # `own`: unknown of a rim contact, `held`: its driven sphere; `twice`, `pair`: contacts in parts with odd loops
     first, second = ends[inner].T
     own, held = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
     twice, pair, u = odd[first], odd[own], _imposed(system, packing, held, component[rim])
+    # the nodes of driven values: first for each rim contact, then again, of opposite sign, for those in odd parts
     single = tuple(np.where(pair, -part, -sign[own] * part) for part in u)
     values, level, opposite = _ordered(*(np.append(part, of[pair]) + 0.0 for part, of in zip(single, u, strict=True)))
     driven = count + int(odd.sum()) + level
@@ -144,6 +141,7 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
     signs += [np.where(pair, 1, sign[own]), -np.ones(pair.sum(), int)]
     edges = np.concatenate(low), np.concatenate(high), units[contact] * copies, contact, np.concatenate(signs)
     mirror = np.append(mirrored, np.flatnonzero(odd))
+    # the highest level, in parts with odd loops, whose value is not positive
     of_twins = np.append(level[: len(rim)][pair], level[len(rim) :])
     negative = of_twins[(values[0][of_twins] < 0) | (values[0][of_twins] == 0)]
     rest = int(negative.max(initial=0))
@@ -217,7 +215,8 @@ def _nested(cover: _Cover) -> np.ndarray:
 
 
 _Arcs = tuple[np.ndarray, np.ndarray, np.ndarray]  # from, to, and the nodes to start at
-_Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]  # what _halved returns
+# what _halved returns: least and most level of each node, the middle, the mask of the upper half, and a residual graph
+_Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]
 
 
 def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndarray:

@@ -43,7 +43,7 @@ class OnLists(Stepped):
 
     scene : the packing, with those contacts alone that take part (that can dissipate).
     spin_axes : numbers of the axes of the C spin components that are computed.
-    spec : names and sizes of the fields of spheres, and of those of contacts.
+    spec : the fields of spheres, and those of contacts: two tuples of pairs (name, numbers a sphere or contact).
     points, forces : names of the fields that hold the spins of a gradient descent, and its contact forces.
     bounds : the lower bounds on the objective that are proven so far.
     lists : the order of spheres and contacts in memory, once `allocate` was called.
@@ -89,14 +89,16 @@ class OnLists(Stepped):
         return tuple(spheres.items()), tuple((name, counts.get(name, int(tangents))) for name in names)
 
     def allocate(self, spec: Any, viscosity: np.ndarray | None) -> None:
-        """Allocate the fields, and load the tangents and the coefficients of the law into them.
+        """Allocate the fields (arrays on the device, all 0), and load the unit tangents and the coefficients of the law
+        into them. Tangents are loaded for spheres only, two vectors of 3 components for each contact.
 
-        spec : names and sizes of the fields of spheres, and of those of contacts.
-        viscosity : (1, E contacts), viscosity of each contact beside its friction, in the unit of the kernels; None for
-            laws without.
+        spec : the fields of spheres, and those of contacts: two tuples of pairs (name, numbers a sphere or contact).
+        viscosity : (1, E contacts), viscosity of each contact beside its friction, multiplied by the radius: kernels
+            multiply it by a spin difference; for gradient descent also divided by the unit of the friction
+            coefficients. None for laws without.
         """
         network = self.scene.network
-        self._numbers = np.zeros(COPY_NUMBERS)
+        self._numbers = np.zeros(COPY_NUMBERS)  # the constants of the launch, as last written into the field `numbers`
         self.lists = Lists.of(network.spheres, network.contact.T)
         self.spec, self.fields = spec, Fields(self.lists, spec)
         if network.components == 3:

@@ -57,7 +57,8 @@ class OnStrides(Stepped):
         self.spin_axes = _moving_axes(self.scene, spin) if moves else scene.minimum_spin_axes
 
     def paths(self, spin: np.ndarray, settle: bool) -> Part:
-        """Return the central paths of all samples, along which the interior-point method comes to the minimum.
+        """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
+        along which Newton steps lead to the minimum.
 
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         settle : True to go on along them until contact states are settled.
@@ -67,8 +68,8 @@ class OnStrides(Stepped):
         return LatticePaths(self.scene, self.spin_axes, spin, settle)
 
     def cuts(self, spin: np.ndarray) -> Part:
-        """Return what finds the minimum cuts of all planes of the lattice, the layers whose contacts couple the one
-        spin component that is computed.
+        """Return the solver that finds the minimum cuts of all planes of the lattice, the layers whose contacts couple
+        the one spin component that is computed.
 
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which stay until the cut is made.
         """
@@ -77,8 +78,8 @@ class OnStrides(Stepped):
         return GridCuts(self.scene, self.spin_axes, spin)
 
     def linear_systems(self, spin: np.ndarray) -> Part:
-        """Return what balances the viscous forces in all planes of the lattice, the layers whose contacts couple one
-        spin component.
+        """Return the solver that balances the viscous forces in all planes of the lattice, the layers whose contacts
+        couple one spin component.
 
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         """
@@ -115,9 +116,10 @@ class OnStrides(Stepped):
     def allocate(self, spec: Any, viscosity: np.ndarray | None) -> None:
         """Allocate the fields, and load the coefficients of the law into them.
 
-        spec : names of the fields, with the numbers that each sphere has in them.
-        viscosity : (R samples, E contacts), viscosity of each contact beside its friction, in the unit of the kernels;
-            None for laws without.
+        spec : pairs (name of a field, numbers that each sphere has in it).
+        viscosity : (R samples, E contacts), viscosity of each contact beside its friction, multiplied by the radius:
+            kernels multiply it by a spin difference; for gradient descent also divided by the unit of the friction
+            coefficients. None for laws without.
         """
         self.spec, self.fields = spec, self.on_device(spec)
         layout = self.fields.layout

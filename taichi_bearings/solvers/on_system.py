@@ -32,23 +32,25 @@ MOST_CAPS, LESS_POWER = 12, 0.5  # how often friction is cut off at most; factor
 
 
 class OnSystem(Contacts):
-    """The contacts of R samples of a packing in which the same contacts take part, as methods see them that find
-    minima: one linear map from spins to slips.
+    """R samples of a packing, all with the same contacts taking part, in the form that minimising methods use: the
+    slips of the contacts are a linear map of the spins.
 
     scene : the packing with these R samples.
-    samples : each sample alone.
-    system : the contacts that all of them share.
+    samples : R packings, each sample alone.
+    system : the A contacts that all samples share, with the matrix that maps spins to their slips.
+    spin_axes : numbers of the axes of the C spin components that are computed.
     """
 
     scene: Packing
 
     def __init__(self, packing: Packing) -> None:
-        """Take the samples of a packing, and find the system of their contacts."""
-        runtime.current()
+        """Take the R samples of a packing, and find the system of their contacts, by the first sample."""
+        runtime.current()  # starts the default runtime if none runs
         self.scene, self.spin_axes = packing, packing.minimum_spin_axes
         self.samples = [packing.sample(number) for number in range(packing.replicas)]
         with one_thread():
             self.system = system_of_sample(self.samples[0])
+        # the spins and forces that were judged last, and what they prove
         self._judged: tuple[Sequence[Found], PackingReached] | None = None
 
     @property
@@ -65,18 +67,20 @@ class OnSystem(Contacts):
         return Found(np.zeros(self.system.unknowns), np.zeros_like(self.system.offset), method, steps=steps)
 
     def paths(self, spin: np.ndarray, settle: bool) -> Part:
-        """Return the central paths of all samples, for the interior-point method. They choose their own starts, and
-        always go on until it is known which contacts slip.
+        """Return the solver of the interior-point method: the central paths of all samples. A central path is the curve
+        of spins and forces along which Newton steps lead from a start of its own to the minimum. Paths are always
+        followed until it is known which contacts slip.
 
-        spin, settle : not used.
+        spin, settle : not used; they are for lattices.
         """
         with one_thread():
             return PackingPaths(self)
 
     def cuts(self, spin: np.ndarray) -> Part:
-        """Return what finds the nested minimum cuts of the samples, one after the other.
+        """Return the solver of the planar cut: it finds the spins of least power of each sample, one after the other,
+        by minimum cuts of the graph of its contacts (nested_cuts.py).
 
-        spin : not used.
+        spin : not used; it is for lattices.
         """
 
         def cut(number: int) -> Found:
@@ -87,9 +91,10 @@ class OnSystem(Contacts):
         return OneByOne(self, cut, "planar-cut")
 
     def linear_systems(self, spin: np.ndarray) -> Part:
-        """Return what balances the viscous forces of the samples, one after the other.
+        """Return the solver of the linear method: it finds the spins at which viscous forces balance, of one sample
+        after the other.
 
-        spin : not used.
+        spin : not used; it is for lattices.
         """
         return OneByOne(self, self.flowing, "linear-solver")
 
@@ -212,9 +217,13 @@ class OnSystem(Contacts):
 
 
 class OneByOne(Part):
-    """Samples of a packing that are solved exactly, one after the other. The only iteration solves all of them.
+    """Solves the R samples of a packing exactly, one after the other. The only iteration solves all of them.
 
-    ends : spins and forces of each sample. solved : number of the samples that are solved.
+    contacts : those of the samples.
+    solve : function that returns the minimum of the sample with a given number.
+    ends : spins and forces of each of the R samples; all 0 before it is solved.
+    solved : how many samples are solved.
+    iteration : 0 before all samples are solved, then 1.
     """
 
     def __init__(self, contacts: OnSystem, solve: Callable[[int], Found], method: str) -> None:

@@ -367,7 +367,10 @@ class TorqueBalance:
         return on_device(values) if runtime.current().is_gpu else values.astype(self.products)
 
     def begin(self) -> AbstractContextManager[None]:
-        """Return the context in which solves are made, where the BLAS library uses no threads of its own."""
+        """Return the context in which `solve` is called. It limits the BLAS library to one thread where threads of this
+        class share the planes, and changes nothing otherwise: on a GPU, or in lattices so low that BLAS uses one thread
+        anyway.
+        """
         return nullcontext() if self.workers == 0 or self.is_small else one_thread()
 
     def solve(self) -> None:

@@ -68,19 +68,25 @@ class Strengths:
 
 
 class PackingPaths(Paths):
-    """The central paths of samples of a packing that share a contact system.
+    """The central paths of samples of a packing in which the same A contacts take part. A central path is the curve of
+    spins and forces along which Newton steps lead from the spins that viscous friction would give to the minimum.
 
-    strengths : friction and viscosity, (A,) on the A contacts, of the samples that have a path, by their numbers.
-        Samples without friction have none: they are solved by one linear system.
-    ends : what was found at the ends of the paths, by the number of the sample. fastest : unit of the spins, near the
-        fastest imposed one.
+    numbers : numbers of the samples that are solved.
+    strengths : friction and viscosity, (A,) each, of the samples that have a path, by the number of the sample. Samples
+        without friction have no path: one linear system solves them.
+    samples : the state of each of these paths, in the order of `strengths`.
+    ends : spins and forces at the minimum, by the number of the sample, once they are found.
+    fastest : unit of the spins u on the paths, a power of two near the fastest imposed one, length/time; not set if
+        nothing is driven.
     """
 
     def __init__(self, contacts: "OnSystem", resisting: Mapping[int, tuple[np.ndarray, ...]] | None = None) -> None:
-        """Put the samples at the starts of their paths, unless nothing is driven.
+        """Put the samples at the starts of their paths: at the spins that would balance if friction were viscous. If
+        nothing is driven, all ends are known: spins and forces 0.
 
-        contacts : of the samples. resisting : numbers of the samples that are solved, and for each the coefficients of
-        the law, (A,) arrays; None for all samples with their own.
+        contacts : the contacts of the samples, A of which take part.
+        resisting : by the number of each sample that is solved, the coefficients of its law, arrays (A,); None for all
+            samples with their own coefficients.
         """
         self.contacts, system = contacts, contacts.system
         if resisting is None:
@@ -91,12 +97,14 @@ class PackingPaths(Paths):
             self.ends = {number: contacts.at_rest() for number in self.numbers}
         else:
             self.fastest = float(np.exp2(np.round(np.log2(np.abs(system.offset).max()))))  # dividing rounds nothing
+            # friction and viscosity in units near 1; None for samples without friction, which get no path
             given = {number: self._strengths(of) for number, of in resisting.items()}
             self.strengths = {number: of for number, of in given.items() if of is not None}
+        # `shared` is what all samples have in common: contacts, order of elimination, and Newton matrix
         if self.strengths:
             shared = surroundings_of(system)
             path = shared.system.in_units(self.fastest)
-        else:
+        else:  # no path, so that neither order nor matrix is used (the types demand a matrix)
             shared, path = Surroundings(system, np.zeros(0, dtype=int), None, None), system  # type: ignore[arg-type]
         settles, spheres = path.sign is not None, len(np.unique(system.sphere))
         super().__init__(replace(shared, system=path), spheres, is_small(path), settles)
@@ -168,18 +176,23 @@ class PackingPaths(Paths):
 
 
 def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix: NewtonMatrix) -> Sample:
-    """Return the start of the path of one sample: the spins that would balance if friction were viscous.
+    """Return the start of the path of one sample: its contacts with their friction, the spins that would balance if
+    friction were viscous, and zero forces. The spins are 0 if the matrix of that balance is not positive definite.
 
-    system, contacts : the contacts of the packing, and those of the path.
-    of : friction and viscosity (A,) of the A contacts of the packing, scaled to about 1, and their unit.
+    On the path friction and viscosity are divided once more, by a power of two near the mean of their sum; the result
+    keeps it as `unit`, so that its forces are in units of `unit` * `of.force_unit`.
+
+    system, contacts : the A contacts of the packing, and those of them that are on the path.
+    of : friction and viscosity (A,) of the A contacts of the packing, scaled to about 1, and the unit of force.
     matrix : Newton matrix of the path.
     """
     own = np.searchsorted(system.numbers, contacts.numbers)
     unit = float(np.exp2(np.round(np.log2((of.friction + of.viscosity).mean()))))  # dividing by it rounds nothing
-    strength, viscous = of.friction[own] / unit, of.viscosity[own] / unit
+    strength, viscous = of.friction[own] / unit, of.viscosity[own] / unit  # `own`: places of the path's contacts
     spins = np.zeros(contacts.unknowns)
     with suppress(NotPositiveDefinite):
         spins = flowing(contacts, strength + viscous, matrix, spins)
+    # by how much the bound of each slip exceeds the slip at the start; contacts without friction are `smooth`
     slack = SLACK * float(length(contacts.differences(spins)).mean())
     start = Iterate.start(contacts, spins, strength, slack, viscous if of.viscosity.any() else None)
     return Sample(start if (of.friction > 0).all() else replace(start, smooth=strength == 0), unit)

@@ -47,13 +47,15 @@ class PackingReached(Reached):
     def __init__(
         self, system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found], moves: bool = False
     ) -> None:
-        """Judge what was found; InputError is raised if no arithmetic can judge the numbers.
+        """Judge what was found: compute what the spins and the forces prove. Unless `moves`, samples in which a state
+        without slip is proven to exist get that state, and no forces.
+
+        Raises InputError if the numbers are too large or too small for any proof.
 
         system : the contacts that take part.
         samples : each sample alone.
         found : spins and forces of each sample.
-        moves : True if the spins are those of a motion and are kept. Otherwise they are replaced by the slipless state
-            where one is proven to exist.
+        moves : True if the spins are those of a motion, which are kept as they are.
         """
         self.system, self.samples = system, samples
         found, judgement = (

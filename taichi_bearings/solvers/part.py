@@ -10,8 +10,10 @@ from taichi_bearings.solvers.found import Found
 
 
 class Part(ABC):
-    """The part of a method that solves scenes of one kind: lattices, or packings. iteration : how many iterations were
-    made.
+    """The solver inside a minimising method. A method has one for lattices and another for packings, and hands its
+    iterations to the one that fits the scene.
+
+    iteration : how many iterations were made.
     """
 
     iteration: int

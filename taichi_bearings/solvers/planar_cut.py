@@ -12,5 +12,7 @@ class PlanarCutMethod(Minimiser):
     """The planar cut. Its only iteration cuts all grids of a lattice, or all samples of a packing."""
 
     def part_of(self) -> Part:
-        """Return what finds the minimum cuts of the network of this scene."""
+        """Return the solver that finds the minimum cuts of the contacts of this scene. A `Part` is the solver inside a
+        method, chosen by the kind of scene: one for lattices, one for packings.
+        """
         return self.contacts.cuts(self.start)

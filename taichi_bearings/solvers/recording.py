@@ -74,8 +74,9 @@ def parse_times(text: str) -> np.ndarray:
 
 
 class Recorder:
-    """The history and the snapshots of a run, as they grow. recording : the simulated times at which something is
-    recorded.
+    """The history (a table of numbers over the run) and the snapshots (spins at some times), as they grow.
+
+    recording : the simulated times at which something is recorded.
     """
 
     def __init__(self, scene: Bearing, recording: Recording) -> None:
@@ -85,6 +86,7 @@ class Recorder:
         recording : the simulated times that are asked for.
         """
         self._scene, self.recording = scene, recording
+        # columns of the history by name; times and laboratory spins of the snapshots; time of the last state that came
         self._columns: dict[str, list[Any]] = {}
         self._snapshot_times: list[float] = []
         self._snapshot_spins: list[np.ndarray] = []

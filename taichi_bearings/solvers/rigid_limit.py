@@ -60,7 +60,8 @@ class RigidLimitMethod(Dynamics):
     rest_gap = 1e-9
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare the dynamics: set up the steps, choose the length of the first, and begin the energy balance.
+        """Prepare the dynamics: set up the steps, choose the length of the first, and begin the energy balance. The
+        forces at the start are those of friction that grows in proportion to the spin difference, up to `creep`.
 
         scene : what to solve.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
@@ -68,6 +69,7 @@ class RigidLimitMethod(Dynamics):
         super().begin(scene, spin)
         scene, self.contacts.look_again = self.scene, 1.0
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
+        # for each spin component the largest less the smallest spin, 1/time
         spread = [float(values.max() - values.min()) for values in self.staggered]
         self.unit = max(spread) or 1.0
         self.largest = float(np.abs(self.staggered).max()) or 1.0

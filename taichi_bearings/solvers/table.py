@@ -590,7 +590,8 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
 
 
 def row_of_packing(method: str) -> type[MethodOptions] | None:
-    """Return the row of a method that steps packings, or None for one that finds their minima without initial spins.
+    """Return the options class of a method that computes packings step by step from initial spins. Return None for a
+    method that finds their minima directly, and for "auto".
 
     method : its name, or "auto".
 
