@@ -132,8 +132,10 @@ class CSweep:
     """
 
     def __init__(self, arrays: Arrays, folder: Path) -> None:
-        """Compile the sweep for these arrays, whose spins it changes. folder : for the machine code. Raises OSError
-        where it cannot be made or loaded.
+        """Compile the sweep for these arrays, whose spins it changes, and make a second array of spins. The type of
+        numbers and the spin components that make the contacts of each axis slip are compiled in.
+
+        folder : for the machine code. Raises OSError where it cannot be made or loaded.
         """
         self.arrays, layout = arrays, arrays.layout
         self.other = arrays.spin.copy()

@@ -47,6 +47,9 @@ class Candidate(NamedTuple):
 def measure(plan: Plan, precision: str, threads: int) -> Found:
     """Yield a row for each kernel and lattice, measured in this process, and a sentence for each lattice that does not
     fit into memory.
+
+    plan : the shapes of the lattices, and how long to measure. precision : "f64" or "f32", the type of all numbers.
+    threads : number of threads of the kernels.
     """
     runtime.start("cpu", precision, threads)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -63,7 +66,8 @@ def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Pa
     """Yield a row for each kernel on one lattice, all timed in the same rounds. The sweeps in NumPy and C have a
     column with their time over that of our plain sweep.
 
-    folder : for files that the C compiler writes.
+    plan : number of rounds and length of a timed call. scene : one sample of the lattice. precision : "f64" or "f32",
+    the type of all numbers. threads : of the kernels. folder : for files that the C compiler writes.
     """
     candidates = list(_candidates(scene, precision, folder))
     found = timed({str(n): one.call for n, one in enumerate(candidates)}, plan.rounds, plan.slice_seconds)
@@ -79,8 +83,10 @@ def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Pa
 
 
 def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidate]:
-    """Yield all that is timed on a lattice, compiled and ready, the plain sweep first. folder : for files that the C
-    compiler writes.
+    """Yield all that is timed on a lattice, compiled and ready, the plain sweep first.
+
+    scene : one sample of the lattice. precision : "f64" or "f32", the type of all numbers. folder : for files that the
+    C compiler writes.
     """
     plain = GradientDescentMethod(GradientDescent(momentum=False))
     yield _candidate("sweep", plain, scene, "random")

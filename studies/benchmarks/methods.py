@@ -197,8 +197,9 @@ def draw_accuracy(rows: Sequence[Row]) -> Figure:
     """Draw error (above) and proven gap (below) against wall time, both axes logarithmic: a column for each scene,
     wrapped after MOST_COLUMNS.
 
-    rows : as :func:`judged` returns them. Errors in the grey band, below the gap of the reference, cannot be told from
-        0.
+    rows : a row for each method and scene, as :func:`judged` returns them. Used are the name `what`, `shape` and `law`
+        of the scene, the lists `seconds`, `error` and `gap`, an entry for each check, and `reference_gap`. Errors in
+        the grey band, below that, cannot be told from 0.
     """
     scenes = list(_by_scene(rows))
     columns = min(len(scenes), MOST_COLUMNS)

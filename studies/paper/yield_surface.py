@@ -56,8 +56,9 @@ def offsets(side: int) -> np.ndarray:
 
 
 def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> RunSettings:
-    """Return the settings of the cube with this side and seed, the bottom at rest and the top driven in this direction
-    (a_x, a_y, c).
+    """Return the settings of the cube with this side and seed, the bottom at rest and the top driven in this direction:
+    (a_x, a_y, c), spins about x and y in the middle of the top, and how much they change with the place: by c over the
+    root mean square distance of the spheres from the middle.
     """
     a_x, a_y, c = direction
     first, rate = offsets(side)[0] * c, np.diff(offsets(side))[0] * c  # the spacing is 1

@@ -285,7 +285,10 @@ def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray,
 
 
 def layered(scene: Scene) -> Truth:
-    """Return the truth of a sample of any size whose contacts along the height are alike in each layer."""
+    """Return the truth (least cost, as bounds that are equal) of a sample of any size whose contacts along the height
+    are alike in each layer: each column of spheres is then solved as a chain. Raises ValueError for friction with
+    viscosity if the imposed spins vary over the plane.
+    """
     with localcontext() as context:
         context.prec = DIGITS
         columns = int(np.prod(scene.lattice.shape[:-1]))

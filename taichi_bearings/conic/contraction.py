@@ -181,8 +181,8 @@ class Contraction:
         return high + self.imposed, low
 
     def differences(self, spins: Pair) -> np.ndarray:
-        """Return the slips (d, contacts left), with all digits of the smallest. spins : (unknowns,) of the sets, sum of
-        two doubles.
+        """Return the slips (d, contacts left) of the contacts that are not tied, so exactly that even the smallest one
+        has all its digits. spins : (unknowns,), one for each set of tied spins, as a sum of two doubles.
 
         They are computed from the spins each time, so they add up to 0 round every loop of contacts, but for the
         rounding of the low parts. Slips that were followed on their own would not, and contacts at rest would seem to

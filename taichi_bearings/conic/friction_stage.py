@@ -73,18 +73,24 @@ class Friction:
         return float(self.resistance.max(initial=0.0) + viscosity)
 
     def limited(self, trial: np.ndarray) -> np.ndarray:
-        """Return the forces (d, n) that friction allows: trial forces (d, n), shortened to the limit where they exceed
-        it. Letters: n contacts with up to d slip components."""
+        """Return the forces (d, n) that friction allows: trial forces, shortened to the limit where they exceed it.
+
+        trial : (d, n), forces that the springs would have without a limit, on n contacts with up to d slip components.
+        """
         return trial * np.minimum(1.0, self.limit / np.maximum(vector_length(trial), LEAST_FORCE))
 
     def slips(self, trial: np.ndarray) -> np.ndarray:
-        """Return a mask (n,) of contacts whose trial force (d, n) exceeds the limit. Letters: n contacts with up to d
-        slip components."""
+        """Return a mask (n,) of the contacts that slip, as the force of their springs would exceed the limit.
+
+        trial : (d, n), forces that the springs would have without a limit, on n contacts with up to d slip components.
+        """
         return vector_length(trial) > self.limit
 
     def stiffness(self, trial: np.ndarray) -> np.ndarray:
-        """Return the derivative (d, d, n) of each contact force with respect to the slip speed, at trial forces (d, n).
-        Letters: n contacts with up to d slip components."""
+        """Return the derivative (d, d, n) of each contact force with respect to the slip speed, force * time / length.
+
+        trial : (d, n), forces that the springs would have without a limit, on n contacts with up to d slip components.
+        """
         size = np.maximum(vector_length(trial), LEAST_FORCE)
         slips, along = size > self.limit, trial / size
         across = self.resistance * np.where(slips, self.limit / size, 1.0)

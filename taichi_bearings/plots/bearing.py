@@ -304,7 +304,10 @@ def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def frame_block(axes: "Axes3D", shape: tuple[int, ...], view: View = VIEW) -> None:
-    """Draw boxes around the driven planes of a cubic lattice, seen from outside, and set the limits of the picture."""
+    """Draw boxes around the driven planes of a cubic lattice, and set the limits of the picture.
+
+    shape : numbers of spheres (nx, ny, nz). view : from where it is seen, from outside.
+    """
     for z in (0, shape[2] - 1):
         edges = view.seen(box_edges(*plane_box(shape, z)))[..., :2]
         axes.add_collection(LineCollection(list(edges), colors="black", lw=0.5, zorder=1))

@@ -407,8 +407,8 @@ class Curvature:
 
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
-        """Compute the curvature of the power at the slips of `contacts`; None if some variable v turns no slip and
-        changes no damped slip, so that the power has no curvature along it."""
+        """Compute the curvature of the power at the slips of `contacts`. Return None if the power has no curvature
+        along some variable v, because v changes neither the direction of any slip nor any slip that is damped."""
         clusters = _clusters(contacts)
         changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exact; what both ends share cancels
         rows, doubt, owner = _curvature_rows(contacts, changes)

@@ -295,8 +295,9 @@ class _Motions:
         return cls(parts, choices, motion, unit), no_fraction
 
     def slipping_contacts(self) -> np.ndarray:
-        """Return the indices, among the A contacts, of those that are not proven to roll exactly whatever the q numbers
-        are; all A if integers are too large for exact sums."""
+        """Return the indices, among the A contacts, of those that are not proven to roll exactly for all values of the
+        q numbers (chosen spin components and imposed spins) from which the other spins follow; all A contacts if
+        integers are too large for exact sums."""
         count, chosen = len(self.parts.normal), len(self.choices.chosen)
         if not (np.abs(self.motion.data) < LARGEST).all():
             return np.arange(count)

@@ -145,8 +145,8 @@ class Pulls:
 
     @cached_property
     def same_in_both(self) -> np.ndarray:
-        """(spheres,), numbers that are equal for two spheres if contacts that do not slip join them in both components
-        (that is, if they are in the same domain of `domain_tc` in both)."""
+        """(spheres,), a label of each sphere: two spheres have equal ones if in both spin components contacts that do
+        not slip join them, directly or through others, so that they turn as one (are in one domain of `domain_tc`)."""
         return np.unique(self.domain_tc, axis=1, return_inverse=True)[1].reshape(-1)
 
     def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:

@@ -109,7 +109,8 @@ class Cholesky:
         order : function that returns the order of elimination (unknowns,); called if the engine needs one.
         couplings : first and second unknown of each coupled pair, two arrays (pairs,).
         memory : memory to share with other factorisations, None for its own.
-        engine : LAUNCH for several matrices; if None the quickest one for a single matrix.
+        engine : way to factorise: Engine.LAUNCH, one kernel launch, for several matrices; if None the quickest one for
+            a single matrix of this size.
         """
         self.engine, self._memory = engine or Engine.quickest(unknowns), memory or Memory()
         if self.engine is Engine.BLOCK:
