@@ -62,9 +62,10 @@ def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, le
 
 
 def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
-    """Return the parts of a graph whose nodes belong to some nodes of a divided graph, children before parents.
+    """Return a division of a new graph that follows from that of another one, as a list of parts, children before
+    parents. A part is a set of nodes that separates the parts below it, or what is left of a region.
 
-    parts : of the divided graph.
+    parts : the parts of the other, divided graph.
     node : (n,), the node of the divided graph to which each node of the new graph belongs. Nodes of the new graph may
         be joined only if they belong to one node of the divided graph, or to two that are joined.
     leaf : parts of no more nodes, with all below them, become one part. Parts without any node are left out.

@@ -124,8 +124,8 @@ class _Kept:
         """Return the name of the file for the walk of a kernel with these arguments: a digest of all that the walk
         depends on. A walk is the translation of the kernel's source by calls of the compiler's core.
 
-        args : values of the arguments, of which those of templates enter.
-        features : what the compiler looks at in the others.
+        args : values of the arguments; those of arguments declared as ti.template() enter.
+        features : what the compiler looks at in the other arguments, such as type and number of axes of an array.
 
         Raises Unkept if something cannot be named, in debug mode, and for kernels with automatic differentiation.
         """

@@ -302,7 +302,9 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact the right-hand side of the corrector and its pull: head, tail, pull, in a list.
+    """Return for one contact the right-hand side of the corrector (the second solve of a Newton step), and what it adds
+    to the forces on the contact's spheres (its pull), in a list: head, tail, pull. Head and tail are the parts of a
+    point of the contact's cone: one number for the bound of the slip, and one for each of its slipping components.
 
     The corrector aims at a given product, less the second-order error of the predictor (Mehrotra 1992). That error is
     the Jordan product of the predictor's steps.

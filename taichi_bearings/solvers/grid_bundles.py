@@ -63,7 +63,11 @@ class GridBundles(Part):
         self.iteration = 0
 
     def _planes(self, slot: int) -> list[Planes]:
-        """Return the planes of a spin component in bundles: for each, the numbers of the samples and of the layers.
+        """Return the bundles of planes of a spin component: a list with two arrays (B,) for each bundle, the number of
+        the sample and the number of the layer of each of its B planes.
+
+        A plane is one layer of one sample, across the axis of the component: only contacts within a layer couple it.
+        The planes of a bundle are factorised together.
 
         slot : place of the spin component among those that are computed.
         """

@@ -62,7 +62,8 @@ def _skeleton(*alike: Any) -> _Skeleton:
     holds the numbers of its factorisation.
 
     alike : the lattice; the numbers of the axes of the C spin components that are computed; and the imposed spins of
-        the top plane less those of the bottom, (C, *plane), in units, as the bytes of an array.
+        the top plane less those of the bottom, (C, *plane), in the unit of spins on the path, as the bytes of an array,
+        so that they can be a key.
     """
     if alike[0].sites < KEPT_SITES:
         return _made(threading.get_ident(), *alike)
@@ -77,7 +78,8 @@ def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes
 
     thread : number of the thread that uses them, as a key of the cache.
     spin_axes : numbers of the axes of the spin components that are computed.
-    jump : imposed spins of the top plane less those of the bottom, (C, *plane), in units, as the bytes of an array.
+    jump : imposed spins of the top plane less those of the bottom, (C components, *plane), in the unit of spins on the
+        path, as the bytes of an array.
     """
     top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
     system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)

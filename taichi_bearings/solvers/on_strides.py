@@ -152,7 +152,7 @@ class OnStrides(Stepped):
         return team, made_once(CundallStrackSteps, self.spec, self.stencil, corrector)
 
     def descent_kernel(self) -> "tuple[Team, Sweeps]":
-        """Return the threads and the kernel for gradient descent.
+        """Return the threads that make the sweeps of gradient descent together, and the kernel of these sweeps.
 
         Raises InputError for a law whose force is not known on the device.
         """
@@ -228,7 +228,7 @@ class OnStrides(Stepped):
         changes.
 
         component : number of the axis of the spin component.
-        spins : (R, *N), its spins now, staggered.
+        spins : (R, *N), its spins now, 1/time, with signs by which neighbours differ, measured from the bottom.
         """
         rest, free = spins.copy(), spins[..., 1:-1]
         if component == self.scene.lattice.height_axis:

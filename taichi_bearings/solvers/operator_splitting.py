@@ -361,8 +361,10 @@ class TorqueBalance:
             self.pulls, self.potentials = self._shares("pull"), self._shares("potential")
 
     def _numbers(self, values: np.ndarray) -> Any:
-        """Return an array of constants where the kernels read it: on a GPU as precise as fields, else as precise as
-        products.
+        """Return an array of constants where the kernels read it: on a GPU on the device, with the precision of the
+        fields; on a CPU a NumPy array of the type in which planes are multiplied by the sine matrix (`products`).
+
+        values : the array, of any shape.
         """
         return on_device(values) if runtime.current().is_gpu else values.astype(self.products)
 

@@ -233,11 +233,11 @@ def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.nd
     """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those of the central
     path.
 
-    On a path with signs of the spins its contacts have other components than along the tangents; otherwise the forces
-    are returned as they are.
+    Where no contact mixes spin components, the path multiplies spins by signs by which neighbours differ, and has other
+    force components; these are projected on the tangents. Otherwise forces are returned as they are.
 
-    system, contacts : the A contacts of the packing, and those of the path.
-    forces : forces as the path has them, one row for each component.
+    system, contacts : the A contacts of the packing, and the n contacts of the path.
+    forces : (components, n), forces as the path has them.
     """
     if contacts is system or contacts.sign is None:
         return forces
