@@ -208,7 +208,6 @@ def test_neighbours_stand_near_each_other_whatever_the_order_was():
         ({"method": tb.CundallStrack(inertia=1.0), "density": 1.0}, "inertia is 1 and density is given"),
         ({"method": "cundall-strack", "torque": 1.0}, "torque is 1.0, but cundall-strack .* does not use it"),
         ({"method": "cundall-strack", "record": "often"}, "record is 'often'"),
-        ({"iterations": 3}, "iterations is 3, but method auto of a packing does not use it"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(arguments, sentence):
