@@ -32,7 +32,7 @@ def system_of(bearing: Bearing) -> ContactSystem:
     system = ContactSystem.before_motions(bearing)
     if system.motions is not None or not system.unknowns:
         return system
-    made = _made(system, system)
+    made = _made(system)
     if not made.matrix.is_regular(isotropic(system.offset, np.ones(len(system.numbers)))):
         return system.without_motions()
     found = system.with_motions(0)
@@ -50,7 +50,7 @@ def surroundings_of(system: ContactSystem) -> Surroundings:
     name = _name()
     found = cast(Surroundings | None, system.kept.get(name))
     if found is None:
-        found = _made(system, system.signed() or system)
+        found = _made(system.signed() or system)
         system.kept.clear()
         system.kept[name] = found
     if system.unknowns >= KEPT_UNKNOWNS:
@@ -75,11 +75,11 @@ def _name() -> tuple[str, int]:
     return "surroundings", threading.get_ident()
 
 
-def _made(system: ContactSystem, rows: ContactSystem) -> Surroundings:
+def _made(rows: ContactSystem) -> Surroundings:
     """Return what all samples on one network share, newly made: the contacts `rows`, an order in which their unknowns
     are eliminated, and a Newton matrix.
 
-    rows : the contacts over the unknowns that are solved for. system : the contacts as they were given; not used.
+    rows : the contacts over the unknowns that are solved for.
     """
     order = order_by_place(rows)
     return Surroundings(rows, order, NewtonMatrix(rows, order, engine=Engine.LAUNCH if is_small(rows) else None), None)

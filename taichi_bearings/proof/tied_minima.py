@@ -113,9 +113,9 @@ class Pulls:
         label : (2, spheres), such as labels of domains."""
         return label[slot, self.lower] != label[slot, self.upper]
 
-    def touches(self, label: np.ndarray, value: int, slot: int) -> np.ndarray:
+    def touches(self, label: np.ndarray, value: int) -> np.ndarray:
         """Return a mask (n,): for slipping contacts, whether exactly one of their two spheres is in the domain `value`;
-        for contacts that do not slip, whether any is. label : (spheres,), labels of domains. slot : not used here."""
+        for contacts that do not slip, whether any is. label : (spheres,), labels of domains."""
         ends = label[self.lower] == value, label[self.upper] == value
         return np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
 
@@ -309,7 +309,7 @@ class BetweenTwo:
             sets.append(chosen)
             undecided[chosen] = True
             for s in range(2):
-                undecided |= pulls.felt[s] & ~pulls.turned_by[s] & pulls.touches(pulls.domain_tc[s], own[s], s)
+                undecided |= pulls.felt[s] & ~pulls.turned_by[s] & pulls.touches(pulls.domain_tc[s], own[s])
         return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
 
     def lie_between(self, contacts: Slipping, turn: np.ndarray) -> bool:

@@ -141,13 +141,17 @@ class PackingPaths(Paths):
                     if number not in self.ends:
                         self.ends[number] = self._end(number)
 
+    def _path_of(self, number: int) -> Sample:
+        """Return the path of a sample that has one. number : of the sample."""
+        return self.samples[list(self.strengths).index(number)]
+
     def _end(self, number: int) -> Found:
         """Return the spins and forces that the path of a sample leads to, or those at which its viscous forces balance
         if it has no path. number : of the sample.
         """
         if number not in self.strengths:
             return self.contacts.flowing(number)
-        way = self.samples[list(self.strengths).index(number)]
+        way = self._path_of(number)
         return _ended(self.contacts.system, way, self.strengths[number], self.shared.matrix, self.fastest)
 
     def found(self) -> list[Found]:
@@ -158,7 +162,7 @@ class PackingPaths(Paths):
         """Return the spins and forces of the point of the path where a sample, given by its number, is now."""
         if number not in self.strengths:
             return self.contacts.at_rest()
-        way = self.samples[list(self.strengths).index(number)]
+        way = self._path_of(number)
         if way.resolved is not None:
             return self._end(number)
         path, of, sign = way.iterate.system, self.strengths[number], way.iterate.system.sign
