@@ -19,7 +19,7 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
 @click.option(
     "--parts",
     metavar="NAME[,NAME...]",
-    help="With `speed`: parts to measure, of kernels, methods, scans and dynamics. [default: all]",
+    help="With `speed`: parts to measure, of kernels, methods, scans, growth and dynamics. [default: all]",
 )
 @click.option(
     "--law",

@@ -127,6 +127,7 @@ class Plan:
     scenes : (shape, law) of those of `methods`, which each method solves for at most `seconds`.
     scanned : lattices of `scans`, and for each the number of samples in a round.
     moved : lattices of `dynamics`.
+    grown : spheres along an edge of the cubes of `growth`.
     rounds : how often everything is timed.
     seconds : time limit of a method.
     slice_seconds : about how long a timed call of a kernel takes.
@@ -142,6 +143,7 @@ class Plan:
     scenes: tuple[tuple[tuple[int, ...], str], ...]
     scanned: Mapping[tuple[int, ...], int]
     moved: tuple[tuple[int, ...], ...]
+    grown: tuple[int, ...]
     rounds: int
     seconds: float
     slice_seconds: float
@@ -161,6 +163,7 @@ class Benchmark:
     tasks : function that yields, for a plan, the name of each part and a function that yields its rows.
     missing : function that returns which other programs are not installed here, and how to install them, by name.
     faults : function that returns sentences on rows that contradict each other.
+    findings : function that returns sentences on what all rows together say.
     figure : function that draws the rows; None for no figure.
     """
 
@@ -168,6 +171,7 @@ class Benchmark:
     tasks: Callable[[Plan], Iterator[tuple[str, Callable[[], Found]]]]
     missing: Callable[[], dict[str, str]] = dict
     faults: Callable[[list[Row]], list[str]] = lambda rows: []
+    findings: Callable[[list[Row]], list[str]] = lambda rows: []
     figure: Callable[[list[Row]], Any] | None = None
 
 
@@ -176,7 +180,7 @@ class Report:
     """What was measured.
 
     rows : for each benchmark its rows.
-    notes : sentences on what was left out, and why.
+    notes : sentences on what the rows say, and on what was left out, and why.
     missing : other programs that are not installed here, and how to install them, by name.
     faults : sentences on rows that contradict each other.
     interrupted : True if Ctrl-C ended it early.
@@ -205,6 +209,7 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
                     _take(report, name, f"{name} {words} left out: {error}")
     except KeyboardInterrupt:
         report.interrupted = True
+    report.notes = [said for name, found in report.rows.items() for said in chosen[name].findings(found)] + report.notes
     report.faults = [fault for name, found in report.rows.items() for fault in chosen[name].faults(found)]
     return report
 
@@ -273,6 +278,7 @@ COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "components": ("components", str), "precision": ("precision", str), "threads": ("threads", str),
     "seconds": ("time", duration), "quickest": ("quickest", duration), "slowest": ("slowest", duration),
     "seconds_processor": ("processor", duration), "contact_updates": ("contacts/s", scaled),
+    "memory": ("memory", "{:.2g} GB".format),
     "proven": ("proven", "{:.0%}".format), **{f"{gap:.0e}": (f"to {gap:.0e}", duration) for gap in TARGETS},
     "proven_gap": ("gap", "{:.1e}".format), "true_error": ("error <=", "{:.1e}".format),
     "reference_gap": ("known to", "{:.1e}".format), "after": ("after", duration), "status": ("ended", str),

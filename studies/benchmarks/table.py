@@ -14,7 +14,7 @@ from taichi_bearings.options import chosen
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers import METHODS
 
-from . import dynamics, kernels, methods, scans
+from . import dynamics, growth, kernels, methods, scans
 from .baselines import find_compiler
 from .harness import Benchmark, Found, Plan, elsewhere
 from .peers import find_peers
@@ -27,16 +27,18 @@ SCENES = (
 LARGE = (((256, 256), "coulomb"), ((24, 24, 24), "coulomb"), ((32, 32, 32), "coulomb"), ((32, 32, 32), "viscous"))
 QUICK = Plan(
     shapes=((8, 8, 8), (16, 16, 16), (32, 32, 32), (32, 32), (256, 256)), scenes=SMALL, scanned={(10, 10, 10): 24},
-    moved=((16, 16, 16),), rounds=3, seconds=1.0, slice_seconds=0.01,
+    moved=((16, 16, 16),), grown=(8, 12, 16, 20, 24), rounds=3, seconds=1.0, slice_seconds=0.01,
 )  # fmt: skip
 USUAL = Plan(
     shapes=(*((n, n, n) for n in (8, 16, 32, 64)), *((n, n) for n in (32, 128, 512, 1024))), scenes=SCENES,
-    scanned={(10, 10, 10): 96, (16, 16, 16): 32}, moved=((32, 32, 32),), rounds=5, seconds=10.0, slice_seconds=0.02,
+    scanned={(10, 10, 10): 96, (16, 16, 16): 32}, moved=((32, 32, 32),), grown=(8, 12, 16, 20, 24, 32), rounds=5,
+    seconds=10.0, slice_seconds=0.02,
     precisions=("f64", "f32"),
 )  # fmt: skip
 FULL = Plan(
     shapes=(*((n, n, n) for n in (8, 12, 16, 24, 32, 48, 64, 96, 128)), *((2**k, 2**k) for k in range(5, 13))),
-    scenes=(*SCENES, *LARGE), scanned={(10, 10, 10): 192, (16, 16, 16): 96}, moved=((32, 32, 32),), rounds=7,
+    scenes=(*SCENES, *LARGE), scanned={(10, 10, 10): 192, (16, 16, 16): 96}, moved=((32, 32, 32),),
+    grown=(8, 12, 16, 20, 24, 32, 40, 48, 64), rounds=7,
     seconds=60.0, slice_seconds=0.05, precisions=("f64", "f32"), steps=100,
 )  # fmt: skip
 PLANS = {"quick": QUICK, "usual": USUAL, "full": FULL}
@@ -71,6 +73,16 @@ def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
         yield f"of {'x'.join(map(str, shape))}", partial(elsewhere, dynamics.measure, shape, plan.rounds, plan.steps)
 
 
+def _growth(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+    """Yield the parts of the benchmark of growth: for each program and lattice a name and a function that yields its
+    row, small lattices first.
+    """
+    clarabel = plan.peers and any(peer.name == "clarabel" for peer in find_peers()[0])
+    for side, program in product(plan.grown, (growth.OURS, growth.THEIRS)[: 1 + clarabel]):
+        what = (growth.measure, side, program, plan.seed, max(plan.threads))
+        yield f"{side}x{side}x{side}, {program}", partial(elsewhere, *what)
+
+
 BENCHMARKS = {
     "kernels": Benchmark(
         "Sweeps, steps and iterations beside NumPy and plain C",
@@ -89,6 +101,13 @@ BENCHMARKS = {
         "Samples a second, beside Clarabel",
         _scans,
         missing=lambda: {name: why for name, why in find_peers()[1].items() if name == "clarabel"},
+    ),
+    "growth": Benchmark(
+        "Time and memory of a proven minimum against the size of the cube, beside Clarabel",
+        _growth,
+        missing=lambda: {name: why for name, why in find_peers()[1].items() if name == "clarabel"},
+        findings=growth.words,
+        figure=growth.draw_growth,
     ),
     "dynamics": Benchmark("Time steps on one processor, beside LAMMPS and YADE", _dynamics, missing=dynamics.missing),
 }
@@ -119,7 +138,9 @@ def planned(
         found = tuple(RunSettings(shape=text).shape for text in shape)
         scenes = tuple((one, name) for name in laws or ("coulomb",) for one in found)
         scanned = {one: plan.scanned.get(one, min(plan.scanned.values())) for one in found}
-        plan = replace(plan, shapes=found, scanned=scanned, moved=tuple(one for one in found if len(one) == 3))
+        cubes = tuple(one[0] for one in found if len(one) == 3 and len({*one}) == 1)
+        moved = tuple(one for one in found if len(one) == 3)
+        plan = replace(plan, shapes=found, scanned=scanned, moved=moved, grown=cubes)
     settings = RunSettings(**{key: of_methods[key] for key in ("seed", "time_limit") if of_methods.get(key)})
     return replace(
         plan,

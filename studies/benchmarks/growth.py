@@ -1,0 +1,186 @@
+"""Measures how time and memory of a proven minimum grow with a cubic lattice, beside Clarabel.
+
+Each lattice is solved in a process of its own, so that its memory can be told. Ours includes the proof
+of all contact states. Clarabel solves to the same tolerance and proves nothing; building its matrices is not counted.
+The power laws are fitted to processor times, the time of all threads, which other programs on the machine lengthen
+least. A quick solve is repeated, and the median counts, so that no compilation is measured.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from taichi_bearings import runtime
+from taichi_bearings.api import solve
+from taichi_bearings.errors import InputError
+from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, in_our_style, label_in_plain_text, new_figure
+from taichi_bearings.runs.cost import refuse_too_large
+from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene import Scene
+from taichi_bearings.solvers import InteriorPoint
+
+from .harness import Found, Row, Times
+from .methods import relative
+from .peers import conic_programme, find_peers
+
+OURS, THEIRS = "this program, states proven", "clarabel, no proof"
+TOLERANCE = 1e-8  # relative gap asked of both
+BRIEF, ROUNDS = 10.0, 3  # a solve that takes fewer seconds of the processor is made once more, and then so often
+MOST_OF_PEERS = 20_000  # for more spheres Clarabel takes minutes and gigabytes, and is left out
+FROM = 4_000  # spheres from which on a power law is fitted: below, the cost of calls counts
+FEWEST = 3  # lattices, so that a fit can be judged
+COLUMNS = {"seconds_processor": "processor time", "memory": "memory"}  # of a row, and their name
+
+
+def measure(side: int, program: str, seed: int, threads: int) -> Found:
+    """Yield a row for a cubic lattice of the paper, solved in this process: wall and processor time of a solve, and the
+    memory that it took, GB. A sentence is yielded instead if the lattice is too large for the program.
+
+    side : spheres along an edge. program : OURS or THEIRS. seed : of the sample. threads : number of threads.
+    """
+    runtime.start("cpu", "f64", threads)
+    shape = (side, side, side)
+    scene = build_scene(RunSettings(shape=shape, seed=seed, threads=threads))
+    if program == THEIRS:
+        if prod(shape) > MOST_OF_PEERS:
+            yield f"{program}: lattices of more than {MOST_OF_PEERS} spheres are left out"
+            return
+        once = _by_clarabel(scene, threads)
+    else:
+        refuse_too_large(InteriorPoint, scene)
+        once = partial(_by_us, scene, threads)
+    before = _bytes("VmRSS")
+    found = [_clocked(once)]
+    if found[0][1] < BRIEF:
+        found += [_clocked(once) for _ in range(ROUNDS)]
+        del found[0]  # the first one has compiled
+    times = Times(*np.array([(wall, processor) for wall, processor, _ in found]).T)
+    yield {
+        "what": program, "shape": shape, "spheres": prod(shape), "threads": threads, **times.row,
+        "memory": (_bytes("VmHWM") - before) / 1e9, **found[-1][2],
+    }  # fmt: skip
+
+
+def _clocked(call: Callable[[], Row]) -> tuple[float, float, Row]:
+    """Return wall time and processor time of a call, seconds, and what it returned."""
+    began, at = time.perf_counter(), time.process_time()
+    found = call()
+    return time.perf_counter() - began, time.process_time() - at, found
+
+
+def _by_us(scene: Scene, threads: int) -> Row:
+    """Return the proven relative gap of our minimum, and the share of contacts whose state is proven. threads : number
+    of threads.
+    """
+    result = solve(scene, "interior-point", TOLERANCE, progress=False, threads=threads)
+    return {"proven_gap": float(result.gap), "proven": 1 - float(result.unproven) / scene.lattice.contacts}
+
+
+def _by_clarabel(scene: Scene, threads: int) -> Callable[[], Row]:
+    """Return a function that solves a scene by Clarabel and returns the proven relative gap. Its linear solver is faer,
+    the quickest for many unknowns, if that is here. Raises InputError if Clarabel is not installed.
+
+    threads : number of threads.
+    """
+    here = {peer.linear_solver: peer for peer in find_peers()[0] if peer.name == "clarabel"}
+    if not here:
+        raise InputError("clarabel is not installed")
+    peer, programme = here.get("faer") or next(iter(here.values())), conic_programme(scene)
+
+    def call() -> Row:
+        """Solve, and return the proven relative gap."""
+        answer = peer.solve(programme, TOLERANCE, np.inf, threads)
+        return {"proven_gap": relative([answer.power], answer.lower_bound)[0]}
+
+    return call
+
+
+def _bytes(name: str) -> float:
+    """Return a number of bytes that Linux tells of this process: "VmRSS" what it has, "VmHWM" the most it has had; nan
+    on other systems.
+    """
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return 1024.0 * int(next(line for line in lines if line.startswith(f"{name}:")).split()[1])
+    return float("nan")
+
+
+class PowerLaw(NamedTuple):
+    """A power law fitted to points (x, y) by least squares of log y against log x.
+
+    exponent : of x. error : its standard error. factor : y = factor x^exponent.
+    """
+
+    exponent: float
+    error: float
+    factor: float
+
+
+def fitted(x: Sequence[float], y: Sequence[float]) -> PowerLaw:
+    """Return the power law of three or more points."""
+    (slope, start), covariance = np.polyfit(np.log(x), np.log(y), 1, cov="unscaled")
+    rest = np.log(y) - start - slope * np.log(x)
+    return PowerLaw(slope, float(np.sqrt(covariance[0, 0] * (rest**2).sum() / (len(x) - 2))), float(np.exp(start)))
+
+
+def fits(rows: Sequence[Row]) -> dict[tuple[str, str], PowerLaw]:
+    """Return the power laws in the number of spheres N, by program and column of COLUMNS.
+
+    rows : with the keys `what` (the program), `spheres`, and those of COLUMNS.
+
+    Only lattices of FROM spheres or more count; with fewer than FEWEST of them there is no fit.
+    """
+    found = {}
+    for what in dict.fromkeys(row["what"] for row in rows):
+        large = [row for row in rows if row["what"] == what and row["spheres"] >= FROM]
+        for key in COLUMNS if len(large) >= FEWEST else ():
+            found[what, key] = fitted([row["spheres"] for row in large], [row[key] for row in large])
+    return found
+
+
+def words(rows: Sequence[Row]) -> list[str]:
+    """Return a sentence for each power law of :func:`fits`. rows : as there."""
+    return [
+        f"{what}: from {FROM} spheres on {COLUMNS[key]} grows as N^{law.exponent:.2f}, with N the number of spheres"
+        f" (standard error {law.error:.2f})"
+        for (what, key), law in fits(rows).items()
+    ]
+
+
+@in_our_style
+def draw_growth(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw processor time (left) and memory (right) of a minimum against the number of spheres, both axes logarithmic.
+
+    Each program has a colour, dots for what was measured, and a line for the power law fitted to it.
+    """
+    figure = new_figure(DOUBLE, 0.42 * DOUBLE)
+    laws, looks = fits([dict(row) for row in rows]), {OURS: (BLUE, "o"), THEIRS: (GREY, "s")}
+    for axes, key, label in zip(
+        figure.subplots(1, 2),
+        COLUMNS,
+        ("processor time of a solve (s)", "memory taken by a solve (GB)"),
+        strict=True,
+    ):
+        for what, (colour, marker) in looks.items():
+            of = [row for row in rows if row["what"] == what]
+            if not of:
+                continue
+            x, y = np.array([(row["spheres"], row[key]) for row in of]).T
+            law = laws.get((what, key))
+            fit = "" if law is None else rf": $\propto N^{{{law.exponent:.2f}}}$"
+            axes.plot(x, y, marker, color=colour, ms=4, label=f"{what}{fit}")
+            if law is not None:
+                ends = np.array([x[x >= FROM].min(), x.max()])
+                axes.plot(ends, law.factor * ends**law.exponent, color=colour, lw=1.0)
+        axes.set(xscale="log", yscale="log", xlabel="spheres $N$", ylabel=label)
+        label_in_plain_text(axes.xaxis, axes.yaxis)
+        axes.legend()
+    return figure
