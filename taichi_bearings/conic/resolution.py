@@ -2,10 +2,10 @@
 
 What is decided. The power of the contacts, the sum of mu |v| over all contacts, is to be least. At a minimum each
 contact either slips (v is not 0) or does not (v = 0). The central path (central_path.py) comes near the minimum, but at
-each of its points all contacts slip a little: slip speed times friction margin is about the same for all (exactly the
-product mu b - v . f, with a bound b of the slip speed). A slip of 1e-9 can therefore be seen only where margins of 1e-9
-can, and double precision ends before. This module decides for every contact, and returns spins, slips and forces of the
-minimum (:class:`Resolved`).
+each of its points all contacts slip a little: mu times slip speed times friction margin is about the same for all
+(exactly the product mu b - v . f, with a bound b of the slip speed). A slip of 1e-9 can therefore be seen only where
+margins of 1e-9 can, and double precision ends before. This module decides for every contact, and returns spins, slips
+and forces of the minimum (:class:`Resolved`).
 
 Symbols (all words are in conic/__init__.py).
 
@@ -26,12 +26,13 @@ exactly if there are forces f such that
 (b) each slipping contact has f = mu v / |v|, all its friction along its slip;
 (c) each other contact has |f| <= mu.
 
-So it is enough to guess S, and to check. With every contact outside S tied (its two ends turn as one, so v = 0) the
-power is a smooth function of the spins that are left; its minimum fulfils (b), and (a) for the tied sets of spins. What
-remains is (c): do forces within friction balance the torques inside the tied sets? If they do, all of (a) to (c) hold,
-and the guess was right. A wrong guess cannot pass, so no guess needs a proof. (All this is in floating point;
-taichi_bearings/proof makes it rigorous. With a viscosity eta the power has eta |v|^2 / 2 more for each contact and the
-force eta v more; nothing else changes.)
+So it is enough to guess S, and to check. Tie every contact outside S: its two ends turn as one, so v = 0. (In this file
+*tied* means that alone; contacts that slip at some minima and rest at others, which other files call tied, are
+`sometimes_slips` here.) Then the power is a smooth function of the spins that are left; its minimum fulfils (b), and
+(a) for the tied sets of spins. What remains is (c): do forces within friction balance the torques inside the tied sets?
+If they do, all of (a) to (c) hold, and the guess was right. A wrong guess cannot pass, so no guess needs a proof. (All
+this is in floating point; taichi_bearings/proof makes it rigorous. With a viscosity eta the power has eta |v|^2 / 2
+more for each contact and the force eta v more; nothing else changes.)
 
 Example: three contacts in a row with frictions 3, 1, 2, the first end at rest, the last one driven by a jump of 4. On
 the path the middle contact has nearly no margin and slips by nearly 4. With the others tied its slip is 4 and its force
@@ -41,8 +42,9 @@ Steps of :func:`resolve`.
 
 1. Guess S from the last two points of the path (:func:`_seem_to_stick`). This is done in small samples only; in large
    ones some guess is nearly always wrong.
-2. Find the minimum of the smooth power by Newton's method (:class:`_SmoothPower`). A slip that would be reversed leaves
-   S. The last Newton steps are in twice the precision (polish.py), as slips go down to 1e-15 of the jump and below.
+2. Find the minimum of the smooth power by Newton's method (:class:`_SmoothPower`). A slip that has shrunk below a
+   hundredth and would be reversed leaves S; a larger one only shortens the step. The last Newton steps are in twice the
+   precision (polish.py), as slips go down to 1e-15 of the jump and below.
 3. Look for the forces (c) (slipless_forces.py). If they exist and no slip is as small as rounding, the sample is done.
 4. Else follow the path on until slip and margin of each contact have parted (last_decades.py), and repeat steps 2 and 3
    with the contacts that slip there, up to four times with different contacts tied (:func:`_minimum_along_path`).
@@ -65,18 +67,18 @@ from taichi_bearings.conic.iterate import Iterate, whole_dual
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import may_tie, nearly_borne
-from taichi_bearings.conic.ties import tied_contacts
+from taichi_bearings.conic.slipless_forces import may_have_several_minima, nearly_borne
+from taichi_bearings.conic.ties import sometimes_slipping
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
-# Numbers below without a reason were found by trial. None can make an answer wrong: a bad guess costs a further trial.
+# Numbers below without a reason were found by trial. None can pass a wrong set S: a bad guess costs a further trial.
 # The power of a minimum may lie above that of the path by so much, relative: sums of 1e5 contacts round by about 1e-12.
 # It may lie below by the second number: paths that come here have relative gaps of at most 1e-8.
 MOST_ABOVE_PATH, MOST_BELOW_PATH = 1e-12, 1e-6
 DECIDED_RATIO = 1e2  # a contact seems to stick if its margin is larger than its slip by more than this factor
-# A contact seems to stick if a step has left less than this share of its slip and more than this share of its margin;
-# of one of the two a step leaves about a fifth.
+# A contact seems to stick if a step has left less than this share of its slip and more than this share of its margin. A
+# step leaves about a fifth of the slip of a contact that sticks, and of the margin of one that slips.
 STICKING_TREND = 0.6
 DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be undecided when the trials on the last decades begin
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
@@ -90,7 +92,7 @@ NEWTON_TRIALS = 2  # runs of Newton's method; before the second, contacts that h
 MOST_CHANGE_ALONG, MOST_CHANGE_IF_REVERSED = 0.5, 0.95
 RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would reverse it
 # Slips above these, over the imposed jump, are surely no rounding: spins known in twice the precision, and in doubles.
-# (10^3 spheres, seed 559, has a slip in between and needs the second look.)
+# (10^3 spheres, seed 559, has a slip in between, which is decided only when spins are known in twice the precision.)
 LEAST_SLIP_IN_PAIRS, LEAST_SLIP_IN_DOUBLES = 1e-22, 1e-9
 TINY = np.finfo(np.float64).tiny
 
@@ -104,13 +106,13 @@ class Resolved:
         the smallest slips, unless `rest` is added.
     dual : (d, n), minus the friction forces.
     slipping : (n,) mask of contacts that slip.
-    at_limit : (n,) mask of contacts that bear all their friction and yet do not slip.
+    at_limit : (n,) mask of contacts that do not slip and may bear all their friction all the same.
     heads : (unknowns,) mask, one spin of each set of spins that slipless contacts tie together, without the sets that
         are tied to a driven plane. With these spins held the matrix of the slipless contacts is regular.
     rest : (unknowns,), what `spins` lack, so that spins + rest is known in twice the precision; None if it is not
         known.
     borne : True if forces within friction at the slipless contacts have been found that balance all torques.
-    tied : (n,) mask of contacts that slip at some minima and rest at others; None if not looked for.
+    sometimes_slips : (n,) mask of contacts that slip at some minima and rest at others; None if not looked for.
     viscosity : (n,), viscous force over slip speed; None for friction alone.
     """
 
@@ -122,19 +124,19 @@ class Resolved:
     heads: np.ndarray
     rest: np.ndarray | None = None
     borne: bool = False
-    tied: np.ndarray | None = None
+    sometimes_slips: np.ndarray | None = None
     viscosity: np.ndarray | None = None
 
     @property
-    def ties(self) -> np.ndarray:
+    def known_to_slip_sometimes(self) -> np.ndarray:
         """(n,) mask of the contacts that are known to slip at some minima and to rest at others; all False if not
         looked for."""
-        return np.zeros_like(self.at_limit) if self.tied is None else self.tied
+        return np.zeros_like(self.at_limit) if self.sometimes_slips is None else self.sometimes_slips
 
     @property
     def sure(self) -> bool:
-        """True if a proof of the contact states can be expected: slipless contacts bear their load, and the smallest
-        slip is above what rounding can make."""
+        """True if a proof of the contact states can be expected: slipless contacts bear their load (as in all that
+        :func:`resolve` returns), and the smallest slip is above what rounding can make."""
         faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
         return self.borne and length(self.difference)[self.slipping].min(initial=np.inf) > faintest
 
@@ -206,17 +208,17 @@ def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resol
     cost = replace(iterate, difference=settled.difference).cost
     if not -MOST_BELOW_PATH < cost / iterate.cost - 1 < MOST_ABOVE_PATH:
         return None
-    if (
-        not settled.sure or iterate.viscosity is not None
-    ):  # with viscosity at each contact all minima have the same slips
+    # With viscosity at each contact all minima have the same slips; if only some have it, ties are not looked for.
+    if not settled.sure or iterate.viscosity is not None:
         return settled
     of_minimum = settled.difference, settled.dual, settled.slipping, settled.at_limit
-    return replace(settled, tied=tied_contacts(shared.system, shared.order, iterate.friction, *of_minimum))
+    sometimes_slips = sometimes_slipping(shared.system, shared.order, iterate.friction, *of_minimum)
+    return replace(settled, sometimes_slips=sometimes_slips)
 
 
 def _seem_to_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
-    """Return a mask (n,) of contacts that seem to stick: over the last step of the path, from `before` to `iterate`,
-    their slip fell and their margin, the share of friction that is left, did not."""
+    """Return a mask (n,) of contacts that seem to stick: their margin, the share of friction that is left, is far above
+    their slip, and over the last step of the path, from `before` to `iterate`, the slip fell and the margin did not."""
     slip, slip_before = length(iterate.difference), length(before.difference)
     apart = iterate.margin > DECIDED_RATIO * slip
     return apart & (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
@@ -230,21 +232,28 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     shared : what all samples share.
 
     The path is followed until few contacts are undecided. Then come trials, up to the first one whose states are sure;
-    each is a minimum of the smooth power with balanced forces. Tied are contacts that surely stick:
+    each is a minimum of the smooth power with balanced forces. They differ in which contacts are tied, so that they
+    cannot slip, and in how far the path is followed:
 
-    - If minima can be unique: nothing tied, with FEW_DOUBTFUL contacts left undecided; nothing tied, with none left
-      undecided; last, those that stick tied.
-    - If there may be several minima (equal frictions): those that stick tied; then twice, to the end of the path, with
-      those tied as well that stuck at the end of the trial before, as their stiffness blurs the forces of the others;
-      last, nothing tied.
+    ============================  =====  ====================================  ===================================
+    minima                        trial  tied contacts                         path followed until
+    ============================  =====  ====================================  ===================================
+    one, most likely              1      none                                  FEW_DOUBTFUL contacts are undecided
+    one, most likely              2      none                                  no contact is undecided
+    one, most likely              3      those that stick                      no contact is undecided
+    several, as frictions repeat  1      those that stick                      no contact is undecided
+    several, as frictions repeat  2, 3   also those that stuck in trial 1, 2   double precision ends
+    several, as frictions repeat  4      none                                  no contact is undecided
+    ============================  =====  ====================================  ===================================
 
-    The last minimum found is returned even if its states are not sure.
+    Tying contacts helps as the stiffness of those that stick blurs the forces of the others. The last minimum found is
+    returned even if its states are not sure.
     """
     path, settled = LastDecades.after(iterate, before, shared.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
     none, sticking = np.zeros_like(path.sticking), path.sticking
-    if not (ties_possible := may_tie(iterate.friction, none)):
+    if not (ties_possible := may_have_several_minima(iterate.friction, none)):
         with suppress(NotPositiveDefinite):
             early = _early_minimum(iterate, copy(path), shared)
             if early is not None and early.sure:
@@ -253,8 +262,8 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     first, second, free = (True, False), (True, True), (False, False)
     for ties, to_the_end in (first, second, second, free) if ties_possible else (free, first):
         with suppress(NotPositiveDefinite):
-            found, more = _minimum_with_tied(iterate, path, sticking if ties else none, shared, to_the_end)
-            settled, sticking = found or settled, sticking | more if ties else sticking
+            found, more_sticking = _minimum_with_tied(iterate, path, sticking if ties else none, shared, to_the_end)
+            settled, sticking = found or settled, sticking | more_sticking if ties else sticking
         if settled is not None and settled.sure:
             break
     return settled
@@ -289,8 +298,8 @@ def _minimum_with_tied(
         it slips.
     returns : the minimum, None if there is none; (n,) mask of the further contacts that surely stick at the end.
 
-    Forces of slipless contacts are looked for near those at the end of the path. Where minima may tie, a path with tied
-    contacts can change these forces a lot; then those of `path` are tried as well.
+    Forces of slipless contacts are looked for near those at the end of the path. Where there may be several minima, a
+    path with tied contacts can change these forces a lot; then those of `path` are tried as well.
     """
     none, later = np.zeros_like(sticking), path.point.dual.copy()
     tied = Contraction(shared.system, shared.order, sticking) if sticking.any() else None
@@ -298,17 +307,18 @@ def _minimum_with_tied(
     left = None if tied and tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
     if left is None:
         return None, none
-    slipping, at_limit, sticking, kept = none.copy(), none.copy(), none.copy(), tied.kept if tied else slice(None)
-    slipping[kept], at_limit[kept], sticking[kept] = left, rest.at_limit, rest.sticking
+    # From the contacts that are not tied to all: which slip, which may be at their limit, and which stick at the end.
+    slipping, at_limit, more_sticking, kept = none.copy(), none.copy(), none.copy(), tied.kept if tied else slice(None)
+    slipping[kept], at_limit[kept], more_sticking[kept] = left, rest.at_limit, rest.sticking
     later[:, kept] = rest.point.dual
     (found,) = _smooth_minima([iterate], [tied.expanded(rest.spins) if tied else rest.spins], [slipping], shared)
     if found is not None and at_limit.any():  # as are those that Newton's method has brought to rest
         found = replace(found, at_limit=(at_limit | slipping) & ~found.slipping)
     earlier = np.where(at_limit | (path.point.slip_over_margin > 1), later, path.point.dual)
     (settled,) = _with_slipless_forces([iterate], [found], [later], shared)
-    if settled is None and may_tie(iterate.friction, at_limit):
+    if settled is None and may_have_several_minima(iterate.friction, at_limit):
         (settled,) = _with_slipless_forces([iterate], [found], [earlier], shared)
-    return settled, sticking
+    return settled, more_sticking
 
 
 def _with_slipless_forces(

@@ -77,7 +77,7 @@ def nearly_borne(
         going = going & (reach > LEAST_REACH)
         if (going & ~ended).any():
             of_each = zip(np.split(friction, samples), np.split(at_limit, samples), strict=True)
-            going = going & (ended | [may_tie(*of) for of in of_each])
+            going = going & (ended | [may_have_several_minima(*of) for of in of_each])
         if limit is not None and (cut := ended & held).any():
             balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, cut)
         found |= ended
@@ -90,9 +90,12 @@ def nearly_borne(
     return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(side))
 
 
-def may_tie(friction: np.ndarray, at_limit: np.ndarray) -> bool:
+def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:
     """Return True where there may be several minima, as sums of friction forces can be equal by chance: contacts rest
-    at their limit, or fewer than half of the frictions are different."""
+    at their limit, or fewer than half of the frictions are different.
+
+    friction : (n,), largest friction force of each contact. at_limit : (n,) mask of contacts that rest and may bear
+        all their friction."""
     return bool(at_limit.any()) or len(np.unique(friction)) < len(friction) / 2
 
 

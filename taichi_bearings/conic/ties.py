@@ -29,7 +29,7 @@ LONGEST_MOTION = 1e6  # largest multiple of a motion that is looked at
 MOST_CORNERS = 3000  # most candidates for corners of a polyhedron that are all looked at
 
 
-def tied_contacts(
+def sometimes_slipping(
     system: ContactSystem,
     order: np.ndarray,
     friction: np.ndarray,
@@ -42,14 +42,16 @@ def tied_contacts(
     do so.
 
     system : the contacts. order : order in which its unknowns are eliminated.
-    friction : (n,). difference, dual : (d, n), slips and minus the friction forces at one minimum.
-    slipping, at_limit : (n,) masks of contacts that slip there, and that bear all their friction and yet do not slip.
+    friction : (n,), largest friction force mu F_n of each contact.
+    difference, dual : (d, n), slips and minus the friction forces at one minimum.
+    slipping, at_limit : (n,) masks of contacts that slip there, and that do not slip and may bear all their friction
+        all the same.
 
     Letters: n contacts with up to d slip components.
     """
-    ties = np.zeros(len(friction), dtype=bool)
+    found = np.zeros(len(friction), dtype=bool)
     if len(np.unique(friction)) == len(friction):
-        return ties
+        return found
     tied = Contraction(system, order, ~(slipping | at_limit))
     slipping, difference, dual = slipping[tied.kept], difference[:, tied.kept], dual[:, tied.kept]
     one_way = np.where(np.abs(dual) > NOISE_SHARE * np.abs(dual).max(axis=0), -dual, 0.0)
@@ -57,12 +59,12 @@ def tied_contacts(
     # Motions along which minima may differ, and the rates at which they change each slip.
     motions = _turning_no_slip(tied, towards)
     if motions.shape[1] == 0:
-        return ties
+        return found
     rates = np.einsum("dn,dnk->nk", towards / length(towards), tied.system.change(motions))
     rates = rates / np.maximum(np.abs(rates).max(axis=0), LEAST_MOVE)
     rates = np.where(np.abs(rates) > LEAST_MOVE, rates, 0.0)
-    ties[tied.kept] = _tied(np.where(slipping, length(difference), 0.0), rates)
-    return ties
+    found[tied.kept] = _sometimes_zero(np.where(slipping, length(difference), 0.0), rates)
+    return found
 
 
 def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
@@ -102,7 +104,7 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
     return np.concatenate(motions, axis=1)
 
 
-def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
+def _sometimes_zero(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the slips that vanish at some points of the polyhedron slips + rates @ y >= 0, and not at
     others.
 
@@ -117,18 +119,18 @@ def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
         own = np.flatnonzero(label == part)
         some = np.flatnonzero(shared[:, own].any(axis=1))
         slip = np.where(slips[some] > 0, slips[some], 1.0)
-        found[some] = _tied_together((slips[some] > 0).astype(float), rates[np.ix_(some, own)] / slip[:, None])
+        found[some] = _sometimes_zero_of_part((slips[some] > 0).astype(float), rates[np.ix_(some, own)] / slip[:, None])
     return found
 
 
-def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
+def _sometimes_zero_of_part(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the slips that vanish at some corners of the polyhedron first + rates @ y >= 0, and not at
     others.
 
     first : (n,), 1 where a contact slips, else 0: slips in units of themselves. rates : (n, k), their changes by k
         motions.
 
-    If there are more than MOST_CORNERS candidates for corners, all are taken to be tied: motions that mix so many
+    If there are more than MOST_CORNERS candidates for corners, the mask is True for all: motions that mix so many
     contacts occur where friction is the same everywhere.
     """
     motions = rates.shape[1]

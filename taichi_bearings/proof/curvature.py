@@ -1,30 +1,34 @@
 """Proof that one minimum exists near given spins, where components do not mix (lattices, discs): theorem 7.
 
 What is proven. Some contacts are taken to rest. Spheres that they join turn as one in a component: such a set is a
-*domain*. Only free domains may move, each by one number. Then near the given spins there is exactly one minimum of the
-power, and a bound on how much each slip changes on the way to it (`nearest_minimum`). If the resting contacts can bear
-what the others leave to them, it is a minimum over all spins (`bearable`).
+*domain*. Only free domains may move, each by one number. With these contacts at rest there is exactly one minimum of
+the power; it is near the given spins, and how much each slip changes on the way to it is bounded (`nearest_minimum`).
+If the resting contacts can bear what the others leave to them, it is a minimum over all spins (`bearable`).
 
 Symbols
-    n : number of slipping contacts. m : number of those that slip in two components; they are called *curved*, since
-        only their slip, a vector in a plane, can change its direction.
+    n : number of slipping contacts (elsewhere in this folder the number of spheres). m : number of those that slip in
+        two components; they are called *curved*, since only their slip, a vector in a plane, can change its direction.
+    k : number of a spin component. q : unknowns of a quadratic form (`Form`).
     u : (unknowns,), change of the spin of each free domain. v : other unknowns, of which u are sums (`_clusters`).
     z : slip of a contact at the given spins (one or two components), w : its change, t : unit vector across z.
+    relative_change : in the code, a bound on |w| / |z| for each contact.
     g : slope of the power at the given spins; in words, the torque on each domain.
     H : curvature of the power at the given spins, the sum of (mu F_n / |z|) (w . t)^2 + eta |w|^2.
     h : positive numbers, one for each v; the diagonal of H. tau : proven number with H >= tau h as quadratic forms.
     rho : radius; (sum of h v^2)^1/2 is the size of a change v.
 
 The proof
-1. Friction of size 1 has the direction n(z) = z / |z|. While |w| <= |z| / 4 it resists a change by (n(z + w) - n(z)) .
-   w >= 0.72 (w . t)^2 / |z|. With |z| = 1, L = |z + w| and a the part of w along z, the left side is (w . t)^2 (L + 1)
-   / (L (L + 1 + a)), least at L = 5/4 and a = 1/4: (9/4) / (5/4 x 5/2) = 0.72. Damping resists by eta |w|^2.
+1. Friction of size 1 has the direction n(z) = z / |z|. When the slip changes by w, this force changes by n(z + w) -
+   n(z), which does the work (n(z + w) - n(z)) . w against w: at least 0.72 (w . t)^2 / |z| while |w| <= |z| / 4. For
+   with |z| = 1, L = |z + w| and a the part of w along z, it is (w . t)^2 (L + 1) / (L (L + 1 + a)), least at L = 5/4
+   and a = 1/4: (9/4) / (5/4 x 5/2) = 0.72. The work of damping is eta |w|^2.
 2. So along a ray the derivative of the power at v, times |v|, is at least -|g| |v| + 0.72 tau |v|^2, with |v|
    measured by h and |g| by 1 / h. The power rises outwards on the surface |v| = rho for any rho > |g| / (0.72 tau),
    if no slip changes by more than a quarter on the way. As the power is convex, all minima are inside.
-3. Two minima inside would differ by a motion that changes every slip along its own direction alone, as the power is
-   straight between them. Directions inside differ little from n(z), so the part of this motion across z is small, and
-   its curvature H would be less than tau h: a contradiction. There is just one (`Curvature.remains`).
+3. Two minima inside would differ by a motion that changes every slip along its own direction alone and no slip with
+   damping, as the power is straight between them. Directions inside differ little from n(z), so the part of this motion
+   across z is small, and its curvature H would be less than tau h: a contradiction. There is just one
+   (`Curvature.is_positive_within`).
 
 Example. One free sphere slips along three contacts with mu F_n = 1 past driven spheres, whose spins (two components)
 are the corners of an equilateral triangle with its centre at 0, at distance 1. The power is |u - a_1| + |u - a_2| + |u
@@ -51,7 +55,9 @@ from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, 
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
 
-MOST_SLIP_TURN = 0.25  # largest change of a slip, over its size, up to which a slip resists by 0.72 of its curvature
+MOST_RELATIVE_CHANGE = (
+    0.25  # largest change of a slip, over its size, up to which a slip resists by 0.72 of its curvature
+)
 CURVATURE_TRIALS = 4  # number of trials, each but the first from spins that a step of Newton's method has improved
 RIGID_STIFFNESS = 10.0  # stiffness mu F_n / |z| over the median, beyond which a contact holds a cluster together
 CURVATURE_SHARE = 1e-7  # first guess of tau, which most networks exceed by far
@@ -63,8 +69,8 @@ TINY = np.finfo(np.float64).tiny
 class Slipping:
     """The n contacts of a network that slip, and the unknowns that change their slips.
 
-    There is one unknown for each free domain of each component. The number -1 stands for a driven domain, and for a
-    component in which a contact does not slip.
+    There is one unknown for each free domain, spheres that turn as one, of each component. The number -1 stands for a
+    domain that does not move or changes no slip, and for a component in which a contact does not slip.
 
     unknowns : number of unknowns.
     felt : (2, n), the one or two spin components that make each contact slip, -1 for none.
@@ -228,9 +234,9 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
         curvature = Curvature.of(contacts)
         if curvature is None:
             return None
-        turn = _bound_on_changes(contacts, curvature, number == CURVATURE_TRIALS - 1)
-        if turn is not None:
-            return contacts, turn
+        relative_change = _bound_on_changes(contacts, curvature, number == CURVATURE_TRIALS - 1)
+        if relative_change is not None:
+            return contacts, relative_change
         step = curvature.newton_step(contacts.slope().value)
         if step is None:
             return None
@@ -255,40 +261,45 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
     slope = curvature.clusters.T @ contacts.slope().most
 
     # The minimum is within rho = 1.5 |g| / tau of these spins, as 1.5 > 1 / 0.72. Each block has its own radius.
-    def turn(tau: float) -> np.ndarray:
-        """Return for each of n contacts the bound (n,) on the change of its slip up to the minimum, over the size of
-        the slip, that follows if the curvature is at least `tau` times its diagonal."""
+    def relative_change_for(tau: float) -> np.ndarray:
+        """Return the bound (n,) on |slip at the minimum - slip| / |slip| of each of n contacts that follows if the
+        curvature is at least `tau` times its diagonal."""
         radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
         reach = radius[block] / root  # largest |v| of each variable, as h v^2 <= rho^2
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
 
-    if not (last or (turn(CURVATURE_SHARE / 2) <= MOST_SLIP_TURN).all()):  # proven_floor proves half of its guess
+    # proven_floor proves half of its guess, CURVATURE_SHARE
+    if not (last or (relative_change_for(CURVATURE_SHARE / 2) <= MOST_RELATIVE_CHANGE).all()):
         return None
-    found = turn(curvature.tau)
-    return found if curvature.remains(contacts, found) else None
+    found = relative_change_for(curvature.tau)
+    return found if curvature.is_positive_within(contacts, found) else None
 
 
 @np.errstate(all="ignore")
-def rises(contacts: Slipping, turn: np.ndarray) -> bool:
-    """Return True if the power is proven to have positive curvature along every motion of the unknowns (spins of free
-    domains, in `contacts`), wherever each of the n slips differs from that of `contacts` by no more than the share
-    `turn` (n,) of its size."""
+def rises(contacts: Slipping, relative_change: np.ndarray) -> bool:
+    """Return True if the power is proven to have positive curvature along every motion of the unknowns, which are spins
+    of free domains, in a neighbourhood of given slips.
+
+    contacts : the n slipping contacts, with the given slips and the unknowns. relative_change : (n,), the
+        neighbourhood: all spins at which |slip - given slip| / |given slip| of each contact is at most that."""
     curvature = Curvature.of(contacts) if contacts.unknowns else None
-    return contacts.unknowns == 0 or (curvature is not None and curvature.remains(contacts, turn))
+    return contacts.unknowns == 0 or (curvature is not None and curvature.is_positive_within(contacts, relative_change))
 
 
-def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[int, np.ndarray] | None = None) -> bool:
+def bearable(
+    motion: Motion, contacts: Slipping, relative_change: np.ndarray, unsure: dict[int, np.ndarray] | None = None
+) -> bool:
     """Return True if some friction of the resting contacts balances all torques at the minimum and stays below every
     friction limit.
 
     motion : the network of N spheres, and which contacts rest. These join spheres to domains, which turn as one.
-    contacts : the n slipping contacts close to the minimum. turn : (n,), bound on |slip at the minimum - slip| /
-        |slip|.
-    unsure : by component k, (N,), how far the sum of the friction that further contacts exert on each sphere may be
-        from what is required of them, in units of force; None for nowhere."""
+    contacts : the n slipping contacts close to the minimum.
+    relative_change : (n,), bound on |slip at the minimum - slip| / |slip|.
+    unsure : by component k, (N,), in units of force: how far the sum of the friction that contacts at their limit exert
+        on each sphere may be from that at the minimum (tied_minima.py); None if there are no such contacts."""
     network, added_by_domain = motion.network, {}
     moment, torques = network.own_moment, network.own_torques
-    off = _change_of_friction(motion, contacts, turn)
+    off = _change_of_friction(motion, contacts, relative_change)
     for k in network.needed:
         # Bound on the torque on each sphere that resting contacts have to take up in addition to the friction which
         # they have: what the given friction leaves over, and what slipping contacts change on the way to the minimum.
@@ -313,12 +324,13 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
     return bool((~takes_part | ((margin.high > 0) & (margin.least > added * UP))).all())
 
 
-def _change_of_friction(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
+def _change_of_friction(motion: Motion, contacts: Slipping, relative_change: np.ndarray) -> np.ndarray:
     """Return a bound (2, n) on how far the stored friction of each of n slipping contacts may be from its friction at
     the minimum, along the one or two spin components that make it slip (`contacts.felt`; 0 for none).
 
     motion : the network, whose friction is stored as moments.
-    contacts : the slipping contacts close to the minimum. turn : (n,), bound on |slip at the minimum - slip| / |slip|.
+    contacts : the slipping contacts close to the minimum.
+    relative_change : (n,), bound on |slip at the minimum - slip| / |slip|.
     """
     network, found = motion.network, np.zeros(contacts.felt.shape)
     for slot in range(2):
@@ -328,20 +340,22 @@ def _change_of_friction(motion: Motion, contacts: Slipping, turn: np.ndarray) ->
             own = contacts.own[some]
             stored.put(some, network.moment[k].at(own).signed(network.sign[k][network.graph.contact[1, own]]))
         found[slot] = (contacts.pulls[slot] - stored).most
-        # A slip that changes by a share t of its size changes its unit vector by at most 2 t, and eta z by t eta |z|.
-        found[slot, contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
+        # A slip z that changes by a share c of its size changes its unit vector by at most 2 c, and eta z by c eta |z|.
+        found[slot, contacts.curved] += (
+            2 * relative_change[contacts.curved] * contacts.strength.at(contacts.curved).most
+        )
         if contacts.damping is not None:
-            found[slot] += turn * (contacts.damping * contacts.size).most
+            found[slot] += relative_change * (contacts.damping * contacts.size).most
     return found
 
 
 @dataclass(frozen=True)
 class Form:
-    """A quadratic form x^T A^T A x in n unknowns, scaled so that every column of A has length 1 up to rounding.
+    """A quadratic form x^T A^T A x in q unknowns, scaled so that every column of A has length 1 up to rounding.
 
-    rows : A, a sparse matrix of doubles.
+    rows : A, a sparse matrix (rows, q) of doubles.
     doubt : matrix of the same shape, bounds on the errors of the entries of A.
-    squares : (n,), squared lengths of the columns before they were scaled.
+    squares : (q,), squared lengths of the columns before they were scaled.
     elimination : the elimination of A^T A, ordered but not carried out.
     """
 
@@ -363,9 +377,10 @@ class Form:
         """Make the form |A x|^2 from a matrix: scale its columns to length 1, and order the elimination of A^T A.
         Return None where a column is 0 or not finite.
 
-        rows : (m, n), the matrix A before its columns are scaled. doubt : (m, n), bounds on the errors of its entries.
-        place : (d, n), positions of the n unknowns in d dimensions. If `of_rows` is True: (d, m), positions of the
-            rows, and each unknown is put at the mean of its rows, weighted by the squares of their entries.
+        rows : (p, q), the matrix A of p rows for q unknowns before its columns are scaled. doubt : (p, q), bounds on
+            the errors of its entries.
+        place : (d, q), positions of the unknowns in d dimensions. If `of_rows` is True: (d, p), positions of the rows,
+            and each unknown is put at the mean of its rows, weighted by the squares of their entries.
         parts : the groups in which unknowns are eliminated; None to find them.
         samples : which sample each unknown belongs to; None if there is only one sample."""
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
@@ -379,13 +394,13 @@ class Form:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """(n,), factors by which the n scaled unknowns are multiplied to give the original ones."""
+        """(q,), factors by which the q scaled unknowns are multiplied to give the original ones."""
         return 1 / np.sqrt(self.squares)
 
     def floor(self, sharp: bool = False) -> np.ndarray:
         """Return for each of R samples a number tau (R,) that is proven to be no larger than any eigenvalue of A^T A,
         where A is the scaled matrix `rows` or any other that differs from it by no more than `doubt`; 0 where none is
-        found.
+        found, and infinite for a sample without unknowns.
 
         sharp : True to spend more time on a bound that is as large as possible; False to try CURVATURE_SHARE first,
             which is enough for most networks."""
@@ -397,7 +412,7 @@ class Curvature:
     """The curvature of the power at given slips, a quadratic form in variables v, and tau, for which it is proven that
     the form is at least tau times its diagonal h: sum of tau h v^2.
 
-    clusters : (unknowns, unknowns), entries 0 and 1: changes of the spins of domains = clusters @ v.
+    clusters : (unknowns, unknowns), entries 0 and 1: u = clusters @ v are the changes of the spins of domains.
     form : the curvature in unknowns that are scaled to a diagonal of 1; its `squares` are h.
     changes : two matrices (contacts, unknowns): either component of the changes of slips = changes[slot] @ v."""
 
@@ -410,7 +425,8 @@ class Curvature:
         """Compute the curvature of the power at the slips of `contacts`. Return None if the power has no curvature
         along some variable v, because v changes neither the direction of any slip nor any slip that is damped."""
         clusters = _clusters(contacts)
-        changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exact; what both ends share cancels
+        # exact; a variable at both ends of a contact cancels
+        changes = [contacts.change(slot) @ clusters for slot in range(2)]
         rows, doubt, owner = _curvature_rows(contacts, changes)
         form = Form.of(rows, doubt, contacts.place[:, owner], of_rows=True)
         return None if form is None else cls(clusters, form, changes)
@@ -426,21 +442,27 @@ class Curvature:
         """Absolute values of the entries of `changes`: two matrices (contacts, unknowns) of zeros and ones."""
         return [_with_values(change, np.abs(change.data)) for change in self.changes]
 
-    def remains(self, contacts: Slipping, turn: np.ndarray) -> bool:
-        """Return True if it is proven that there is at most one minimum where each of the n slips differs from that of
-        `contacts` by no more than the share `turn` (n,) of its size, at most a quarter.
+    def is_positive_within(self, contacts: Slipping, relative_change: np.ndarray) -> bool:
+        """Return True if it is proven that the curvature of the power is positive along every motion, and so that there
+        is at most one minimum, wherever slips are near those of `contacts`.
 
-        Two minima would differ by a motion that changes each slip by some w along its direction. Unit vectors along
-        slips differ by 2 turn at most, so the part of w across the slip of `contacts` is at most 2 turn |w|. The
-        curvature of this motion is at most the sum of (mu F_n / slip) (2 turn |w|)^2, computed here as a diagonal form.
-        It has to be below half of tau h, with h the diagonal of the curvature and tau h a proven lower bound of it;
-        below all of it would be enough."""
+        contacts : the n slipping contacts. relative_change : (n,), most that |slip - slip of `contacts`| may be, over
+            the size of the latter; the answer is False if it is above a quarter anywhere.
+
+        Two minima would differ by a motion that changes each slip by some w along its direction; at contacts with
+        damping w is 0, as their power is strictly convex. With c the relative change, unit vectors along slips differ
+        by 2 c at most, so the part of w across the slip of `contacts` is at most 2 c |w|. The curvature of this motion
+        is at most the sum of (mu F_n / slip) (2 c |w|)^2, computed here as a diagonal form. It has to be below half of
+        tau h, with h the diagonal of the curvature and tau h a proven lower bound of it; below all of it would be
+        enough."""
         # For either component of w, a row of `changes` with entries of sizes e (0 or 1), Cauchy and Schwarz give
         # w^2 <= (sum of e) (sum of e v^2).
-        loss = np.zeros_like(turn)
-        loss[contacts.curved] = (2 * turn[contacts.curved]) ** 2 * contacts.stiffness.most
+        loss = np.zeros_like(relative_change)
+        loss[contacts.curved] = (2 * relative_change[contacts.curved]) ** 2 * contacts.stiffness.most
         given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)
-        return bool((turn <= MOST_SLIP_TURN).all() and (given_up * UP < self.tau * self.form.squares / 2).all())
+        return bool(
+            (relative_change <= MOST_RELATIVE_CHANGE).all() and (given_up * UP < self.tau * self.form.squares / 2).all()
+        )
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
         """Return the change (unknowns,) of the spins of free domains that makes the slope vanish to first order; None

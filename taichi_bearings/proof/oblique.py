@@ -13,20 +13,21 @@ Symbols
     r : torques that the friction at hand leaves over on free spheres.
     B : matrix whose square |B x|^2 is the curvature of the potential along x, for x in V.
     tau : proven lower bound of |B x|^2 / |x|^2, in scaled unknowns.
-    far : distance between the given slips and those of the nearest spins in V.
+    to_v : bound on how far the slip of a contact is from its slip at some spins in V.
+    loose : contacts of T that need not roll exactly, and the free spheres that no exactly rolling contact touches.
 
 The proof
-1. V is not empty, and some of its spins are close to the given ones. Some contacts of T put more conditions on spheres
-   than these have freedom for. They must roll exactly, so their spheres turn as in one of their exact motions
-   (exact_motions.py); a floor of the other singular values of K is known for these. For the other contacts of T and the
-   other spheres, an elimination proves that the rows of K are independent: `floor_of_other_contacts` is a lower bound
-   of the singular values of K^T.
+1. V is not empty, and some of its spins are close to the given ones. Where contacts of T set more conditions than their
+   spheres have freedoms, all of them can rest only in motions in which they roll exactly; these are found in fractions
+   (exact_motions.py), with a floor of the singular values of K, but 0, for these contacts. For the loose contacts and
+   spheres an elimination proves that the rows of K are independent: `floor_of_loose_contacts` is a lower bound of the
+   singular values of K^T.
 2. Within V the potential has one minimum close to these spins. Its curvature along x is |B x|^2, the sum over S of (mu
-   F_n / |y|) (part of K x across y)^2 + eta |K x|^2, and elimination proves tau. Its slope along x is r . x + b . B x:
-   r are the torques left over, and b comes from the angle between the given friction and the slip in V. Friction
-   resists a change by at least 0.72 of its curvature while no slip changes by more than a quarter (curvature.py says
-   why), damping by all of it. So the potential rises wherever |B x| exceeds (|r| / tau^1/2 + |b|) / 0.72, and the
-   minimum is closer than that.
+   F_n / |y|) (part of K x across y)^2 + eta |K x|^2, and elimination proves tau. Its slope along x is r . x + a . B x:
+   r are the torques left over, and the vector a comes from the angle between the given friction and the slip in V.
+   Friction resists a change by at least 0.72 of its curvature while no slip changes by more than a quarter
+   (curvature.py says why), damping by all of it. So the potential rises wherever |B x| exceeds (|r| / tau^1/2 + |a|) /
+   0.72, and the minimum is closer than that.
 3. This minimum in V is a minimum over all spins, if T can bear what S leaves to it. The friction of S at the minimum is
    known closely. The potential has no slope within V, so some friction on T balances the torques; the floors of step 1
    bound how far it is from the friction of T at hand. If it stays below mu F_n at each contact of T, then it is optimal
@@ -34,9 +35,9 @@ The proof
 
 Example. A free ball touches one driven ball at which it rolls (T, mu F_n = 3) and another one along which it slips with
 |y| = 1 (S, mu F_n = 1). The contact of T leaves the ball one freedom: to turn about the normal of T. This motion x
-changes y; the curvature is the square of that change across y, which gives tau. If S exerts the friction 1 along y, and
-the torque of S about the normal of T is 0, the spins are those of the minimum in V. The friction on T that balances the
-rest of the torque of S has size 1, below 3: the ball rolls on T at every minimum.
+changes y; the curvature is the square of that change across y, times mu F_n / |y| = 1, which gives tau. If S exerts the
+friction 1 along y, and the torque of S about the normal of T is 0, the spins are those of the minimum in V. The
+friction on T that balances the rest of the torque of S has size 1, below 3: the ball rolls on T at every minimum.
 
 Newton's method improves the spins within V before a second try: it moves them until S leaves over only torques that T
 can bear, and changes the friction of T to bear them. It calculates in sums of two doubles, of which each step finds
@@ -65,7 +66,9 @@ from taichi_bearings.proof.springs import floor_of_slips, numbered, slip_rows
 # A contact is put into S if its slip exceeds this share of the fastest imposed component: any choice is safe, since a
 # wrong one only makes the proof fail.
 MOVING = 1e-10
-MOST_TURN = 0.25  # largest change of a slip, over its size, up to which friction resists by 0.72 of its curvature
+MOST_RELATIVE_CHANGE = (
+    0.25  # largest change of a slip, over its size, up to which friction resists by 0.72 of its curvature
+)
 TINY = 1e-290  # added to bounds that might underflow
 # The four numbers below belong to Newton's method, of which nothing has to be proven.
 FIRM = 1e4  # factor of the rows of T over those of a contact with the median slip, to precondition conjugate gradients
@@ -75,69 +78,70 @@ MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Prove which contacts slip at the minima, and how far their slips are from the given ones; None if nothing is
-    proven.
+    """Prove which contacts slip at the minima, and how far their slips are from the given ones. Return None if nothing
+    is proven, else three arrays:
+
+    1. slides : (E,) mask of contacts that may slip. Every other contact that can dissipate is proven to rest at every
+       minimum.
+    2. distance : (E,), for the contacts of `slides` a bound on |slip at any minimum - given slip|,
+       length/time; 0 for others. So a contact of `slides` slips at every minimum if it has friction, or if its given
+       slip is larger than this bound.
+    3. proven : (R,) mask of the samples for which `slides` and `distance` hold; nothing is said of the others.
 
     bounds : the network of R samples of a packing with E contacts in all, its friction, and springs that balanced this
-        friction. Several samples are treated as parts of one that no contact joins.
-
-    Returns (slides, distance, proven), of which the first two hold for the samples of `proven` alone. slides : (E,)
-    mask; every other contact of them that can dissipate is proven to rest at every minimum. distance : (E,), for the
-    contacts of the mask a bound on |slip at any minimum - given slip|, 0 for others. A contact of the mask thus
-    slips at every minimum if it has friction, or if its given slip is larger than that bound. proven : (R,) mask of
-    the samples for which all this is proven. Of several samples only the given spins are tried, of a single one
-    improved spins as well."""
+        friction. Several samples are treated as parts of one that no contact joins; then only the given spins are
+        tried, for a single sample spins improved by Newton's method as well."""
     network, unknown = bounds.network, bounds.unknown
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # the proof takes normals for units
     if unknown is None or not longest < UP:
         return None
     # Guess which contacts slip (S) and which rest (T), find the motions in which contacts of T roll exactly,
-    # and prove that the slips of the other contacts of T are independent.
+    # and prove that the slips of the loose contacts, the others of T, are independent.
     moves = (network.slip.value > MOVING * network.box.max()) | (network.holding.high == 0)
     slides, number = network.counts & moves, numbered(unknown)
     slipping, resting = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
     exact = ExactMotions.of(network, number, network.counts & ~slides)
-    others = network.counts & ~slides & ~exact.contacts
-    least_other = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), others, sharp=True)
-    if not (least_other > 0).any():
+    loose = network.counts & ~slides & ~exact.contacts  # contacts that need not roll exactly
+    least_loose = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), loose, sharp=True)
+    if not (least_loose > 0).any():
         return None
     # Find the only minimum near, from the given spins, and if that fails from spins that Newton's method has improved.
-    near = Near(network, exact, np.sqrt(least_other) / UP, number, slipping, resting, network.spin, bounds.friction)
-    distance, proven = near.proven_distance()
+    centre = Centre(network, exact, np.sqrt(least_loose) / UP, number, slipping, resting, network.spin, bounds.friction)
+    distance, proven = centre.proven_distance()
     if network.count == 1 and not proven.any():
-        near = near.improved()
-        distance, proven = near.proven_distance()
+        centre = centre.improved()
+        distance, proven = centre.proven_distance()
     if not proven.any():
         return None
     # slips of the improved spins are not quite the given ones
-    distances, moved = (
-        np.zeros(len(slides)),
-        [a - b for a, b in zip(network.slips(network.spin), near.slips, strict=True)],
-    )
+    moved = [a - b for a, b in zip(network.slips(network.spin), centre.slips, strict=True)]
+    distances = np.zeros(len(slides))
     distances[slipping] = (distance + length(moved).most[slipping]) * UP
     return slides, distances, proven
 
 
 @dataclass(frozen=True)
-class Near:
-    """Given or improved spins, with the friction that resting contacts bear at them: what the proof starts from.
+class Centre:
+    """What the proof starts from: spins, given or improved, in whose neighbourhood a minimum is proven, with the
+    friction that resting contacts bear at them.
 
     All values are exact sums of two doubles. N spheres, E contacts, S of them slipping and T resting; K is the matrix
     that gives slips from the n unknown components of free spins.
 
     exact : motions of spheres in which some resting contacts roll exactly.
-    floor_of_other_contacts : (R,), proven lower bound of the singular values of K^T for the other resting contacts and
-        for the spheres that exact motions leave out; infinite if there is no such contact, 0 if nothing is proven.
+    floor_of_loose_contacts : (R,), proven lower bound of the singular values of K^T for the *loose* contacts, resting
+        ones that need not roll exactly, and the spheres that exact motions leave out; infinite if there is no such
+        contact, 0 if nothing is proven.
     number : (N, 3), which of the n unknowns each component of a spin is, -1 where it is none.
     slipping, resting : (S,) and (T,), indices of the contacts.
-    spin : spins times radius by component, 3 enclosures (N,).
-    resting_friction : friction of the resting contacts by component, 3 enclosures (E,); entries of other contacts are
-        not used.
+    spin : spins times radius by component, 3 enclosures (N,), length/time.
+    resting_friction : friction of the resting contacts by component, 3 enclosures (E,), force; entries of other
+        contacts are not used.
     """
 
     network: JudgedNetwork
     exact: ExactMotions
-    floor_of_other_contacts: np.ndarray
+    floor_of_loose_contacts: np.ndarray
     number: np.ndarray
     slipping: np.ndarray
     resting: np.ndarray
@@ -248,18 +252,18 @@ class Near:
         firm = firmness * np.sqrt(strength[resting] / (np.median(sizes) if len(some) else 1.0))
         # Weights by which the rows of K (columns of this matrix) are combined to the rows of B.
         at = np.concatenate([self.rows_of(turning), self.rows_of(flowing), self.rows_of(resting)])
-        others = 3 * (len(flowing) + len(resting))
-        row = np.append(np.tile(np.arange(len(some)), 3), len(some) + np.arange(others))
-        shape = (len(some) + others, self.rows.shape[0])
+        further = 3 * (len(flowing) + len(resting))  # number of rows after those of friction
+        row = np.append(np.tile(np.arange(len(some)), 3), len(some) + np.arange(further))
+        shape = (len(some) + further, self.rows.shape[0])
         damped = np.sqrt(self.network.slope.value[flowing])
         size_of = np.concatenate([np.tile(root, 3), np.tile(damped, 3), np.tile(firm, 3)])
-        value = size_of * np.append(across.T.ravel(), np.ones(others))
+        value = size_of * np.append(across.T.ravel(), np.ones(further))
         rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ self.rows)
         # Rounding of an entry: slip, cross product, division, root, sum of three products: fewer than 32 operations.
         doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
         return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts, samples=self.samples)
 
-    def improved(self) -> Near:
+    def improved(self) -> Centre:
         """Return spins closer to the minimum among spins at which the resting contacts rest, with friction of these
         that fits, by Newton's method. It makes steps while each of them more than halves the norm of the leftover
         torques. Nothing about the result is proven."""
@@ -303,7 +307,7 @@ class Near:
                             lambda x: allowed(curvature.scale * soft.solve(curvature.scale * x)))  # fmt: skip
             found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
 
-    def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Near:
+    def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Centre:
         """Return a copy of spins and friction after one step of Newton's method. step : (n,), added to the unknown
         spins. less_friction : (3, T), subtracted from the friction of the T resting contacts."""
         moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
@@ -344,8 +348,8 @@ class Near:
         return np.bincount(sample, ~holds, self.network.count) == 0
 
     @property
-    def _other_spheres(self) -> np.ndarray:
-        """(N,) mask of the free spheres that no exactly rolling contacts join, so that they are not in `exact`."""
+    def _loose_spheres(self) -> np.ndarray:
+        """(N,) mask of the free spheres that no exactly rolling contact touches, so that they are not in `exact`."""
         return np.asarray(self.network.free & ~self.exact.spheres)
 
     @cached_property
@@ -357,8 +361,8 @@ class Near:
         ).most
 
     def _relative_to_slip(self, change: np.ndarray) -> np.ndarray:
-        """Return `change` (S,) divided by the slip speeds of the slipping contacts, rounded up, (S,); 0 for contacts
-        without friction."""
+        """Return `change` (S,) divided by the slip speeds of the S slipping contacts, rounded up, (S,). It is 0 for
+        contacts without friction: their force does not depend on the direction of the slip, which may turn."""
         found = np.zeros(len(self.slipping))
         found[self.with_friction] = (change / self.size.least)[self.with_friction] * UP
         return found
@@ -385,43 +389,45 @@ class Near:
         if curvature is None:
             return np.full(len(size), np.inf), np.zeros_like(slips)
         tau = curvature.floor(sharp=True)
-        proven = slips & (tau > 0) & (self.floor_of_other_contacts > 0)
-        others, ends = (
-            np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts)),
-            self.network.graph.contact[:, self.slipping],
-        )
+        proven = slips & (tau > 0) & (self.floor_of_loose_contacts > 0)
+        loose = np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts))  # they need not roll exactly
+        ends = self.network.graph.contact[:, self.slipping]
         # Distance to V, the spins at which resting contacts do not slip: a change of spins by no more than
         # (norm of these slips) / (singular value) takes them away. The slip of a contact changes by up to twice that.
-        missed = np.sqrt(sum(self._norms(p.most[others], self.network.sample_of(others)) ** 2 for p in self.slips))
-        off = np.where(missed > 0, missed / self.floor_of_other_contacts * UP, 0.0)
-        far = np.where(self._other_spheres[ends].any(axis=0), 2 * off[sample] * UP, 0.0)
-        angle, size_error, size_by_law = self._distance_from_slip_direction(far)
+        missed = np.sqrt(sum(self._norms(p.most[loose], self.network.sample_of(loose)) ** 2 for p in self.slips))
+        change_of_spins = np.where(missed > 0, missed / self.floor_of_loose_contacts * UP, 0.0)
+        to_v = np.where(self._loose_spheres[ends].any(axis=0), 2 * change_of_spins[sample] * UP, 0.0)
+        angle, size_error, size_by_law = self._distance_from_slip_direction(to_v)
         scale = np.zeros(self.number.shape)
         scale[self.number >= 0] = curvature.scale
-        # slope = |r| / tau + |b| / tau^1/2 in scaled unknowns. Friction of size F at a small angle a to the slip has a
-        # part F a across it, which counts in b: over the root of the curvature F / |y|, that is a (F |y|)^1/2. The part
-        # along the slip is shorter by F a^2 / 2 at most, which counts in r, as does what the size of F misses.
+        # reach = |r| / tau + |a| / tau^1/2 in scaled unknowns x: 0.72 of the bound on |x| at the minimum. Friction of
+        # size F at a small angle to the slip has a part F angle across it, which counts in the vector a: over the root
+        # of the curvature F / |y|, that is angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at
+        # most, which counts in r, as does what the size of F misses.
         torque = scale * self._largest_torques(size_error + size_by_law * angle**2 * UP)
-        slope = self._norms_on_spheres(torque, np.ones(len(scale), dtype=bool)) / tau
-        slope += np.sqrt(np.bincount(sample, size_by_law * size * angle**2 + damping * far**2, len(tau)) / tau)
+        reach = self._norms_on_spheres(torque, np.ones(len(scale), dtype=bool)) / tau
+        reach += np.sqrt(np.bincount(sample, size_by_law * size * angle**2 + damping * to_v**2, len(tau)) / tau)
         largest = scale.max(axis=1)
-        # Where 12 comes from: two spheres change a slip by up to 2^1/2 scale |x|, and 2^1/2 / 0.72 < 2. Slips in V may
-        # be a quarter longer than those of B, and by the check below may have lost tau / 8 by their directions. That
-        # leaves 0.8 (1 - 8^-1/2)^2 tau > tau / 3, hence a factor of 3. 2 times 3 would do; 12 is twice as much.
-        distance = (far + 12 * largest[ends].max(axis=0) * slope[sample] * UP**2 + TINY) * UP
-        turn, loss = self._relative_to_slip(distance), np.zeros(len(scale))
+        # Where 12 comes from:
+        # 2, as two spheres change a slip by up to 2^1/2 scale |x|, and 2^1/2 / 0.72 < 2;
+        # 3, as the curvature that counts is that in V. It is 0.8 tau at least where slips are a quarter longer there,
+        #    times (1 - 8^-1/2)^2 as directions lose tau / 8 at most (checked below): 0.334 tau, more than tau / 3;
+        # 2, to spare.
+        distance = (to_v + 12 * largest[ends].max(axis=0) * reach[sample] * UP**2 + TINY) * UP
+        relative_change, loss = self._relative_to_slip(distance), np.zeros(len(scale))
         for end in ends:
-            # Curvature lost as slips turn, shared among spheres: (2 turn)^2 mu F_n / |y| by each contact, as a unit
-            # vector changes by up to 2 turn; times 2, as |u_i + u_j|^2 <= 2 (|u_i|^2 + |u_j|^2).
-            np.add.at(loss, end, 8 * turn * self._relative_to_slip(turn * self.strength.most))
+            # Curvature lost as slips turn, shared among spheres. A slip that changes by a share c of its size changes
+            # its unit vector by up to 2 c, so each contact loses (2 c)^2 mu F_n / |y|; times 2, as |u_i + u_j|^2 <= 2
+            # (|u_i|^2 + |u_j|^2). Contacts without friction lose nothing.
+            np.add.at(loss, end, 8 * relative_change * self._relative_to_slip(relative_change * self.strength.most))
         # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
         # be no more than what is lost, below tau / 8, but it is tau or more: so there is just one minimum.
         remains = (largest**2 * loss * UP).reshape(len(tau), -1).max(axis=1) < tau / 8
-        return distance, proven & self._of_all(turn <= MOST_TURN, sample) & remains
+        return distance, proven & self._of_all(relative_change <= MOST_RELATIVE_CHANGE, sample) & remains
 
-    def _distance_from_slip_direction(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _distance_from_slip_direction(self, to_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compare the friction F in use at the S slipping contacts with that by the contact law, at slips that may
-        differ from these by up to `far` (S,), a speed. Return three arrays (S,):
+        differ from these by up to `to_v` (S,), a speed. Return three arrays (S,):
 
         1. the size of the difference between the unit vectors along F and along the slip; 0 for contacts without
            friction,
@@ -430,7 +436,7 @@ class Near:
         3. an upper bound on the size by the law."""
         some, angle, size_error = self.with_friction, np.zeros(len(self.slipping)), self._distance_from_law.copy()
         size_by_law = self.strength + self.damping * self.size if self.network.law.flows else self.strength
-        angle[some] = ((self._distance_from_law / size_by_law.least + 2 * far / self.size.least) * UP)[some]
+        angle[some] = ((self._distance_from_law / size_by_law.least + 2 * to_v / self.size.least) * UP)[some]
         size_error[some] = (length([part.at(self.slipping) for part in self.friction]) - size_by_law).most[some]
         return angle, size_error, size_by_law.most
 
@@ -444,16 +450,17 @@ class Near:
             + 2 * self._relative_to_slip(distance) * self.strength.most
             + self.damping.most * distance
         )
-        # The friction of T is corrected by no more than (norm of the torques) / (floor of singular values): first on
-        # the spheres that exact motions leave out, then on the others. To these the first correction brings torques of
-        # its own, at most `most` times as large: |u_i + u_j|^2 <= 2 (|u_i|^2 + |u_j|^2), so no singular value of K is
-        # above the root of twice the largest number of contacts of a sphere.
+        # The friction of resting contacts is corrected by no more than (norm of the torques) / (floor of singular
+        # values): first at loose contacts, for the spheres that exact motions leave out, then at exactly rolling ones.
+        # To their spheres the first correction brings torques of its own, at most `most` times as large: |u_i + u_j|^2
+        # <= 2 (|u_i|^2 + |u_j|^2), so no singular value of K is above the root of twice the largest number of contacts
+        # of a sphere.
         sample = network.sample_of(self.resting)
-        by_left = self._norms_on_spheres(torque, self._other_spheres) / self.floor_of_other_contacts * UP
+        by_loose = self._norms_on_spheres(torque, self._loose_spheres) / self.floor_of_loose_contacts * UP
         most = np.sqrt(2 * np.bincount(network.graph.contact[:, network.counts].ravel()).max())
-        by_exact = (self._norms_on_spheres(torque, exact.spheres) + most * by_left) / exact.floor * UP**2
+        by_exact = (self._norms_on_spheres(torque, exact.spheres) + most * by_loose) / exact.floor * UP**2
         margin = (network.holding - length(self.friction)).lower()[self.resting]
-        change = np.where(exact.contacts[self.resting], by_exact[sample], by_left[sample])
+        change = np.where(exact.contacts[self.resting], by_exact[sample], by_loose[sample])
         return self._of_all(margin > change * UP, sample)
 
 
@@ -463,19 +470,19 @@ def _without_error(values: Enclosure) -> Enclosure:
 
 
 def _conjugate_gradients(
-    operator: Callable[[np.ndarray], np.ndarray], right: np.ndarray, guess: Callable[[np.ndarray], np.ndarray]
+    operator: Callable[[np.ndarray], np.ndarray], right: np.ndarray, precondition: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
     """Solve operator(x) = right by preconditioned conjugate gradients, and return x (n,). Nothing is proven about it.
 
     operator : symmetric, positive on the vectors that occur; maps (n,) to (n,).
-    right : (n,).
-    guess : approximate inverse of the operator, used as preconditioner.
+    right : (n,), the right-hand side.
+    precondition : approximate inverse of the operator.
     """
     x, left, last, along = np.zeros_like(right), right, np.inf, np.zeros_like(right)
     for _ in range(MOST_GRADIENTS):
         if not np.linalg.norm(left) > CLOSE * np.linalg.norm(right):
             break
-        guessed = guess(left)
+        guessed = precondition(left)
         along, last = guessed + (left @ guessed) / last * along, left @ guessed
         changed = operator(along)
         share = last / (along @ changed)

@@ -11,42 +11,54 @@ Symbols
     u* : a minimum. t : slip of a contact at u*; 0 for C. y : a motion, from u* to another minimum.
     pull : the force of a contact on its spheres along one component.
 
-One word stands for spheres that move as one: a *domain* is what a set of contacts joins in one component. The sets
-differ:
-    domain_t : joined by T.
-    domain_tc : joined by T and C.
-    domain_tc0 : joined by T and by those contacts of C that bear no friction along this component.
-    wide domain : joined by domain_tc (or by domain_tc0) and by those contacts of S whose slip has the other component,
-        too.
+A *domain* is a group of spheres that a set of contacts joins in one component, so that they move as one there. Four
+sets of contacts make four kinds of domains:
+    firm domain : joined by T. It cannot be torn at any minimum, as its contacts have friction left.
+    locked domain : joined by T and by those contacts of C that bear no friction along this component, which therefore
+        never begin to slip along it. From one minimum to another it moves as one.
+    slipless domain : joined by T and C, so by all contacts that do not slip at u*.
+    welded domain : slipless (or locked) domains that *turning* contacts join: contacts of S whose slip has the other
+        component, too.
 
-A contact of S with slip in both components turns its slip as soon as one of its ends moves alone in one component, and
-minima do not differ in the directions of slips. So from one minimum to another the ends of such a contact move
-together, and a wide domain moves as a whole. The exception are motions along the slip itself (`BetweenTwo`).
+A turning contact turns its slip as soon as one of its ends moves alone in one component, and minima do not differ in
+the directions of slips. So from one minimum to another its ends move together, and a welded domain moves as a whole.
+The exception are motions along the slip itself (`BetweenTwo`).
+
+Drawing of the four kinds. Five spheres in a row, looked at in the first component::
+
+    1 --T-- 2 --C, friction along the second-- 3 --C, friction along the first-- 4 --S, slip in both-- 5
+
+Firm: {1, 2}, {3}, {4}, {5}. Locked: {1, 2, 3}, {4}, {5}. Slipless: {1, 2, 3, 4}, {5}. Welded, of slipless ones: all
+five; of locked ones: {1, 2, 3}, {4, 5}.
 
 The proof
-1. *What can move at no cost.* A wide domain without a driven plane is pulled by its other contacts with their whole
+1. *What can move at no cost.* A welded domain without a driven plane is pulled by its other contacts with their whole
    friction, one way or the other. If these pulls, added exactly, cancel, then the balance of all its members but one
-   implies that of the last one: so one may be held where it is. The same is true of a domain between two others that
-   pull it with the same total friction in opposite directions (`BetweenTwo`): on the line between them nothing changes.
-   It is held in the component that is longer along this line; in the other component it may move and finds its balance.
+   implies that of the last one: so one equation is redundant, and one member can be held without loss. The same is true
+   of a domain between two others that pull it with the same total friction in opposite directions (`BetweenTwo`): on
+   the line between them nothing changes. It is held in the component that is longer along this line; in the other
+   component it may move and finds its balance.
 2. *One minimum.* With these domains held there is one minimum u* nearby (curvature.py, `nearest_minimum`).
 3. *It is one of the whole power.* Friction that agrees with u* can be put in balance. Contacts of C bear exactly mu
-   F_n: then the pulls on each domain_t, added exactly, have to cancel. One domain_t of each free domain_tc may be
-   excepted, on which turning contacts act: its balance is that of the domain_tc. Contacts of T bear the rest, inside
-   all discs (curvature.py, `bearable`). So T rests at every minimum (theorem 4).
+   F_n: then the pulls on each firm domain, added exactly, have to cancel. One firm domain of each free slipless domain
+   may be pulled by turning contacts, too, whose pull is not known exactly; it is in balance because the whole slipless
+   domain is, and all its other firm domains are. Contacts of T bear the rest, inside all discs (curvature.py,
+   `bearable`). So T rests at every minimum (theorem 4).
 4. *All minima.* They share this friction. So they differ from u* by motions that keep T at rest, turn no slip of S, and
-   let C slip only along its friction: such are motions of wide domains of domain_tc0 as a whole, and motions along the
-   line between two others, which leave the slips there undecided. There are no other ones, if the power has curvature
-   in all directions with one domain_tc0 of each held (curvature.py, `rises`). So minima are all motions y of wide
-   domains for which no contact of S and C slips backwards: t + y_upper - y_lower >= 0, with signs.
-5. *States.* These are constraints of shortest paths: an edge of length t from one wide domain to the next. A contact of
-   S rests at some minimum if no other path between its ends is shorter than t, and at none if one is. A contact of C (t
-   = 0) slips at some minimum unless a path of length 0 leads back. Contacts that rest at some minima and slip at others
-   are *tied*.
+   let C slip only along its friction. These are motions of welded domains (of locked ones) as a whole, and motions of a
+   domain along the line between two others. Contacts at which the latter act are left undecided. There are no further
+   ones, if the power has curvature in all directions with one locked domain of each welded one held (curvature.py,
+   `rises`). So minima are all motions y of welded domains for which no contact of S and C slips backwards: t + y_upper
+   - y_lower >= 0, with signs.
+5. *States.* These are constraints of shortest paths. A contact is an edge of length t: from the welded domain at its
+   upper end to that at its lower end, or the other way round if its slip is negative (tail and head in the code). A
+   contact of S rests at some minimum if no other path from its tail to its head is shorter than t, and at none if one
+   is. A contact of C (t = 0) slips at some minimum unless a path of length 0 leads back. Contacts that rest at some
+   minima and slip at others are *tied*.
 
 Example. One domain lies between bottom and top, joined to the bottom by a contact with t = 0.3 and to the top by one
 with t = 0.7, both with friction 1. Its motion y costs nothing while 0.3 + y >= 0 and 0.7 - y >= 0: at y = -0.3 the
-first contact rests, at y = 0.7 the second one. Both are tied. Now let it be a wide domain of two members, which a
+first contact rests, at y = 0.7 the second one. Both are tied. Now let it be a welded domain of two members, which a
 turning contact joins, each with a contact of friction 1/2 to the top, with t = 0.7 and 0.5. Then y <= 0.5, so the
 contact with 0.7 keeps a slip of 0.2 or more: it slips at every minimum, as the path by 0.5 is shorter. The other two
 are tied.
@@ -93,9 +105,9 @@ class Pulls:
         along the other component.
     coefficient : (n,), friction limits, in exact proportions.
     in_s : (n,) mask of the contacts of S.
-    domain_tc, domain_t, domain_tc0 : (2, spheres), labels of domains, by component. A domain is a group of spheres that
-        contacts join: those of T and C; of T; or of T and those of C that bear nothing along the component. 0 and 1
-        stand for what moves with the bottom and with the top."""
+    slipless_domain, firm_domain, locked_domain : (2, spheres), labels of domains, by component. A domain is a group of
+        spheres that contacts join: those of T and C; of T; or of T and those of C that bear nothing along the
+        component. 0 and 1 stand for what moves with the bottom and with the top."""
 
     own: np.ndarray
     lower: np.ndarray
@@ -104,9 +116,9 @@ class Pulls:
     sign: np.ndarray
     coefficient: np.ndarray
     in_s: np.ndarray
-    domain_tc: np.ndarray
-    domain_t: np.ndarray
-    domain_tc0: np.ndarray
+    slipless_domain: np.ndarray
+    firm_domain: np.ndarray
+    locked_domain: np.ndarray
 
     def apart(self, label: np.ndarray, slot: int) -> np.ndarray:
         """Return the mask (n,) of the contacts whose two spheres have different labels in component `slot` (0 or 1).
@@ -121,22 +133,25 @@ class Pulls:
 
     @cached_property
     def turned_by(self) -> np.ndarray:
-        """(2, n) masks by component: True where the slip of a contact changes its direction if one of its spheres moves
-        in this component, since the contact slips in the other component, too."""
+        """(2, n) masks by component, True for a *turning* contact: its slip changes its direction if one of its spheres
+        moves in this component, since it slips in the other component, too."""
         both = self.felt.all(axis=0)
-        return np.array([both & self.apart(self.domain_tc, 1), both & self.apart(self.domain_tc, 0)])
+        return np.array([both & self.apart(self.slipless_domain, 1), both & self.apart(self.slipless_domain, 0)])
 
-    def wide_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
-        """Return the number (spheres,) of the wide domain of each sphere in component `slot` (0 or 1): 0 for those that
-        contain a driven plane, then 1, 2, ...
+    def welded_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
+        """Return the number (spheres,) of the welded domain of each sphere in component `slot` (0 or 1): 0 for those
+        that contain a driven plane, then 1, 2, ...
 
-        A wide domain is a set of domains (groups of spheres that turn as one) that move together from one minimum to
-        another, since the slips of the contacts between them would change their directions otherwise. label : (2,
-        spheres), the domains, `domain_tc` or `domain_tc0`."""
+        A welded domain is a set of domains (groups of spheres that turn as one) that move together from one minimum to
+        another, since the slips of the contacts between them would change their directions otherwise.
+
+        label : (2, spheres), labels of the domains of which welded ones are made: `slipless_domain` or
+            `locked_domain`."""
         domain = label[slot]
         joins = self.turned_by[slot] & self.apart(label, slot)
         first, second = domain[self.lower[joins]], domain[self.upper[joins]]
-        first, second = np.append(first, 0), np.append(second, 1)  # one plane cannot move past the other
+        # bottom (0) and top (1) count as joined, as one plane cannot move past the other
+        first, second = np.append(first, 0), np.append(second, 1)
         size = int(domain.max()) + 1
         graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(max(size, 2),) * 2)
         joined = connected_components(graph, directed=False)[1]
@@ -146,17 +161,19 @@ class Pulls:
     @cached_property
     def same_in_both(self) -> np.ndarray:
         """(spheres,), a label of each sphere: two spheres have equal ones if in both spin components contacts that do
-        not slip join them, directly or through others, so that they turn as one (are in one domain of `domain_tc`)."""
-        return np.unique(self.domain_tc, axis=1, return_inverse=True)[1].reshape(-1)
+        not slip join them, directly or through others, so that they turn as one (have equal `slipless_domain`)."""
+        return np.unique(self.slipless_domain, axis=1, return_inverse=True)[1].reshape(-1)
 
     def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
         """Return for each label whether the forces along component `slot` (0 or 1) that are known exactly add up to 0
         on its spheres. Labels without any such force are missing.
 
         The force is known, plus or minus mu F_n, of contacts whose slip has no other component that could turn it.
-        Contacts within one domain pull it both ways and are left out. owner : (spheres,), the label of each sphere."""
+        Contacts within one domain pull it both ways and are left out.
+
+        owner : (spheres,), the label of each sphere, such as that of a domain or a welded domain."""
         exact = self.felt[slot] & ~self.turned_by[slot] & np.where(
-            self.in_s, self.apart(self.domain_tc, slot), self.apart(self.domain_t, slot)
+            self.in_s, self.apart(self.slipless_domain, slot), self.apart(self.firm_domain, slot)
         )  # fmt: skip
         values_of: dict[int, list[float]] = {}
         pull = self.sign[slot] * self.coefficient
@@ -167,23 +184,24 @@ class Pulls:
 
 
 @dataclass(frozen=True)
-class Line:
-    """The n contacts whose slips differ between minima along one of the two components. Wide domains, groups of spheres
-    that move together from one minimum to another, shift against each other there.
+class Constraints:
+    """What limits the motions between minima along one of the two spin components: n contacts whose slips differ
+    between minima, and none of which may slip backwards. Welded domains, groups of spheres that move together from one
+    minimum to another, shift against each other there.
 
     own : (n,), indices of these contacts within :class:`Pulls`.
-    lower, upper : (n,), number of the wide domain at either end; 0 for what does not move.
+    lower, upper : (n,), number of the welded domain at either end; 0 for what does not move.
     sign : (n,), +1 or -1: whether a motion of the upper end lengthens or shortens the slip.
-    twin : (n,), equal numbers for contacts that have the same slip at every minimum."""
+    same_slip : (n,), equal numbers for contacts that have the same slip at every minimum."""
 
     own: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     sign: np.ndarray
-    twin: np.ndarray
+    same_slip: np.ndarray
 
     def sharing_a_domain(self, some: np.ndarray) -> np.ndarray:
-        """Return the mask (n,) of the contacts of the mask `some` (n,), and of all contacts that moving wide domains
+        """Return the mask (n,) of the contacts of the mask `some` (n,), and of all contacts that moving welded domains
         (groups of spheres that move together) connect with them, directly or through other contacts."""
         size = int(max(self.lower.max(initial=0), self.upper.max(initial=0))) + 1
         inner = (self.lower > 0) & (self.upper > 0)
@@ -193,23 +211,23 @@ class Line:
         return np.isin(piece, piece[some])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three masks (n,), one entry for each of n contacts: it rests at some minimum; it slips at every one;
+        """Return three masks (n,), one entry for each of n contacts: it rests at some minimum; it slips at all minima;
         it slips at some.
 
-        Between minima wide domains shift along one component, as far as no contact slips backwards. So a contact can
-        give up its slip unless another path of contacts between the same domains has shorter slips in all; shortest
-        paths, with slips as lengths of edges, decide.
+        Between minima welded domains, groups of spheres, shift along one component, as far as no contact slips
+        backwards. So a contact can give up its slip unless another path of contacts between the same domains has
+        shorter slips in all; shortest paths, with slips as lengths of edges, decide.
 
         least, most : (n,), bounds of the slip at one minimum, both 0 for contacts that do not slip there."""
-        # That a contact does not slip backwards means y[head] - y[tail] <= t.
+        # With t the slip of a contact and y a motion: it does not slip backwards if y[head] - y[tail] <= t.
         tail, head = np.where(self.sign > 0, (self.upper, self.lower), (self.lower, self.upper))
-        twins = np.unique(self.twin, return_inverse=True)[1]
-        # Twins have one slip: the tightest bounds of all hold for each. Then shortest paths, with lower bounds of the
-        # slips as lengths and with upper bounds: the true lengths lie between them.
-        low, high = np.zeros(twins.max(initial=0) + 1), np.full(twins.max(initial=0) + 1, np.inf)
-        np.maximum.at(low, twins, least)
-        np.minimum.at(high, twins, most)
-        low, high = low[twins], high[twins]
+        group = np.unique(self.same_slip, return_inverse=True)[1]
+        # Contacts of one group have one slip: the tightest bounds of all hold for each. Then shortest paths, with lower
+        # bounds of the slips as lengths and with upper bounds: the true lengths lie between them.
+        low, high = np.zeros(group.max(initial=0) + 1), np.full(group.max(initial=0) + 1, np.inf)
+        np.maximum.at(low, group, least)
+        np.minimum.at(high, group, most)
+        low, high = low[group], high[group]
         shortest, longest = (
             dijkstra(_graph_of_shortest(tail, head, low)),
             dijkstra(_graph_of_shortest(tail, head, high)),
@@ -217,17 +235,17 @@ class Line:
         # A path visits each node once, so that its length is a sum of fewer slips than nodes, none of them negative:
         # its relative rounding is below nodes * EPS / 2. Twice EPS for a node also covers that of the products here.
         rounding = max(PATH_ROUNDING, 1 + 2 * EPS * len(shortest))
-        always = longest[tail, head] * rounding < low
-        some = (low > 0) | (shortest[head, tail] > 0)
-        rests = high == 0
-        # A contact of S rests at some minimum if no path without its twins is shorter. Paths through one of them are as
-        # long as its slip alone, at least.
-        for one in np.unique(twins[~always & ~rests]):
-            own = np.flatnonzero(twins == one)
-            left, starts = twins != one, np.unique(tail[own])
+        slips_at_all = longest[tail, head] * rounding < low
+        slips_at_some = (low > 0) | (shortest[head, tail] > 0)
+        rests_at_some = high == 0
+        # A slipping contact rests at some minimum if no path without the contacts of its group is shorter than its
+        # slip. Paths through one of them are as long as that slip alone, at least.
+        for number in np.unique(group[~slips_at_all & ~rests_at_some]):
+            own = np.flatnonzero(group == number)
+            left, starts = group != number, np.unique(tail[own])
             around = dijkstra(_graph_of_shortest(tail[left], head[left], low[left], len(shortest)), indices=starts)
-            rests[own] = high[own] * rounding <= around[np.searchsorted(starts, tail[own]), head[own]]
-        return rests, always, some
+            rests_at_some[own] = high[own] * rounding <= around[np.searchsorted(starts, tail[own]), head[own]]
+        return rests_at_some, slips_at_all, slips_at_some
 
 
 def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
@@ -250,11 +268,11 @@ class BetweenTwo:
     such a domain, towards either neighbour and with the same friction in all, so it can move along the line between
     both at no cost.
 
-    labels : (2, m), their labels in `Pulls.domain_tc`, for both spin components.
+    labels : (2, m), their labels in `Pulls.slipless_domain`, for both spin components.
     slot : (m,), the component (0 or 1) in which each is held where it is, so that one minimum is left.
     sets : m arrays of indices, within :class:`Pulls`, of the contacts of both sets.
-    undecided : (n,) mask, over the contacts of `Pulls`, of all these, and of those that slip along one component only
-        if such a domain moves."""
+    undecided : (n,) mask, over the contacts of `Pulls`: of all contacts in `sets`, and of the contacts at such a domain
+        that slip along one component alone, as their slips change when it moves."""
 
     labels: np.ndarray
     slot: np.ndarray
@@ -267,27 +285,26 @@ class BetweenTwo:
         same friction in opposite directions.
 
         pulls : the n contacts that bear all their friction. contacts : slips of those of them that slip."""
-        pair, known = (
-            pulls.same_in_both,
-            [pulls.known_pulls_cancel_at(pulls.domain_tc[slot], slot) for slot in range(2)],
-        )
+        label = pulls.same_in_both  # of each sphere: its domain in both components at once
+        known = [pulls.known_pulls_cancel_at(pulls.slipless_domain[slot], slot) for slot in range(2)]
+        # contacts that slip in both components, between two domains in either
         spans = pulls.in_s & pulls.turned_by.all(axis=0)
-        spans &= pulls.apart(pulls.domain_tc, 0) & pulls.apart(pulls.domain_tc, 1)
+        spans &= pulls.apart(pulls.slipless_domain, 0) & pulls.apart(pulls.slipless_domain, 1)
         at = {
-            slot: _contacts_by_domain(pulls.domain_tc[slot], pulls, pulls.in_s & pulls.turned_by[slot])
+            slot: _contacts_by_domain(pulls.slipless_domain[slot], pulls, pulls.in_s & pulls.turned_by[slot])
             for slot in range(2)
         }
         labels, slots, sets, undecided = [], [], [], np.zeros(len(spans), dtype=bool)
-        for sphere in np.unique(pair, return_index=True)[1]:
-            own = [int(pulls.domain_tc[slot, sphere]) for slot in range(2)]
+        for sphere in np.unique(label, return_index=True)[1]:
+            own = [int(pulls.slipless_domain[slot, sphere]) for slot in range(2)]
             some = at[0].get(own[0], set())
             # The same turning contacts must pull the domain in both components, and no plane may drive it.
             if min(own) < 2 or not some or some != at[1].get(own[1], set()):
                 continue
             chosen = np.array(sorted(some))
-            up = pair[pulls.upper[chosen]] == pair[sphere]
-            mine = up | (pair[pulls.lower[chosen]] == pair[sphere])
-            other = pair[np.where(up, pulls.lower[chosen], pulls.upper[chosen])]
+            up = label[pulls.upper[chosen]] == label[sphere]
+            mine = up | (label[pulls.lower[chosen]] == label[sphere])
+            other = label[np.where(up, pulls.lower[chosen], pulls.upper[chosen])]
             # They must lead to just two other domains, and slip in both components.
             sides = np.unique(other)
             if not (spans[chosen].all() and mine.all() and len(sides) == 2):
@@ -295,7 +312,7 @@ class BetweenTwo:
             # Both sets must have the same friction in all, exactly, and all other pulls on the domain must cancel.
             weight = np.where(other == sides[0], 1.0, -1.0) * pulls.coefficient[chosen]
             if math.fsum(weight.tolist()) != 0.0 or not all(
-                k.get(label, True) for k, label in zip(known, own, strict=True)
+                cancels.get(domain, True) for cancels, domain in zip(known, own, strict=True)
             ):
                 continue
             parts = [part.at(chosen) for part in contacts.difference]
@@ -309,17 +326,19 @@ class BetweenTwo:
             sets.append(chosen)
             undecided[chosen] = True
             for s in range(2):
-                undecided |= pulls.felt[s] & ~pulls.turned_by[s] & pulls.touches(pulls.domain_tc[s], own[s])
+                undecided |= pulls.felt[s] & ~pulls.turned_by[s] & pulls.touches(pulls.slipless_domain[s], own[s])
         return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
 
-    def lie_between(self, contacts: Slipping, turn: np.ndarray) -> bool:
+    def lie_between(self, contacts: Slipping, relative_change: np.ndarray) -> bool:
         """Return True if all these domains are proven to lie between their two neighbours at the minimum, too: no slip
         of their contacts changes its sign along the component in which they are held.
 
-        contacts : the slipping contacts close to the minimum. turn : (slipping contacts,), bound on |slip there - slip|
-            / |slip|."""
+        contacts : the slipping contacts close to the minimum.
+        relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|."""
         for own, slot in zip(self.sets, self.slot, strict=True):
-            if not (contacts.difference[slot].at(own).least > turn[own] * contacts.size.at(own).most * UP).all():
+            if not (
+                contacts.difference[slot].at(own).least > relative_change[own] * contacts.size.at(own).most * UP
+            ).all():
                 return False
         return True
 
@@ -348,32 +367,36 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     saturated = Saturated.of(motion)
     if saturated is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
-    # Hold one domain_tc of each wide domain, for one minimum; and one domain_tc0, to exclude other motions below.
+    # Hold one slipless domain of each welded domain, for one minimum; and one locked domain, to exclude other motions.
     pulls = _pulls(motion, contacts, saturated)
     between = BetweenTwo.of(pulls, contacts)
-    held, held_tc0 = (_held(pulls, label, between) for label in (pulls.domain_tc, pulls.domain_tc0))
-    if held is None or held_tc0 is None or not (held.any() or not pulls.in_s.all()):
+    held, held_locked = (_held(pulls, label, between) for label in (pulls.slipless_domain, pulls.locked_domain))
+    if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
         return None
     # The minimum with these held; then the curvature that excludes other motions; then what shortest paths say.
     near = _minimum_with_held(motion, pulls, between, held, saturated)
     if near is None:
         return None
-    found, turn = near
+    found, relative_change = near
     if not pulls.in_s.all():
-        of_tc0 = Slipping.of(motion, _labels_of_moving(motion, pulls.domain_tc0, held_tc0))
-        if not rises(replace(of_tc0, difference=found.difference), turn):
+        of_locked = Slipping.of(motion, _labels_of_moving(motion, pulls.locked_domain, held_locked))
+        if not rises(replace(of_locked, difference=found.difference), relative_change):
             return None
-    return _states_along_lines(pulls, between, found, turn, bool(held_tc0.any()), len(motion.rests))
+    return _states_by_paths(pulls, between, found, relative_change, bool(held_locked.any()), len(motion.rests))
 
 
 @dataclass(frozen=True)
 class Saturated:
-    """The contacts (called C) that do not slip in the stored spins, yet bear all their friction mu F_n, along one of
-    the two spin components that matter.
+    """The saturated contacts of one sample: they do not slip in the stored spins, yet bear all their friction mu F_n,
+    along one spin component.
 
-    network : one sample with E contacts.
+    Two spin components make contacts slip in such a sample; their numbers are `network.needed`, and `slot` 0 or 1 says
+    which of the two is meant.
+
+    network : the sample, with E contacts.
     mask : (E,), which contacts these are.
-    along : (E,), the component (0 or 1) along which each of them bears it; no meaning for others."""
+    along : (E,), the slot (0 or 1) of the component along which each of them bears its friction; no meaning for others.
+    """
 
     network: JudgedNetwork
     mask: np.ndarray
@@ -382,11 +405,11 @@ class Saturated:
     @classmethod
     def of(cls, motion: Motion) -> Saturated | None:
         """Return the contacts of a motion that rest although they carry at least the share 1 - MISSED_LIMIT of their
-        friction limit mu F_n, each with the component along which it carries more.
+        friction limit mu F_n, each with the component along which it carries more. Return None if at one of these
+        contacts both components of the friction exceed MISSED_DIRECTION times the limit: then no single direction in
+        which it would begin to slip can be chosen.
 
-        motion : stored spins of one sample, with the contacts that rest and the friction of all. Returns None if at
-        one of these contacts both components of the friction exceed MISSED_DIRECTION times the limit: then no single
-        direction in which it would begin to slip can be chosen."""
+        motion : stored spins of one sample, with the contacts that rest and the friction of all."""
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
@@ -395,24 +418,23 @@ class Saturated:
         return cls(network, mask, np.argmax(parts, axis=0))
 
     def friction(self, slot: int) -> Enclosure:
-        """Return for each saturated contact (contact without slip at its friction limit) the moment n x F that it has
-        to exert along component `slot` (0 or 1), an enclosure with an entry for each: plus or minus mu F_n, with the
-        sign of the moment along it in the network. It is 0 for contacts that bear their friction along the other
-        component."""
+        """Return for each saturated contact the moment n x F, in units of force, that it has to exert along component
+        `slot` (0 or 1): an enclosure with an entry for each of these contacts, plus or minus mu F_n with the sign of
+        the moment that is stored, or 0 for contacts that bear their friction along the other component."""
         own = np.flatnonzero(self.mask)
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
         return self.network.holding.at(own).signed(sign * (self.along[own] == slot))
 
     def motion_of(self, motion: Motion, slot: int | None) -> Motion:
-        """Return the motion in which the contacts rest that rest in `motion`, but not the saturated ones, which bear
-        all their friction.
+        """Return `motion` with fewer contacts at rest: the saturated ones are taken out.
 
-        slot : None, or 0 or 1: then saturated contacts that bear nothing along this component rest as well."""
+        slot : None to take out all of them; 0 or 1 to take out only those that bear their friction along this
+            component."""
         return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
 
     def missing_friction(self) -> dict[int, np.ndarray]:
-        """Return by component k, (spheres,), a bound on how far the moments that saturated contacts exert on each
-        sphere, as they are stored, are from what they have to exert, mu F_n along one component each."""
+        """Return by component k a bound (spheres,), in units of force, on how far the stored moments of saturated
+        contacts on each sphere are from those that these contacts have to exert: mu F_n along one component each."""
         own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
@@ -424,7 +446,7 @@ class Saturated:
 
 
 def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
-    """Collect the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
+    """Return the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
     one) that they and the resting contacts make.
 
     motion : which contacts rest. contacts : those that slip. saturated : those that do not slip and yet bear all their
@@ -437,7 +459,7 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     signs = np.array([np.sign(part.high) for part in contacts.difference])
     (coefficient,) = network.factors
-    domain_tc, domain_t, domain_tc0 = (
+    slipless_domain, firm_domain, locked_domain = (
         np.array([_numbered(own, k) for own, k in zip(motions, network.needed, strict=True)])
         for motions in (
             [motion] * components,
@@ -448,7 +470,7 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
     return Pulls(
         own, lower, upper, np.array([network.feels[k][own] for k in network.needed]),
         np.concatenate([signs, signs_of_c], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
-        domain_tc, domain_t, domain_tc0,
+        slipless_domain, firm_domain, locked_domain,
     )  # fmt: skip
 
 
@@ -464,23 +486,23 @@ def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | 
     """Return the mask (2, spheres) of the spheres that are held where they are, by component, so that only one minimum
     is left; None if that is not possible.
 
-    Held is one domain (group of spheres that turn as one) of each wide domain without a driven plane, which moves as a
-    whole at no cost; it must not lie between two others. Domains between two others are held as well, in one component
-    each.
+    A welded domain without a driven plane, several domains that only move together, can move at no cost. So one of its
+    domains is held, one that does not lie between two others. Domains between two others are held as well, in one
+    component each.
 
     pulls : the contacts that bear all their friction. label : (2, spheres), labels of the domains that are to be held.
         between : domains that lie between two others."""
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
-        wide, inner = pulls.wide_domains(label, slot), np.isin(pulls.domain_tc[slot], between.labels[slot])
-        # A member that does not lie between two others, in each wide domain without a plane.
-        for number in range(1, int(wide.max()) + 1):
-            some = label[slot][(wide == number) & ~inner]
+        welded, inner = pulls.welded_domains(label, slot), np.isin(pulls.slipless_domain[slot], between.labels[slot])
+        # A member that does not lie between two others, in each welded domain without a plane.
+        for number in range(1, int(welded.max()) + 1):
+            some = label[slot][(welded == number) & ~inner]
             if not len(some):
                 return None
             held[slot] |= label[slot] == some[0]
         for domain in between.labels[slot][between.slot == slot]:
-            held[slot] |= label[slot] == label[slot][pulls.domain_tc[slot] == domain][0]
+            held[slot] |= label[slot] == label[slot][pulls.slipless_domain[slot] == domain][0]
     return held
 
 
@@ -510,91 +532,96 @@ def _minimum_with_held(
         contacts without slip at their friction limit.
     held : (2, spheres) mask of the spheres whose domain is held where it is, by component."""
     rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()
-    near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.domain_tc, held)))
+    near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:
         return None
-    found, turn = near
+    found, relative_change = near
     # The pulls that were taken as known keep their signs at u* and cancel, and T bears the rest.
     known = pulls.felt & ~pulls.turned_by & pulls.in_s
     signs = np.array([np.sign(part.high) for part in found.difference])
-    same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
-    known_well = same.all() and _known_pulls_cancel(pulls) and between.lie_between(found, turn)
-    return near if known_well and bearable(rests, found, turn, missing_friction) else None
+    same = (signs == pulls.sign[:, : len(relative_change)]) | ~known[:, : len(relative_change)]
+    known_well = same.all() and _known_pulls_cancel(pulls) and between.lie_between(found, relative_change)
+    return near if known_well and bearable(rests, found, relative_change, missing_friction) else None
 
 
 def _known_pulls_cancel(pulls: Pulls) -> bool:
     """Return True if the forces of contacts at their limits that are known exactly add up to 0 wherever friction has to
     balance without any others.
 
-    That is on each wide domain (groups of spheres that move together from one minimum to another), and on each group of
-    spheres that resting contacts with friction left join (`domain_t`). Of the latter one in each free `domain_tc` may
-    be excepted, on which contacts act whose slip may change its direction: it is in balance once the whole `domain_tc`
-    is.
+    That is, first, on each welded domain: groups of spheres that move together from one minimum to another. Second, on
+    each firm domain: spheres that resting contacts with friction left join. Here one is excepted in each slipless
+    domain (spheres that all contacts without slip join) that no plane drives: the one, if any, on which contacts act
+    whose slip may change its direction. It is in balance once the whole slipless domain and its other firm domains are.
 
     pulls : the contacts that bear all their friction, and the domains, groups of spheres that they and resting contacts
         join."""
-    # For both components: wide domains; which domain_t are pulled by contacts that may turn; all other domain_t.
+    # For both components: welded domains; which firm domains are pulled by turning contacts; all other firm domains.
     for slot in range(2):
-        cancels_at = pulls.known_pulls_cancel_at(pulls.wide_domains(pulls.domain_tc, slot), slot)
+        cancels_at = pulls.known_pulls_cancel_at(pulls.welded_domains(pulls.slipless_domain, slot), slot)
         if not all(cancels for number, cancels in cancels_at.items() if number > 0):
             return False
-        t, tc = pulls.domain_t[slot], pulls.domain_tc[slot]
-        turning = pulls.in_s & pulls.turned_by[slot] & pulls.apart(pulls.domain_tc, slot)
+        firm, slipless = pulls.firm_domain[slot], pulls.slipless_domain[slot]
+        turning = pulls.in_s & pulls.turned_by[slot] & pulls.apart(pulls.slipless_domain, slot)
         ends = np.concatenate([pulls.lower[turning], pulls.upper[turning]])
-        pulled = np.unique(np.array([t[ends], tc[ends]]), axis=1)
+        pulled = np.unique(np.array([firm[ends], slipless[ends]]), axis=1)
         pulled = pulled[:, pulled[0] > 1]
-        # None of these may belong to a plane, and no domain_tc may have two.
+        # The slipless domain of none of these may belong to a plane, and none may have two of them.
         if (pulled[1] < 2).any() or len(np.unique(pulled[1])) < pulled.shape[1]:
             return False
-        cancels_at = pulls.known_pulls_cancel_at(t, slot)
+        cancels_at = pulls.known_pulls_cancel_at(firm, slot)
         if not all(cancels for number, cancels in cancels_at.items() if number > 1 and number not in pulled[0]):
             return False
     return True
 
 
-def _states_along_lines(
-    pulls: Pulls, between: BetweenTwo, contacts: Slipping, turn: np.ndarray, moves: bool, count: int
+def _states_by_paths(
+    pulls: Pulls, between: BetweenTwo, contacts: Slipping, relative_change: np.ndarray, may_differ: bool, count: int
 ) -> tuple[np.ndarray, bool | None]:
     """Return the states (E,) of all contacts, and whether there is only one minimum: True, False, or None if that is
     not known. At a minimum contacts may slip less or more than at another one, but never backwards; shortest paths
     along slips say how far.
 
     pulls : the n contacts that bear all their friction. between : domains that lie between two others.
-    contacts, turn : the slipping contacts close to a minimum, and for each a bound on |slip there - slip| / |slip|.
-    moves : True if some domain can move at no cost, so that minima may differ. count : E, number of contacts."""
-    rest = len(pulls.in_s) - len(turn)
+    contacts, relative_change : the slipping contacts close to a minimum, and for each a bound on |slip there - slip| /
+        |slip|.
+    may_differ : True if some domain can move at no cost, so that minima may differ. If nothing is tied there is one
+        minimum all the same, as a motion between minima goes on until a slip vanishes, at a contact that is tied then.
+    count : E, number of contacts."""
+    rest = len(pulls.in_s) - len(relative_change)
     # Bounds of t: the slips of S with what they may differ at u*, 0 for C.
-    least = np.append(contacts.size.least * (1 - turn) / PATH_ROUNDING, np.zeros(rest))
-    most = np.append(contacts.size.most * (1 + turn) * PATH_ROUNDING, np.zeros(rest))
+    least = np.append(contacts.size.least * (1 - relative_change) / PATH_ROUNDING, np.zeros(rest))
+    most = np.append(contacts.size.most * (1 + relative_change) * PATH_ROUNDING, np.zeros(rest))
     state = np.where(pulls.in_s, SLIPPING, SLIPLESS)
     state[between.undecided] = UNDECIDED
     # TIED, SLIPPING or SLIPLESS where shortest paths decide; undecided with all that shares a domain with BetweenTwo.
-    for line in _lines(pulls):
-        rests, always, some = line.limits(least[line.own], most[line.own])
-        known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, SLIPLESS, UNDECIDED)))
-        undecided = line.sharing_a_domain(between.undecided[line.own])
-        state[line.own] = np.where(undecided & (known != TIED), UNDECIDED, known)
+    for of_component in _constraints(pulls):
+        own = of_component.own
+        rests_at_some, slips_at_all, slips_at_some = of_component.limits(least[own], most[own])
+        known = np.where(slips_at_all, SLIPPING, np.where(rests_at_some, SLIPLESS, UNDECIDED))
+        known[rests_at_some & slips_at_some] = TIED
+        undecided = of_component.sharing_a_domain(between.undecided[own])
+        state[own] = np.where(undecided & (known != TIED), UNDECIDED, known)
     found = np.full(count, SLIPLESS)
     found[pulls.own] = state
     tied, unproven = (found == TIED).any(), (found == UNDECIDED).any()
-    return found, False if tied else True if not moves or not unproven else None
+    return found, False if tied else True if not may_differ or not unproven else None
 
 
-def _lines(pulls: Pulls) -> list[Line]:
+def _constraints(pulls: Pulls) -> list[Constraints]:
     """Return for each of the two components the contacts whose slips along it differ between minima. They slip along
-    this component alone, or could, and lie between two wide domains (groups of spheres that move together) of
-    `domain_tc0`.
+    this component alone, or could, and lie between two welded domains (groups of spheres that move together), made of
+    `locked_domain`.
 
     pulls : the contacts that bear all their friction, and the domains that they and resting contacts make of the
         spheres."""
-    found, size = [], pulls.domain_tc.shape[1] + 2
+    found, size = [], pulls.slipless_domain.shape[1] + 2
     for slot in range(2):
-        wide = pulls.wide_domains(pulls.domain_tc0, slot)
-        ends = wide[pulls.lower], wide[pulls.upper]
+        welded = pulls.welded_domains(pulls.locked_domain, slot)
+        ends = welded[pulls.lower], welded[pulls.upper]
         own = np.flatnonzero(pulls.felt[slot] & ~pulls.turned_by[slot] & (ends[0] != ends[1]))
         sign = pulls.sign[slot, own]
-        low, high = (pulls.domain_tc[slot, end[own]] for end in (pulls.lower, pulls.upper))
-        twin = np.where(sign > 0, low * size + high, high * size + low)
-        twin = np.where(pulls.in_s[own], twin, size * size + own)
-        found.append(Line(own, ends[0][own], ends[1][own], sign, twin))
+        low, high = (pulls.slipless_domain[slot, end[own]] for end in (pulls.lower, pulls.upper))
+        same_slip = np.where(sign > 0, low * size + high, high * size + low)
+        same_slip = np.where(pulls.in_s[own], same_slip, size * size + own)
+        found.append(Constraints(own, ends[0][own], ends[1][own], sign, same_slip))
     return found

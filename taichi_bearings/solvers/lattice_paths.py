@@ -45,7 +45,9 @@ def _states(sample: Sample) -> np.ndarray:
     """
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     if (of := sample.resolved) is not None:
-        return np.select([of.ties, of.at_limit, of.slipping], [ContactState.TIED, undecided, slipping], slipless)
+        return np.select(
+            [of.known_to_slip_sometimes, of.at_limit, of.slipping], [ContactState.TIED, undecided, slipping], slipless
+        )
     point, slip, margin = sample.iterate, length(sample.iterate.difference), sample.iterate.margin
     if point.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
         slip = slip * (1 + point.viscosity / point.friction)

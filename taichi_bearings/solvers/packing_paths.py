@@ -218,7 +218,7 @@ def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatr
             spins, dual, slipping, open_ = settled_by_springs(way.iterate, matrix)
     else:
         spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
-        ties = settled.ties | settled.at_limit
+        ties = settled.known_to_slip_sometimes | settled.at_limit
     rest = None if settled is None else settled.rest
     if contacts.sign is not None:
         sign = contacts.sign[system.moved >= 0]

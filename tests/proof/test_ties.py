@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.tied_minima import Line
+from taichi_bearings.proof.tied_minima import Constraints
 from taichi_bearings.quantities import numbers_of
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings
@@ -121,8 +121,8 @@ def test_shortest_paths_say_what_linear_programmes_do():
         ends = np.array([rng.choice(nodes, 2, replace=False) for _ in range(contacts)]).T
         sign, slip = rng.choice([-1.0, 1.0], contacts), rng.choice([0.0, 1.0, 3.25, 7.5, 11.0], contacts)
         slip[1:][slip[1:] == slip[0]] += 0.125
-        line = Line(np.arange(contacts), *ends, sign, np.arange(contacts))
-        rests, always, some = line.limits(slip * (1 - 1e-9), slip * (1 + 1e-9))
+        constraints = Constraints(np.arange(contacts), *ends, sign, np.arange(contacts))
+        rests, always, some = constraints.limits(slip * (1 - 1e-9), slip * (1 + 1e-9))
         rows = np.zeros((contacts, nodes))
         rows[np.arange(contacts), ends[1]], rows[np.arange(contacts), ends[0]] = sign, -sign
         for e in range(contacts):
