@@ -311,9 +311,14 @@ class _Record:
         return list(names), list(self._constants), calls
 
     def _note(self, name: str, places: list[int], named: tuple[str, ...], result: Any) -> None:
-        """Write down one step of a walk (a call of the core), and where later steps find its result, or items of it.
+        """Add one step to the walk, the list of calls of Taichi's core that build a kernel, and note under which
+        numbers later steps find its result. Objects are recognised by their id; if the result is a list or tuple,
+        taking each item is a step of its own.
 
-        name : of what is called. places : where its arguments are found. named : the keywords of the last of these.
+        name : name of the function that is called.
+        places : for each argument the number of the step whose result it is; negative numbers stand for constants and
+            given objects.
+        named : names of the last len(named) arguments, which are passed by keyword.
         result : what the call returned.
         """
         number = len(self._steps)

@@ -295,7 +295,10 @@ def planned(scans: Mapping[str, int], effort: Effort) -> Iterator[RunSettings]:
 
 
 def _measure(settings: RunSettings, numbers: Numbers) -> dict[str, Any]:
-    """Solve the sample with these settings, and return its columns of the table of :func:`measured`."""
+    """Solve the sample with these settings, and return its columns of the table of :func:`measured`.
+
+    numbers : function of the certified result that returns the columns, by name.
+    """
     return numbers(certified(settings))
 
 

@@ -163,13 +163,20 @@ def draw_yield_surface(named: Any) -> Figure:
 
     T_x, T_y: torques on the top about x and y; T_c: the one that belongs to its bearing state C x (staggered spins that
     point away from the middle and grow with the distance from it).
-    (a) Surface of (T_x, T_y), (b) of (T_x, T_c). Points: torques at the directions solved (inner bound); thin lines:
-        bounds by the power of each direction (outer); circle and square: for comparison, as large as the last surface.
-    (c) Share of the yield torque about one axis that is lost while the top rotates about the other ("crossed"); share
-        by which the power about x + y falls short of the sum of those about x and y. (d) Power per area against 1 / L.
-    named : values of :func:`names_of`. Used are, by side L, `body`: mean powers (directions,) and torques (directions,
-        3) in units of F_n R L^2; `crossed`, `square`: shares left, (samples,), with the fits `fading`, `squaring`;
-        `per_area`: by direction and side, powers (samples,), with the fits `limits_of`.
+    What the four parts show:
+
+    * (a) the surface of (T_x, T_y), and (b) that of (T_x, T_c). Points: torques at the directions solved, an inner
+      bound. Thin lines: the power of each direction, an outer bound. Dotted circle and dashed square, for comparison:
+      their radius and side are T_x of the largest bearings.
+    * (c) The share of the yield torque about one axis that is lost while the top rotates about the other ("crossed"),
+      and the share by which the power about x + y falls short of the sum of those about x and y.
+    * (d) The power per area against 1 / L.
+
+    named : object with the values of :func:`names_of` as attributes. Used are dictionaries by side L:
+        `body`, mean powers (directions,) and torques (directions, 3) in units of F_n R L^2;
+        `crossed` and `square`, for each sample what remains, 1 less the shares of (c), with the fits `fading` and
+        `squaring`;
+        and `per_area`, by direction and side the power of each sample, with the fits `limits_of`.
     """
     directions, plane = np.array(DIRECTIONS), len(PLANE)
     figure = new_figure(DOUBLE, 5.2)

@@ -343,8 +343,12 @@ def _stable_step(case: Case) -> float:
 
 
 def _start(case: Case, value: str, row: Row) -> Case:
-    """Return the case with other spins to start from, in the laboratory frame. value : which ones, in words. Spins
-    that are not finite must be refused.
+    """Return the case with other spins to start from, in the laboratory frame, 1/time: an array like the lattice, in 3D
+    with a last axis of 3 components. Spins that are not finite must be refused.
+
+    value : "huge", "tiny", "opposite" (each sphere turns against what its neighbours would like), "not staggered" (all
+        alike), "NaN", "infinite", or else a start that the settings know by name, which is passed on.
+    row : the method; only its dimension, 2 or 3, is used.
     """
     scene = case.scene
     shape = scene.lattice.shape if row.dimension == 2 else (*scene.lattice.shape, 3)

@@ -362,10 +362,11 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """Return the Newton step that follows from the change of spins solved for last. It holds the change of spins
-        (unknowns or more, S) and the multiples of the step, (2, S), at which bounds and slips, and frictions and
-        forces, leave their cones; with inertia or viscosity both have to go equally far, so the smaller one counts.
-        The changes of bounds, slips and forces are written to the rows of the step. Letters: S samples.
+        """Return the Newton step that belongs to the change of spins solved for last. It holds this change (unknowns or
+        more, S) and two multiples of the step for each of S samples, (2, S): how far one can go until at some contact
+        the slip exceeds its bound (row 0), or the force exceeds its friction limit (row 1). With inertia or viscosity
+        both have to go equally far, so the smaller one counts. The changes of bounds, slips and forces stay in the rows
+        of the step in memory.
 
         slot : 0 or 1, which of the two steps in memory is written: 0 the predictor's, then by turns for correctors.
         """

@@ -483,16 +483,14 @@ class _SmoothPower:
     def _each(
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
     ) -> list[Resolved]:
-        """Return the result of each sample at its minimum.
+        """Return the :class:`Resolved` minimum of each sample, with arrays over all its spins and contacts. A contact
+        is tied if its two ends have been made to turn as one; `kept` contacts are not tied.
 
-        spins : (samples * unknowns,), all unknown spins of the samples, one for each unknown of the system in which no
-            contact is tied (a set of tied spins has one value several times).
-        rests : for each sample (unknowns,), low parts: what has to be added to the doubles `spins` for twice the
-            precision; None where that is not known.
-        difference, dual : (d, kept), slips and minus the friction forces of the `kept` contacts that are not tied, of
-            all samples one after the other.
-
-        Letters: d slip components.
+        spins : (samples * unknowns,), all spins of the free spheres, sample after sample. Spins that ties make equal
+            stand there once for each sphere.
+        rests : for each sample (unknowns,), rounding errors of `spins`: both added are the spins in twice the
+            precision. None where they are not known.
+        difference, dual : (d, kept), slips with d components and minus the friction forces, sample after sample.
         """
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
         at_limit = [np.zeros_like(mask) for mask in self.slipping]

@@ -45,12 +45,14 @@ class ContactRows:
         place: np.ndarray | None = None,
         laplacian: sparse.csr_matrix | None = None,
     ) -> None:
-        """Reserve memory for the contacts of a system, one row for each kind of number, and prepare the maps between
-        spins and slips.
+        """Reserve memory for the numbers of all contacts of a system, and prepare the maps between spins and slips.
+
+        The memory is a table: a row for each kind of number (components of slip and force, bound of the slip, friction
+        limit and so on, kernels/central_path.py) with a number of each contact of each of S samples.
 
         system : the n contacts, with up to d slip components each.
-        spins : array (unknowns or more, S) that is kept: changes of spins are read from it and torques are written
-            into it. S is the number of samples.
+        spins : array (unknowns or more, S) that is kept: changes of spins are read from it and torques are written into
+            it.
         place : (unknowns,), row of `spins` in which each unknown stands; None if they are in order.
         laplacian : sparse matrix that turns the stiffnesses of the contacts (all entries [0, 0] of their matrices, then
             all [0, 1], ...) into the entries of the Newton matrix; None if :meth:`add_stiffnesses` is not called.
@@ -71,7 +73,8 @@ class ContactRows:
         self.values = self._flat.reshape(kernels.ROWS, contacts, self.samples)
         for row, value in PADDING.items():
             self.values[row] = value
-        # constants that a kernel is given, and what it finds, each repeated or found apart for every place of a block
+        # a block is what a kernel works on at once: each constant is repeated for every place of it, and each result of
+        # a reduction (a sum, a least value) has one part for every place
         self._numbers = np.zeros((MOST_CONSTANTS, kernels.BLOCK // self.samples, self.samples))
         found = aligned_zeros(kernels.FOUND * kernels.BLOCK * self.samples, kernels.BLOCK)
         self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)

@@ -63,7 +63,8 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
         return values[0] if by is None else np.array(values)
 
     def fill(file: h5py.File) -> None:
-        """Write all data sets and attributes."""
+        """Write all data sets and attributes of the histograms into an open file. With several histograms (`by` is not
+        None) each has a leading axis, and `value` has the parameter of each."""
         for name, text in OF_BINS.items():
             put(file, name, stacked(name), "1", text)
         put(file, "edges", parts[0].edges, parts[0].units, "edges of the power bins")

@@ -247,18 +247,19 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
         """Make one step of Gear's method for the spins of a block of spheres, by the contact forces that pull on them.
 
-        For each spin component `motion` returns the numbers that are kept of a spin (itself and its scaled
-        derivatives), its predicted end, and its predicted mean; they are written into the rows `moved`. `pulling` says
-        by which forces along which two axes a component is changed. With `tally` forces on driven spheres are summed
-        too. The loop over the components is one at run time, so that its body is compiled once.
+        `motion`, which a subclass supplies, gives for each spin component the new numbers that are kept of a spin
+        (itself and its scaled derivatives), its predicted end, and its predicted mean; they are written into the rows
+        `moved`. `pulling` says which forces act on a component. With `tally` forces on driven spheres are summed too.
+        The loop over the components is one at run time, so that its body is compiled once.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first sphere of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
-            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
-        response : time step * radius / inertia, 1/(force * time), which turns a force into the change of a spin."""
+        strides : for each axis x, y, z how far away in memory the upper neighbour of a site is. With periodic axes
+            three such triples in a row: these distances; after how many sites a ring closes; the place of `first` in
+            its ring. So strides[axis::3] is all that belongs to one axis, with or without rings.
+        response : time step * radius / inertia, 1/(force * time), which turns a force into the change of a spin.
+        """
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
         for c in range(self.stencil.components):
             # the force on each sphere: that of its upper contact less that of its lower one, along each axis

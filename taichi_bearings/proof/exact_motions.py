@@ -96,12 +96,13 @@ class ExactMotions:
         return cls(np.zeros_like(spheres), np.zeros_like(rests), np.full(network.count, np.inf))
 
     def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """Return spins times radius by component, 3 enclosures (N,), at which all contacts of the mask `contacts` roll
-        exactly.
+        """Return spins times radius by component, 3 enclosures (N,), length/time, changed so little that all contacts
+        of the mask `contacts` roll exactly. They are the given ones if there is no such contact.
 
-        spin : given spins times radius by component, 3 enclosures (N,), sums of two doubles. A few of them are kept,
-            and so are those of spheres that these contacts do not join; the others follow from these few and from the
-            imposed spins."""
+        spin : given spins times radius by component, 3 enclosures (N,), sums of two doubles. They are kept for all
+            spheres that these contacts do not join, and for as few others as determine the rest (chosen in
+            `motions`); the rest follows from these and from the imposed spins.
+        """
         return spin if self.motions is None else self.motions.spin(spin)
 
 

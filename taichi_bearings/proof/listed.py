@@ -127,10 +127,13 @@ class Listed:
         return [Enclosure.exact(np.full(len(self.place), size)) for size in box]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
-        """Return the numbers k of the components along which contacts may slip at some minimum, in ascending order.
+        """Return the numbers k of the spin components along which some contact has to slip at every minimum, or may
+        have to, in ascending order.
 
-        box : (C,), the largest imposed size of each component. differs : function of k, True if the imposed spins do
-            not allow that nothing slips along component k."""
+        box : (C,), largest absolute imposed value of each of the C components; only their number is used here.
+        differs : function of k, True if the imposed spins differ along component k, so that not all contacts can roll
+            along it.
+        """
         return [k for k in range(len(box)) if differs(k)]
 
     def working(self, box: np.ndarray) -> list[bool]:

@@ -113,8 +113,8 @@ class FrictionBounds:
 
     @cached_property
     def other_spheres(self) -> np.ndarray:
-        """(N,) mask of the free spheres that contacts connect to driven ones, except those that contacts which can roll
-        exactly join."""
+        """(N,) mask of the free spheres that are connected to driven ones and that are touched by no exactly rolling
+        contact."""
         return np.asarray(self.network.reached & ~self.exact.spheres)
 
     @cached_property

@@ -157,9 +157,15 @@ class OnLattice:
         return np.stack([low, low + self.lattice.shape[-1] - 1])
 
     def as_led(self, values: np.ndarray, component: int) -> np.ndarray:
-        """Change the array `values` (R * N,) in place and return it: driven spheres get the value of their leader, the
-        first sphere of the same plane with the same coordinate along the component, or, where all layers are driven
-        alike, the first of the plane."""
+        """Change `values` in place and return it: spheres of a driven plane that always turn alike all get the value of
+        the first of them, their leader.
+
+        They turn alike in a component if they have the same coordinate along its axis; if the whole plane is driven
+        alike in it, all of the plane do.
+
+        values : (R * N,), a number of each of N spheres of R samples, such as its label.
+        component : number of the spin component.
+        """
         spheres = values.reshape(self.count, *self.lattice.shape)
         first = [slice(None), *[slice(0, 1)] * self.lattice.height_axis]
         if len(self.jump[component].high) > 1:

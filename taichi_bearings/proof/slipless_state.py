@@ -35,7 +35,7 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (R,) of the samples for which it is proven that some spins of the free spheres leave all contacts
     without slip, so that the least power is 0. False means that nothing is proven."""
     if network.graph.layered:
-        return _of_layers(network)
+        return _planes_are_separate(network)
     if not network.counts.any():
         return np.ones(network.count, dtype=bool)
     if not imposed_exactly(network):
@@ -43,11 +43,12 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
     return _roll_exactly(network) if network.mixes else np.full(network.count, not network.needed)
 
 
-def _of_layers(network: JudgedNetwork) -> np.ndarray:
-    """Return the mask (R,) of the samples of a lattice in which no contacts lead from one plane to the other along a
-    spin component in which both are driven differently."""
-    if not network.needed:
+def _planes_are_separate(network: JudgedNetwork) -> np.ndarray:
+    """Return the mask (R,) of the samples of a lattice in which nothing has to slip: in each spin component in which
+    bottom and top are driven differently, no chain of contacts that transmit this component joins both planes."""
+    if not network.needed:  # both planes are driven alike
         return np.ones(network.count, dtype=bool)
+    # Only absent contacts can separate the planes: on a whole lattice chains join them.
     absent = network.graph.any_end(network.free) & ~network.acts
     if not absent.any():
         return np.zeros(network.count, dtype=bool)

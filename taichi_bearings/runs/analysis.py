@@ -238,7 +238,9 @@ def write_analysis(
     """
 
     def fill(group: h5py.Group) -> None:
-        """Write the arrays of all samples, and the attributes, into a group of an HDF5 file."""
+        """Write the arrays of all samples and the attributes into a group of an HDF5 file. Arrays of several samples
+        get a leading axis of samples and are filled up with FILL where they are shorter; attributes that are or contain
+        dictionaries or nested lists are left out."""
         listed = {key: value if isinstance(value, list) else [value] for key, value in attributes.items()}
         nested = {key for key, parts in listed.items() if any(isinstance(part, (dict, list)) for part in parts)}
         put_attributes(group, {key: value for key, value in attributes.items() if key not in nested})

@@ -151,15 +151,18 @@ class NewProof:
 
     @cached_property
     def solution(self) -> Solution:
-        """The answer in the file, with all numbers that follow from the new proof in place of those stored."""
+        """The answer in the file, with all numbers that follow from the new proof in place of those stored. It has the
+        findings on a torque, if one was asked for, unless they would need another solve, which a verification does not
+        make."""
         stored, scene, slip = self.run.solution, self.run.solution.scene, self.of("slip")
         ended = np.array(stored.own["status"])
-        ended[ended == Status.CERTIFIED] = Status.STALLED  # unless the gap is within the tolerance
+        # Solution.status says CERTIFIED again where the new gap is within the tolerance
+        ended[ended == Status.CERTIFIED] = Status.STALLED
         proven = stored.proven & are_proven(stored.state, self.known)
         said = {
             "proof": self.of("proof"),
             "driven_power": self.of("driven_power"),
-        }
+        }  # the latter: between driven spheres
         follows_motion = scene.network.lattice is not None and "time" in stored.history
         found = replace(
             stored,

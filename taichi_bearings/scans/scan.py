@@ -355,7 +355,18 @@ class _Course:
                 self._write(removes=True)
 
     def report(self, interrupted: bool) -> Json:
-        """Return the report that `--json` prints. interrupted : True if the scan was stopped early."""
+        """Return the report that `--json` prints, by name. The argument tells if the scan was stopped early.
+
+        samples : number of samples of the scan. Each is in one of `done` (with a result), `failed` (with an error
+            instead; `failures` lists them) and `missing` (not yet solved).
+        solved_now, seconds : number of samples solved in this call, and how long it took.
+        reached, warned, unanalysed : numbers of results that reached what was asked, that have warnings, and that have
+            no analysis although others have one.
+        lacking : number of samples with a result that lacks something asked for now, such as an analysis; they are
+            solved again.
+        interrupted : True if the scan was stopped with work left.
+        scan, files, removed : paths of the folder, of the files written, and of outdated figures that were removed.
+        """
         known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]
         solved = [record for _, record in known if not parts.is_failed(record)]
         failed = [(sample, record["scalars"]["error"]) for sample, record in known if parts.is_failed(record)]

@@ -107,9 +107,8 @@ class Driving:
 
     @property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """Numbers of the spin components that have to be solved for, here all; some minimum has no slip from the
-        others.
-        """
+        """Numbers of the spin components that have to be solved for: in this class all. A subclass leaves those out
+        along which some minimum has no slip."""
         return self.every
 
     @property
@@ -471,8 +470,9 @@ class Planes(Driving):
         return self.bottom_state(spin_axes)
 
     def unsolved_component(self, component: int) -> np.ndarray:
-        """Return spins (spheres *N) for a component that is not solved for, in the form in which solvers compute: they
-        rise linearly with the height from the bottom, 0, to the top.
+        """Return spins for a component that is not solved for: staggered ones, relative to those of the bottom plane,
+        1/time. They rise linearly with the height from 0 at the bottom to the imposed spin of the top; the shape is
+        that of the lattice, or broadcasts to it.
 
         No contact slips by them in a component that `minimum_spin_axes` leaves out. component : its number.
         """

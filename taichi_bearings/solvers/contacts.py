@@ -252,24 +252,22 @@ class Stepped(Contacts):
 
     @abstractmethod
     def common_inertia(self, inertia: Inertia) -> float:
-        """Return the moment of inertia in the constants of the kernel, by which it divides torques where the field
-        `is_free` is 1.
+        """Return the reference moment of inertia I0, a constant of the kernel. The kernel computes a sphere's
+        acceleration as torque / I0 * is_free, with the field `is_free`: I0 / I for a free sphere with moment of inertia
+        I, 0 for a driven one.
 
-        A sphere of another moment I has this one over I in `is_free`.
-
-        inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice,
-            mass in a packing.
+        inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice, mass
+            in a packing.
         """
 
     @abstractmethod
     def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
-        """Return upper bounds on what the fastest modes of the network have: decay rate, and R^2 lambda / I.
+        """Return upper bounds on two numbers of the fastest modes of the network: the decay rate by viscosity, 1/time,
+        0 without; and R^2 lambda / I, 1/mass, of contacts that all stick, with the largest eigenvalue lambda of the
+        network's Laplacian, radius R and moment of inertia I.
 
-        The first is the decay rate by viscosity, 1/time, 0 without. The second, 1/mass, is that of contacts that all
-        stick, with the largest eigenvalue lambda of the network's Laplacian, radius R and moment of inertia I.
-
-        inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice,
-            mass in a packing.
+        inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice, mass
+            in a packing.
         """
 
     @abstractmethod

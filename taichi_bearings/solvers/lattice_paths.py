@@ -91,11 +91,13 @@ def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes
 
 
 class LatticePaths(Paths):
-    """The central paths of all samples of a lattice.
+    """The central paths of all samples of a lattice: curves of spins and forces along which Newton steps lead to the
+    minimum, and from whose end it is found which contacts slip there.
 
     unit : unit of spins on the paths, 1/time.
     frustrated : True if the driven planes have different spins, so that something has to be solved.
-    system : the contacts with a free sphere, as the path sees them.
+    system : the contacts with a free sphere, as the path sees them: slips are a linear map of *staggered* spins, spins
+        times the sign +1 or -1 by which neighbours differ.
     samples : the state of each sample on its path.
     """
 
@@ -119,7 +121,7 @@ class LatticePaths(Paths):
         high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)
         shared = Surroundings(self.system, order, matrix, (high, low))
         small = scene.lattice.sites < BATCHED_SITES  # samples so small are stepped several at a time
-        super().__init__(shared, scene.lattice.sites, small, True, settle)
+        super().__init__(shared, scene.lattice.sites, small, settles=True, asked=settle)
         if self.frustrated:
             compile_passes()  # all before the clock starts
             matrix.compile()  # the last sample may be alone

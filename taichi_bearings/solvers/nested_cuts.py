@@ -56,7 +56,8 @@ class _Cover:
 
 
 def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarray]:
-    """Return spins of least power (unknowns,), as sums of two doubles, and forces (d, A) balanced to one rounding.
+    """Return spins times radius of least power (unknowns,), length/time, as sums of two doubles, and forces along the
+    tangents of the contacts (d, A); these balance but for the rounding of each to a double.
 
     The law has friction alone, and each contact couples one spin component.
 
@@ -64,9 +65,10 @@ def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarr
     packing : one sample.
     """
     component = system.feels.argmax(axis=1)  # (A,), the coupled component; any one where none is
+    # the graph whose minimum cuts give the spins, and the sign by which each spin is turned in it
     cover, sign = _covered(system, packing, component)
-    place = _nested(cover)
-    force = np.zeros(len(component), dtype=object)
+    place = _nested(cover)  # for each node, between which driven values its spin is
+    force = np.zeros(len(component), dtype=object)  # whole numbers of any length
     np.add.at(force, cover.contact, cover.sign * _filling(cover, place))
     spins = _spins(cover, place, sign)
     return spins, system.across[:, np.arange(len(component)), component] * (force.astype(float) * cover.unit)
@@ -149,10 +151,10 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
 
 
 def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, component: np.ndarray) -> Pair:
-    """Return the imposed u = radius * spin of n spheres, (n,), as sums of two doubles.
+    """Return the imposed u = radius * spin of n spheres, (n,), length/time, as sums of two doubles. For driven spheres
+    it is exact. Free spheres whose spin nothing determines have been fixed at a chosen double; for them it is that one.
 
-    It is exact for driven spheres. A free sphere whose spin was fixed, as nothing determines it, has a chosen double.
-
+    system : the contacts that take part; it knows the chosen spins. packing : the sample, with the driven spheres.
     spheres : (n,), numbers of the spheres.
     component : (n,), number of the spin component of each.
     """

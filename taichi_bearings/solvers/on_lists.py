@@ -163,10 +163,12 @@ class OnLists(Stepped):
         """Return upper bounds (C components, 1, N spheres) on the curvature of the objective along each spin component
         of each sphere.
 
-        The curvature at a sphere is the matrix of the sum of b_e T^T T over its contacts. It is no larger than the
-        diagonal matrix that has the sums of the absolute entries of its rows.
+        The curvature at a sphere is the matrix of the sum of b_e T^T T over its contacts e, where T (tangents, C) gives
+        the slip of contact e from the spin of one end. It is no larger than the diagonal matrix that has the sums of
+        the absolute entries of its rows.
 
-        bounds : (1, E contacts), upper bounds b_e on the curvature of what each contact adds.
+        bounds : (1, E contacts), upper bounds b_e on the second derivative of what contact e adds to the objective by
+            its slip.
         """
         network = self.scene.network
         rows = np.abs(np.einsum("tek,tel->ekl", self.across, self.across)).sum(axis=2) * bounds[0][:, None]
@@ -193,11 +195,10 @@ class OnLists(Stepped):
         return 1.0
 
     def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
-        """Return upper bounds on the decay rate by viscosity, 1/time, and on the largest eigenvalue of the contacts
-        over the inertia, 1/mass, if all stick.
-
-        They are rigorous, by the theorem of Collatz and Wielandt on matrices without negative entries. The first is 0
-        without viscosity.
+        """Return rigorous upper bounds on two eigenvalues, by the theorem of Collatz and Wielandt on matrices without
+        negative entries: that of M^-1 L with the viscosities as weights, the fastest decay rate, 1/time, 0 without
+        viscosity; and that of M^-1 L with all weights 1, as if all contacts stick, 1/mass. L is the weighted Laplacian
+        of the contact network and M has the inertias.
 
         inertia : (N spheres,), moments of inertia over squared radii, mass.
         """

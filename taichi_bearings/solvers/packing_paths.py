@@ -207,10 +207,12 @@ def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatr
     that the path has settled, or else those found by springs that slip at the friction limit (method of multipliers).
 
     system : the contacts of the packing.
-    way : the sample at the end of the path.
-    of : friction and viscosity (A,) of the A contacts, scaled to about 1, and their unit.
+    way : the sample at the end of its path. `way.resolved` is the minimum with settled contact states, None if the path
+        ended without; then `open_` marks contacts that stay undecided. Else `ties` marks those that slip at some minima
+        only.
+    of : friction and viscosity (A,) of the A contacts, scaled to about 1, and the unit of force.
     matrix : Newton matrix of the path.
-    fastest : unit of the spins, length/time.
+    fastest : unit of the products of spin and radius on the path, length/time.
     """
     contacts, settled, ties, open_ = way.iterate.system, way.resolved, None, None
     if settled is None:

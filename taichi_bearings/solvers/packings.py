@@ -70,11 +70,14 @@ def least_power(
     monitors: Sequence[Monitor] = (),
     checkpoints: Checkpoints | None = None,
 ) -> Solution:
-    """Return the minima of samples of a packing in which the same contacts take part.
+    """Return the minima of all samples of a packing. The samples differ in coefficients alone, and a contact that is
+    absent in one of them is absent in all.
 
-    method : "auto", or the name of a method; InputError is raised if it does not solve this packing. stop : when to
-        end. monitors : functions that are called with a report each time that the progress is read. checkpoints : where
-        the state is saved, and from which to continue; None for none.
+    scene : the packing, with its samples.
+    method : "auto", or the name of a method; InputError is raised if it does not solve this packing.
+    stop : when to end.
+    monitors : functions that are called with a report each time that the progress is read.
+    checkpoints : where the state is saved, and from which to continue; None for none.
     """
     row = METHODS[_able(scene, method)]
     return solve(scene, row().build(), scene.imposed_spins()[0][None], stop, monitors, None, None, checkpoints)

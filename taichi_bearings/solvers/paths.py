@@ -12,8 +12,9 @@ from taichi_bearings.conic.resolution import Resolved
 from taichi_bearings.solvers.part import Part
 
 OF_A_POINT = ("spins", "bound", "difference", "dual")  # fields of an iterate that change along the path
-OF_A_MINIMUM = ("spins", "difference", "dual", "slipping", "at_limit", "heads", "rest", "tied")
-"""Fields of a settled minimum that are arrays, or None."""
+FIELDS = ("spins", "difference", "dual", "slipping", "at_limit", "heads", "rest")
+OF_A_MINIMUM = {name: name for name in FIELDS} | {"tied": "sometimes_slips"}
+"""By name in checkpoints, the fields of a settled minimum that are arrays, or None."""
 
 
 class Paths(Descent, Part):
@@ -36,7 +37,9 @@ class Paths(Descent, Part):
             flags = (sample.steps, sample.gap, sample.done, sample.at_end, sample.tried, *has)
             found[f"{number}/path"] = np.array(flags, dtype=float)
             if (settled := sample.resolved) is not None:
-                arrays = {name: of for name in OF_A_MINIMUM if (of := getattr(settled, name)) is not None}
+                arrays = {
+                    name: of for name, field in OF_A_MINIMUM.items() if (of := getattr(settled, field)) is not None
+                }
                 arrays["borne"] = np.array(settled.borne)
                 for name, of in arrays.items():
                     found[f"{number}/settled/{name}"] = of.astype(np.uint8) if of.dtype == bool else of
@@ -61,9 +64,10 @@ class Paths(Descent, Part):
 
 
 def _settled(state: Mapping[str, np.ndarray], number: int, now: Iterate) -> Resolved:
-    """Return the settled minimum of a sample from the arrays of a checkpoint; raise ValueError if they do not fit it.
+    """Return the settled minimum of a sample (spins, forces and which contacts slip) from the arrays of a checkpoint;
+    raise ValueError if they do not fit it.
 
-    number : of the sample. now : its point on the path.
+    state : all arrays of the checkpoint, by name. number : index of the sample. now : its point on the path.
     """
     begin = f"{number}/settled/"
     given: dict[str, Any] = {n: np.array(state[begin + n]) for n in OF_A_MINIMUM if begin + n in state}
@@ -74,4 +78,5 @@ def _settled(state: Mapping[str, np.ndarray], number: int, now: Iterate) -> Reso
         if values.shape != like.shape or values.dtype.kind != ("u" if is_mask else "f"):
             raise ValueError(f"{name} of a settled minimum has the wrong type {values.dtype} or shape {values.shape}")
         given[name] = values.astype(bool) if is_mask else values
-    return Resolved(**given, borne=bool(state[begin + "borne"]), viscosity=now.viscosity)
+    fields = {OF_A_MINIMUM[name]: values for name, values in given.items()}
+    return Resolved(**fields, borne=bool(state[begin + "borne"]), viscosity=now.viscosity)

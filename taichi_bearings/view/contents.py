@@ -187,8 +187,12 @@ def _median(radius: np.ndarray) -> float:
 
 
 def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> Json:
-    """Return where the scales of colours begin and end, by name. fastest : the largest imposed spin, of a sphere of
-    median size, 1/time.
+    """Return the ends of the colour scales, by name. `spin_max` : end of the scale of spins, 1/time. `beyond` : True if
+    a drawn spin exceeds it. `bottleneck_share`, `busiest_share` : betweenness of contacts, the least of the BOTTLENECKS
+    largest ones and the largest; 0 where none is known.
+
+    drawn : the spheres and contacts that are shown.
+    fastest : the largest imposed spin, of a sphere of median size, 1/time.
     """
     moments, end = drawn.moments, drawn.spheres["spin"].values[None]
     spins = _shown_spins(drawn, end if moments is None else moments.spin[_shown_snapshots(moments)])

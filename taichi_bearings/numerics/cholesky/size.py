@@ -49,8 +49,11 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return the three sizes of a region that `tree` says, from those of its halves. border : number of unknowns
-        outside that touch the region."""
+        """Return three sizes of a region, in doubles, from those of its two halves: of its factor; of the update
+        matrices alive at one time, at most; of all of them at each depth of its dissection, its own first. An update
+        matrix is what eliminated unknowns add to the matrix of later ones.
+
+        region : by spin component, a box of spheres. border : number of unknowns outside that touch the region."""
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:
@@ -61,9 +64,9 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
             update = sum(part[2][0] for part in parts)
         depths = max(len(part[2]) for part in parts)
         levels = [update, *(sum(part[2][n] for part in parts if n < len(part[2])) for n in range(depths))]
-        if sum(levels) <= GROVE_NUMBERS:  # worked on depth by depth: two depths at a time
+        if sum(levels) <= GROVE_NUMBERS:  # small: eliminated depth by depth, so updates of two depths are alive
             most = max(above + below for above, below in zip(levels, [*levels[1:], 0.0], strict=True))
-        else:  # one side after the other, whose updates wait
+        else:  # large: one half after the other; the update of the first is kept until the second is done
             before = np.cumsum([0.0, *(part[2][0] for part in parts)])
             most = max(*(wait + part[1] for wait, part in zip(before, parts, strict=False)), before[-1] + update)
         return sum(part[0] for part in parts) + own * (own + border), most, tuple(levels)
