@@ -199,8 +199,9 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     instead.
 
     values : numbers of all contacts, row by row, flat.
-    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
-        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
+        block's first contact; the second and the last have the same for the steps that are read and written. Of the
+        third only the length is used, 1 or 2: how many slipping components the contact has.
     numbers : at m, a small work: where the friction law has no stiffness along the slip, it gets work / slip^2.
     m : number of the contact within its block."""
     state, like = at[0], at[2]
@@ -258,8 +259,9 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     has products of 0, and its slip may change by half.
 
     values : numbers of all contacts, row by row, flat.
-    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
-        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
+        block's first contact; the second and the last have the same for the steps that are read and written. Of the
+        third only the length is used, 1 or 2: how many slipping components the contact has.
     numbers : not used; all laws take the same arguments.
     m : number of the contact within its block."""
     state, step, like = at[0], at[1], at[2]
@@ -310,8 +312,9 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     the Jordan product of the predictor's steps.
 
     values : numbers of all contacts, row by row, flat.
-    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
-        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
+        block's first contact; the second and the last have the same for the steps that are read and written. Of the
+        third only the length is used, 1 or 2: how many slipping components the contact has.
     numbers : at m, the product that is aimed at, which is the head of the Jordan product of the two points.
     m : number of the contact within its block.
     """
@@ -337,8 +340,9 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     the upper limit.
 
     values : numbers of all contacts, row by row, flat.
-    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
-        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
+        block's first contact; the second and the last have the same for the steps that are read and written. Of the
+        third only the length is used, 1 or 2: how many slipping components the contact has.
     numbers : at m, m + BLOCK, ... : length of the primal step, of the dual step, lower limit, upper limit, and a
         choice: GO_ON, or, in a sample that needs no further corrector, AS_READ or AS_WRITTEN to keep the right-hand
         side of the step that is read or that of the step that is written.
@@ -386,8 +390,9 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     bound, and as its dual minus the friction along the slip.
 
     values : numbers of all contacts, row by row, flat.
-    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
-        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
+        block's first contact; the second and the last have the same for the steps that are read and written. Of the
+        third only the length is used, 1 or 2: how many slipping components the contact has.
     numbers : at m and at m + BLOCK, the lengths of the primal and of the dual step.
     m : number of the contact within its block."""
     state, step, like = at[0], at[1], at[2]
@@ -505,11 +510,12 @@ def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable
     ):  # fmt: skip
         """Apply the law to the blocks of contacts first ... end-1.
 
-        values, blocks : all rows, flat, and the same memory in blocks.
-        found : sums and least numbers over contacts, one for each place of a block, which are changed.
+        values, blocks : all rows, flat, and the same memory in blocks; a row has one number of every contact.
+        found : flat array of sums and least numbers over contacts, a number for each place of a block; it is changed.
         numbers : what the law takes besides, such as the length of a step.
         length : length of a row.
-        read_slot, write_slot : which of the two steps is read, and which is written, 0 or 1."""
+        read_slot, write_slot : which of the two steps in memory is read, and which is written, 0 or 1.
+        """
         ti.loop_config(serialize=True)
         for block in range(first, end):
             walk(
@@ -529,24 +535,32 @@ take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
 
 @ti.func
 def zero_of(together: ti.template()):
-    """Return zero in double precision: a vector of LANES zeros if `together` is True, which is for several samples that
-    are worked on together; else a number."""
+    """Return zero in double precision: if `together`, a vector of LANES zeros, for as many samples that are worked on
+    together; else one number."""
     if ti.static(together):
         return ti.Vector.zero(ti.f64, LANES)
     return ti.cast(0.0, ti.f64)
 
 
 def _sums(together: bool) -> Callable:
-    """Return a kernel that adds up numbers of lists of places. together : True for LANES samples at a time, whose
-    numbers form vectors; False for one sample."""
+    """Return a kernel that adds up numbers that stand at given places, one sum for each list of places.
+
+    together : True for LANES samples at a time, whose numbers form vectors; False for one sample.
+    """
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel
     def run(begins: INTEGERS, places: INTEGERS, values: kind, found: kind, first: int, to: int):
-        """Set found[to + i], for every i, to a sum of numbers of `values`: values[first + p] for each p in
-        places[begins[i] : begins[i + 1]].
+        """Set found[to + i], for every i, to a sum of numbers of `values`: of values[first + p] for each p in
+        places[begins[i] : begins[i + 1]]. A place that is stored as ~p, a negative number, is subtracted instead of
+        added.
 
-        A place that is stored as ~p, a negative number, is subtracted instead of added."""
+        begins, places : lists of places, one after the other, and where each begins; one entry more than there are
+            lists.
+        values, found : flat arrays, of which the second is written; vectors of LANES samples if several are worked on
+            together.
+        first, to : index in `values` of place 0, and in `found` of the first sum.
+        """
         ti.loop_config(serialize=True)
         for i in range(begins.shape[0] - 1):
             total = zero_of(together)

@@ -144,32 +144,39 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
         spec : pairs (name of a field, number of its rows), in the order of memory.
         stencil : spin components, dimension and periodic axes of the lattice.
-        corrector : coefficients of Gear's corrector, that of the spin first."""
+        corrector : coefficients of Gear's corrector, that of the spin first.
+
+        Attributes that the passes use:
+
+        order, holds, tally : how many numbers are kept of a spin; whether contacts have friction, by springs; whether
+            an energy balance is kept.
+        slot : first row of each field, by name. moved : first rows of the fields that a step of the spheres writes.
+        spin, predicted, integral, force, elongation : for each axis, the rows of the spin components that make its
+            contacts slip, or of the forces or springs along these.
+        coefficients : for each axis the row of the friction coefficient, and of the viscosity if there is one.
+        pulling : two tuples with a pair (axis, row of a contact force) for each spin component. The two forces of a
+            component, one in each tuple, are those whose torques change it.
+        """
         super().__init__(stencil.block, stencil.periodic)  # `block` is how many sites are worked on together
-        # slot: first row of each field, by name; order: numbers kept of a spin; tally: True with an energy balance
         slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
-        # for each axis, the rows of the spin components that make its contacts slip, or of the forces along those
         self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
         self.force = stencil.force_rows(slot["force"])
-        self.holds = "elongation" in slot  # whether contacts have friction, by springs
+        self.holds = "elongation" in slot
         if self.holds:
             self.integral = stencil.spin_rows(slot["integral"])
             self.elongation = stencil.force_rows(slot["elongation"])
-        # for each axis, the row of the friction coefficient, and of the viscosity if there is one
         names = [name for name in ("coefficient", "viscosity") if name in slot]
         self.coefficients = tuple(tuple(slot[name] + axis for name in names) for axis in axes)
-        # rows of the first component that a step writes; those of the others follow
         moved = [*(f"gear_{n}" for n in range(self.order)), "predicted", "integral"]
         self.moved = tuple(slot[name] for name in moved if name in slot)
-        # A spin component makes the contacts along two axes slip, and their forces change it. `pulling` has for each
-        # component two pairs (axis, row of that force); `self.pulling` has the first pair of each component, then the
-        # second.
-        pulling = [
-            [(a, self.force[a][kept.index(c)]) for a, kept in enumerate(stencil.slip_components) if c in kept]
+        # A spin component makes the contacts along two axes slip, and their forces change it: for each component two
+        # pairs (axis, row of that force), then in the other order, the first pair of each component before the second.
+        by_component = [
+            [(axis, self.force[axis][own.index(c)]) for axis, own in enumerate(stencil.slip_components) if c in own]
             for c in range(stencil.components)
         ]
-        self.pulling = tuple(zip(*pulling, strict=True))
+        self.pulling = tuple(zip(*by_component, strict=True))
 
     @ti.func
     def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
@@ -203,8 +210,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
-            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
+            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, and compliance and memory of a spring that slips; others are not used."""
         if ti.static(self.tally):
@@ -232,8 +239,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
-            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis."""
+            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis."""
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):
@@ -247,17 +254,17 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
         """Make one step of Gear's method for the spins of a block of spheres, by the contact forces that pull on them.
 
-        `motion`, which a subclass supplies, gives for each spin component the new numbers that are kept of a spin
-        (itself and its scaled derivatives), its predicted end, and its predicted mean; they are written into the rows
-        `moved`. `pulling` says which forces act on a component. With `tally` forces on driven spheres are summed too.
-        The loop over the components is one at run time, so that its body is compiled once.
+        `motion` of the base class gives for each spin component the new numbers that are kept of a spin (itself and its
+        scaled derivatives), its predicted end, and its predicted mean; they are written into the rows `moved`.
+        `pulling` says which forces act on a component. With `tally` forces on driven spheres are summed too. The loop
+        over the components is one at run time, so that its body is compiled once.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first sphere of the block.
-        strides : for each axis x, y, z how far away in memory the upper neighbour of a site is. With periodic axes
-            three such triples in a row: these distances; after how many sites a ring closes; the place of `first` in
-            its ring. So strides[axis::3] is all that belongs to one axis, with or without rings.
+        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
+            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
         response : time step * radius / inertia, 1/(force * time), which turns a force into the change of a spin.
         """
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
@@ -287,8 +294,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
-            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
+            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, compliance and memory of a spring that slips, and time step * radius /
             inertia.

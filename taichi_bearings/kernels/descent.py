@@ -135,8 +135,8 @@ class DescentSweeps(Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
-            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
+            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
         numbers : step; sharpness, 1 over the spin difference up to which friction grows; three lower and three upper
             ends of the interval in which spins stay; 1 to add spins and forces to their sums, else 0.
         sweep : number of the sweep since the momentum was last set to zero.

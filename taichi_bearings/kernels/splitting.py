@@ -94,8 +94,8 @@ class ContactStep(Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
-            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
+            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha."""
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
@@ -115,8 +115,8 @@ class ContactStep(Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first sphere of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
-            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis."""
+            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis."""
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
@@ -136,8 +136,8 @@ class ContactStep(Sweeps):
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row, first : length of a row (one number of every site), and index in it of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes nine: then for x, y and z the number of sites after which a ring closes, and for x, y and z
-            the place of `first` in its ring. So strides[axis::3] is all that belongs to one axis.
+            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
         sweep, carried : not used; `walk` takes the same arguments in all methods."""
         if ti.static(part == 0):
