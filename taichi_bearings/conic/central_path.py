@@ -41,15 +41,16 @@ Viscous = np.ndarray | None
 def friction_stiffness(
     friction: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray, share: float = np.inf
 ) -> np.ndarray:
-    """Return the second derivative (d, d, n) of the cost of each contact with respect to its slip: of friction * |slip|
-    + viscosity * |slip|^2 / 2.
+    """Return the second derivative (d, d, n) of the cost of each contact, friction * |slip| + viscosity * |slip|^2 / 2,
+    with respect to its slip, which has up to d components.
 
     Along the slip friction has no second derivative; there a weak stiffness LEAST_WORK / slip^2, at most `share` times
     the stiffness friction / slip across it, keeps matrices regular.
 
-    friction : (n,). viscosity : (n,), None for none. difference : (d, n), slips, none of them 0.
-
-    Letters: n contacts with up to d slip components.
+    friction : (n,), largest friction force of each contact. viscosity : (n,), viscous force over slip speed; None for
+        none.
+    difference : (d, n), slips, none of them 0.
+    share : upper bound of the weak stiffness, as said; infinity for none.
     """
     size = length(difference)
     along = difference / size
@@ -172,9 +173,8 @@ class _Step:
         return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
-        """Return this step with the changes of the spins, and what the kernel found, of `other` for the samples of the
-        mask `kept` (S,).
-        """
+        """Return this step, except in the samples of the mask `kept` (S,): there with the changes of the spins and the
+        lengths and sums of `other`."""
         return replace(
             self,
             spins=np.where(kept, other.spins, self.spins),
@@ -350,9 +350,12 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """Compute the torque on each unknown of the forces in rows `row` and `row + 1` of the contacts' numbers (one
-        row for each force component), less what accelerates the spheres to `spins` (unknowns or more, S), and write it
-        into the array of spins (unknowns or more, S) that belongs to the rows.
+        """Compute the torque that is left on each unknown spin: that of the contact forces in two rows of the contacts'
+        memory, less what accelerates the spheres, if they have inertia, to the spins `spins` (unknowns or more, S) of S
+        samples. It is written into the array `spins` (unknowns or more, S) of that memory, as right-hand side of the
+        next solve.
+
+        row : row of the first force component; that of the second follows.
         """
         rows = self._rows
         rows.torques(row)

@@ -163,13 +163,21 @@ class FrictionStage:
         return None
 
     def _trial(self, start: np.ndarray, resistance: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """Return the trial forces (d, n) of the springs, before friction limits them: start + resistance * R *
-        differences of the spins. Letters: n contacts with up to d slip components."""
+        """Return the trial forces (d, n) of the springs, before friction limits them: start + resistance * R * slips
+        over R, with the radius R.
+
+        start : (d, n), force of each spring at no slip. resistance : (n,), stiffness of each spring, force * time /
+            length.
+        spins : (unknowns,), 1/time.
+        """
         return start + resistance * self.radius * self.system.differences(spins)
 
     def _with_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """Return the force (d, n) plus the viscous force at these spins (unknowns,). Letters: n contacts with up to d
-        slip components."""
+        """Return the forces of all contacts with their viscous part, (d, n).
+
+        friction : laws of the n contacts, of which the viscosity is used. force : (d, n), without the viscous part.
+        spins : (unknowns,), at which the viscous forces are computed, 1/time.
+        """
         if friction.viscosity is None:
             return force
         return force + friction.viscosity * self.radius * self.system.differences(spins)
@@ -183,13 +191,12 @@ class FrictionStage:
         return inertia * gained + self.radius * self.system.torques(force)
 
     def _prepare(self, friction: Friction, trial: np.ndarray) -> bool:
-        """Prepare to solve with the derivative of the torques by the spins, at trial forces (d, n), those of the
-        springs before friction limits them; return False if rounding makes it singular.
+        """Prepare to solve with the derivative of the torques by the spins; return False if rounding makes it singular.
 
         In short stages inertia dominates, and a few conjugate gradients do. Else the matrix is factorised, unless
         nothing has changed since the last time.
 
-        Letters: n contacts with up to d slip components.
+        friction : laws of the n contacts. trial : (d, n), forces of the springs before friction limits them.
         """
         self._inertia, self._stiffness = friction.inertia, np.zeros(0)  # gives the memory of the last one back
         self._stiffness = friction.stiffness(trial)

@@ -77,9 +77,10 @@ def settled_by_springs(
 
 
 def _power(point: Iterate, spins: np.ndarray) -> float:
-    """Return the power of spins, or with viscosity the potential, from slips in twice the precision.
+    """Return the power of some spins, or with viscosity the potential, computed from slips in twice the precision, in
+    units of the mean friction and of the spins.
 
-    point : a point of the path, with friction and viscosity of its contacts.
+    point : a point of the path, which knows friction and viscosity of its contacts.
     spins : (unknowns,).
     """
     slip = length(point.system.to_all_digits(spins))

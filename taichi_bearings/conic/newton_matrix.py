@@ -161,8 +161,11 @@ class NewtonMatrix:
         return found.reshape(right.shape)
 
     def rows(self, samples: int = 1) -> ContactRows:
-        """Return memory for Newton steps of one sample or of LANES samples side by side. Its `spins` hold the
-        right-hand sides of :meth:`solve_rows`, then the solutions."""
+        """Return the memory in which Newton steps of `samples` samples side by side are made. Into its array `spins`
+        (unknowns or more, samples) right-hand sides are written; :meth:`solve_rows` replaces them by the solutions.
+
+        samples : 1 or LANES.
+        """
         if samples not in self._kept:
             cholesky = self._choleskys[0]
             solution, place = cholesky.factor(samples).solution, cholesky.pattern.place
@@ -214,7 +217,7 @@ class NewtonMatrix:
 
 
 def _side_by_side(values: np.ndarray) -> np.ndarray:
-    """Return an array (n, S) as it is, and an array (n,) of one sample as (n, 1). Letters: n contacts, S samples."""
+    """Return an array (n, S) of S samples as it is, and an array (n,) of one sample as (n, 1)."""
     return values if values.ndim == 2 else values[:, None]
 
 

@@ -43,12 +43,13 @@ class Step:
     """The result of one time step of all R samples of a scene, with C spin components, E contacts and N the shape of
     arrays over the spheres.
 
-    staggered : (C, R, *N), staggered spins at its end, 1/time.
-    force : (C, R, E), contact forces during the step.
+    staggered : (C, R, *N), spins at its end times the sign by which neighbours differ, 1/time.
+    force : (C, R, E), contact forces during the step, by spin component that makes the contact slip.
     slipping : (R,), number of contacts that slip.
-    creep : largest difference of spins across a contact that does not slip; 0 but for rounding.
-    newton_steps : number of factorisations.
-    solved : False if rounding ended the path too early.
+    creep : largest difference of spins across a contact that does not slip, 1/time, over all samples; 0 but for
+        rounding.
+    newton_steps : number of factorisations, of all samples together.
+    solved : False if rounding ended the solution of some sample too early.
     """
 
     staggered: np.ndarray
@@ -128,11 +129,11 @@ class OfNetwork(Unknowns):
     """
 
     def __init__(self, bearing: Bearing, unit: float, inertia: np.ndarray) -> None:
-        """Take a bearing, of which all contacts have to be in use. unit : speed that is counted as one, of u = radius *
-        spin.
-        inertia : moment of inertia over radius squared of each sphere, (N,).
+        """Number the free spins of a bearing, in which all contacts have to take part, and make its contact system over
+        them.
 
-        Letters: N spheres.
+        unit : speed that is counted as one, of u = radius * spin, length/time.
+        inertia : (N,), moment of inertia over radius squared of each of N spheres, mass.
         """
         network, contact = bearing.network, bearing.acting
         each = np.arange(network.spheres * network.components).reshape(network.spheres, -1)
@@ -200,8 +201,12 @@ class ProximalSteps:
         self._slowness = inertia * unit / (scene.slip_radius * self._force_unit)
 
     def step(self, staggered: np.ndarray, duration: float) -> Step:
-        """Return the step of length `duration` (time) that begins at the spins `staggered` (C, R, *N). Letters: C spin
-        components, R samples, N the shape of the lattice."""
+        """Return the implicit Euler step in time of all R samples that begins at given spins.
+
+        staggered : (C, R, *N), spins of C components and N spheres times the sign by which neighbours differ, 1/time;
+            of a packing u = radius * spin.
+        duration : length of the step, time.
+        """
         scene = self.scene
         after = staggered.copy()
         force = np.zeros((self.unknowns.rows, *scene.coefficient.shape))

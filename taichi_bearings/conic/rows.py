@@ -142,11 +142,11 @@ class ContactRows:
         self._add_up(self._stiffnesses, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
 
     def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
-        """Compute a product of a sparse matrix with numbers, and write it to `found`.
+        """Compute the product of a sparse matrix with numbers of the memory, and write it to `found`.
 
         sums : the matrix; or, if its entries are all 1 or -1, two tables that say which numbers to add and to subtract.
-        values : array that holds the numbers, flat in contacts or spins, from the
-            index `first` on. found : array for the result, which goes to the index `to` and on.
+        values, first : array of numbers of contacts or spins, of which those from the index `first` on are multiplied.
+        found, to : array of the result, which is written to the index `to` and on.
         """
         key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
         if isinstance(sums, sparse.csr_array):
