@@ -163,25 +163,18 @@ def draw_yield_surface(named: Any) -> Figure:
 
     T_x, T_y: torques on the top about x and y; T_c: the one that belongs to its bearing state C x (staggered spins that
     point away from the middle and grow with the distance from it).
-    What the four parts show:
+    * (a) Surface of (T_x, T_y), (b) of (T_x, T_c). Points: torques of the directions solved, an inner bound. Thin
+      lines: their power, an outer bound. Circle and square, to compare: radius and side are T_x of the largest L.
+    * (c) Share of the yield torque about one axis that is lost while the top rotates about the other ("crossed"), and
+      share by which the power about x + y falls short of the sum of those about x and y. (d) Power per area by 1 / L.
 
-    * (a) the surface of (T_x, T_y), and (b) that of (T_x, T_c). Points: torques at the directions solved, an inner
-      bound. Thin lines: the power of each direction, an outer bound. Dotted circle and dashed square, for comparison:
-      their radius and side are T_x of the largest bearings.
-    * (c) The share of the yield torque about one axis that is lost while the top rotates about the other ("crossed"),
-      and the share by which the power about x + y falls short of the sum of those about x and y.
-    * (d) The power per area against 1 / L.
-
-    named : object with the values of :func:`names_of` as attributes. Used are dictionaries by side L:
-        `body`, mean powers (directions,) and torques (directions, 3) in units of F_n R L^2;
-        `crossed` and `square`, for each sample what remains, 1 less the shares of (c), with the fits `fading` and
-        `squaring`;
-        and `per_area`, by direction and side the power of each sample, with the fits `limits_of`.
+    named : values of :func:`names_of`, by side L: `body`, mean powers (directions,) and torques (directions, 3) in
+        units of F_n R L^2; `crossed`, `square`, 1 less the shares of (c) by sample, with the fits `fading`, `squaring`;
+        `per_area`, by direction and side the power of each sample, with the fits `limits_of`.
     """
-    directions, plane = np.array(DIRECTIONS), len(PLANE)
+    directions, plane, sides = np.array(DIRECTIONS), len(PLANE), sorted(named.body)
     figure = new_figure(DOUBLE, 5.2)
     axes: Any = figure.subplots(2, 2)
-    sides = sorted(named.body)
     shown = [sides[k] for k in np.unique(np.linspace(0, len(sides) - 1, SHOWN).round().astype(int))]
     for side, color in zip(shown, shades(len(shown)), strict=True):
         power, torque = named.body[side]

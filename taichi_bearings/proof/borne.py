@@ -1,4 +1,5 @@
-"""Proof that contacts which can roll exactly rest at every minimum, beside loops that cannot: part of theorem 8.
+"""Proof that contacts which can roll exactly rest at every minimum, even where they touch loops of contacts that cannot
+roll exactly: part of theorem 8.
 
 What is proven. Some contacts, called X, can all roll at once, exactly (exact_motions.py). They rest at every minimum if
 some friction G on X, below every friction limit, can replace the optimal friction F* there: it exerts the same torques
@@ -11,22 +12,22 @@ Symbols
     Z : (n, z), all motions of the spheres of X in which X does not slip: K Z = 0.
     F : friction at hand. F* : optimal friction. f = F* - F, on the k other contacts known by a bound on its size alone.
     c : (m,), friction that circulates along loops beside X, known to lie in intervals (loops.py).
-    L : loads, the torques on the unknowns of X by a unit of each component of f on other contacts, and of each c.
-    R : (3 q, loads), friction on X that bears each load: K^T R = -L but for a residual. (R is no number of samples
-        here.)
+    L : loads, the torques on the unknowns of X by a unit of each component of f on other contacts, directly and by what
+        it changes in the loops, and by a unit of each c.
+    R_f, R_c : (3 q, 2 k) and (3 q, m), friction on X that bears each load: K^T (R_f, R_c) = -L but for a residual.
 
 The proof
 1. Without any R: contacts of loops rest if the bound on |F*| that loops.py gives is below mu F_n
    (`at_rest_beside_loops`).
-2. For each load find R by springs at the contacts of X. Any R would do; springs that are weaker where a contact has
-   less friction left make the bounds of step 3 better, so several stiffnesses are
+2. For each load find R_f or R_c by springs at the contacts of X. Any friction that bears the load would do; springs
+   that are weaker where a contact has less friction left make the bounds of step 3 better, so several stiffnesses are
    tried for the loads of loops.
-3. Then G = F + sum of R f over f of other contacts + sum of R c. Its size at a contact of X is at most |F + R (middles
-   of c)| + sum of |R| (half lengths of c) + sum of |R| (bounds on f).
-4. G does not quite balance: it leaves residuals of R and rounding. The torques of G - F* as they are exactly lie in
-   the range of K^T, so they are orthogonal to Z: the parts of single loads along Z cancel in the sum over all loads,
-   and may be left out of each. The rest is taken away by a correction of G no larger than its size over the least
-   singular value of K that is not 0; exact_motions.py has a floor of it.
+3. Then G = F + R_f f + R_c c. Its size at a contact of X is at most |F + R_c (middles of c)| + sum of |R_c| (half
+   lengths of c) + sum of |R_f| (bounds on f).
+4. G does not quite balance: it leaves residuals of R_f and R_c, and rounding. The torques of G - F* as they are exactly
+   lie in the range of K^T, so they are orthogonal to Z: the parts of single loads along Z cancel in the sum over all
+   loads, and may be left out of each. The rest is taken away by a correction of G no larger than its size over the
+   least singular value of K that is not 0; exact_motions.py has a floor of it.
 5. X falls into parts that share no free sphere. All contacts of a part rest if all of them stay below mu F_n.
 
 Example. A sphere of X has two contacts of X that have 3 and 1 of their friction left, F = 0, and both can bear the same
@@ -51,10 +52,12 @@ from taichi_bearings.proof.resting import known_friction
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor
 from taichi_bearings.proof.springs import numbered, slip_rows
 
-# Choices of which R to try. Nothing that is proven depends on them, as any R is valid.
-FORCES_AT_ONCE = 64  # other contacts for whose loads R is computed at once
-MOST_TRIALS, SPARED = 10, 0.7  # trials of R; springs are weakened by (load of a contact / friction left) to this power
-LEAST_MARGIN, LEAST_BORNE = 1e-4, 1e-2  # friction left, and load, over the largest; smaller ones count as this large
+# Choices of which R_f and R_c to try. Nothing that is proven depends on them, as any are valid.
+FORCES_AT_ONCE = 64  # other contacts for whose loads R_f is computed at once
+# number of trials of R_c; springs are weakened by (load of a contact / friction left) to this power from trial to trial
+MOST_TRIALS, SPARED = 10, 0.7
+LEAST_MARGIN = 1e-4  # friction left over the largest of all contacts; contacts with less count as having this much
+LEAST_BORNE = 1e-2  # load of a contact over the largest; smaller loads count as this large
 YIELDING, CARRYING_STEPS = -1e-13, 3  # minus what is added to the diagonal, to hold motions; steps that correct it
 
 
@@ -84,12 +87,12 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
     # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
     # below all their limits can replace the optimal one.
-    pieces_of_q = friction_bounds.split_into_pieces()
-    for piece in pieces_of_q:
+    loop_pieces = friction_bounds.split_into_pieces()
+    for piece in loop_pieces:
         found[piece.contacts] = piece.largest < network.holding.least[piece.contacts]
     found &= rests
     if exact.contacts.any():
-        found[exact.contacts] = ExactlyRolling(friction_bounds, pieces_of_q).rests()
+        found[exact.contacts] = ExactlyRolling(friction_bounds, loop_pieces).rests()
     return found
 
 
@@ -100,11 +103,11 @@ class ExactlyRolling:
 
     friction_bounds : for all contacts of the packing, bounds on the size of their optimal friction, and on that of its
         change f from the friction at hand.
-    pieces_of_q : groups of contacts beside X that form loops. Of the friction c that circulates along each loop each
-        group has an interval that contains it."""
+    loop_pieces : groups of contacts beside X that form loops. Each group knows, for the friction c that circulates
+        along each of its loops, an interval that contains c."""
 
     friction_bounds: FrictionBounds
-    pieces_of_q: list[Piece]
+    loop_pieces: list[Piece]
 
     @cached_property
     def columns(self) -> np.ndarray:
@@ -146,9 +149,9 @@ class ExactlyRolling:
     @cached_property
     def others(self) -> np.ndarray:
         """(k,), indices of the contacts of whose change of friction only a bound on the size is known: those that can
-        dissipate, except the exactly rolling ones and those in loops (`pieces_of_q`), which have intervals."""
+        dissipate, except the exactly rolling ones and those in loops (`loop_pieces`), which have intervals."""
         found = self.friction_bounds.network.counts & ~self.friction_bounds.exact.contacts
-        for piece in self.pieces_of_q:
+        for piece in self.loop_pieces:
             found[piece.contacts] = False
         return np.flatnonzero(found)
 
@@ -164,7 +167,7 @@ class ExactlyRolling:
         place = np.full(rows.shape[0], -1)
         place[own] = np.arange(len(own))
         found, by_loops = [rows[own].T], [sparse.csr_array((len(self.columns), 0))]
-        for piece in self.pieces_of_q:
+        for piece in self.loop_pieces:
             to_spheres, at = rows[tangent_rows(piece.contacts)].T, place[tangent_rows(piece.others)]
             row, column = np.indices(piece.by_others.shape).reshape(2, -1)
             shape = (len(piece.by_others), len(own))
@@ -184,7 +187,7 @@ class ExactlyRolling:
         """(n,), bound on the size of the torque on each unknown that is not a multiple of a column of `loads`: what the
         friction at hand leaves over, and rounding."""
         more = self.rounding * self.friction_bounds.most_change
-        for piece in self.pieces_of_q:
+        for piece in self.loop_pieces:
             more[piece.contacts] += piece.by_rounding + self.rounding * piece.most_off_loops
         return (self.friction_bounds.left_over + self.friction_bounds.sum_at_spheres(more))[
             self.friction_bounds.sphere[self.columns]
@@ -223,11 +226,12 @@ class ExactlyRolling:
         # size.
         middle, half_length = (
             np.concatenate([np.zeros(0), *of])
-            for of in ([p.middle for p in self.pieces_of_q], [p.half_length for p in self.pieces_of_q])
+            for of in ([p.middle for p in self.loop_pieces], [p.half_length for p in self.loop_pieces])
         )
         for _ in range(MOST_TRIALS):
             force, left = springs.forces_for(self.loads[1].toarray(), np.abs(middle) + half_length)
             moved = (force @ middle).reshape(-1, 3)
+            # |F + R_c (middles of c)| + sum of |R_c| (half lengths of c); `by_others` is the sum of |R_f| (bounds on f)
             largest = np.linalg.norm(self.friction_bounds.friction[self.contacts] + moved, axis=1) + weighted_lengths(
                 force, half_length, 3
             )
@@ -267,7 +271,7 @@ class SpringsOfX:
     """Springs at the q exactly rolling contacts. They find friction there that bears a load, which is a torque on each
     of the n unknown spin components.
 
-    loaded : these contacts, with their matrix K of slips, (3 q, n).
+    loaded : the exactly rolling contacts, with their matrix K of slips, (3 q, n).
     weight : (q,), stiffness of the spring at each contact.
     scale : (n,), factors that give the factorised matrix a diagonal of 1.
     factor : Cholesky factor of the scaled matrix K^T weight K."""
@@ -282,7 +286,8 @@ class SpringsOfX:
         """Make springs at the q exactly rolling contacts, and factorise the matrix by which they are solved; None if
         that fails.
 
-        loaded : these contacts, with the matrix of their slips. weight : (q,), stiffness of the spring at each."""
+        loaded : the exactly rolling contacts, with the matrix of their slips. weight : (q,), stiffness of the spring at
+            each."""
         rows = sparse.csr_array(sparse.diags_array(np.sqrt(np.repeat(weight, 3))) @ loaded.rows)
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))

@@ -262,12 +262,14 @@ class _Motions:
     def of(
         cls, parts: _Parts, choices: _Choices, follow: np.ndarray, rows: sparse.csr_array, factor: Factor
     ) -> tuple[_Motions, np.ndarray]:
-        """Guess the motions that follow from each of the q numbers in `choices`, as fractions, and return them with a
-        mask (n,) of the unknowns at which some motion is no fraction. Whether no contact slips is not checked here.
+        """Guess the motions that follow from each of the q numbers in `choices`, as fractions. Return them, and a mask
+        (n,) of the unknowns at which some motion is no fraction. Whether no contact slips is not checked here.
 
-        parts : A contacts and their n unknowns. choices : the q numbers.
-        follow : (f,), indices of the unknowns that are not chosen. rows : (3 A, f), their columns of the matrix of
-            slips. factor : Cholesky factor of rows^T rows."""
+        parts : A contacts and their n unknowns.
+        choices : the q numbers, chosen spin components and imposed spins, from which all other spins follow.
+        follow : (f,), indices of the unknowns that are not chosen.
+        rows : (3 A, f), the columns of these unknowns in the matrix of slips. factor : Cholesky factor of rows^T rows.
+        """
         normal, owner, count = parts.normal.T[..., None], parts.of_unknown[follow], len(choices.slot)
         unit, no_fraction = np.ones(count), np.zeros(len(parts.of_unknown), dtype=bool)
         entries = [np.zeros((3, 0))]

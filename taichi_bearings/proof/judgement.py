@@ -1,4 +1,11 @@
-"""Power, lower bound and contact states of samples of a lattice, or of a packing: what is rigorously true of them."""
+"""Power, lower bound and contact states of samples of a lattice, or of a packing: what is rigorously true of them.
+
+A judgement takes a scene, spins and friction, and trusts nothing of the method that found them. It proves nothing by
+itself, but asks, in this order: enclosed.py for the network with all numbers as enclosures, bounds.py for an upper
+bound (the potential of the spins) and a lower one (what the friction proves), slipless_state.py whether a state without
+slip exists, and states.py which contacts slip at every minimum. Results are converted from the units of the network,
+powers of two, to those of the scene, and bounds are rounded outwards once more.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +115,7 @@ class Judgement:
         return self.network.force_unit
 
     @property
-    def friction_along(self) -> np.ndarray:
+    def friction_has_normal_part(self) -> np.ndarray:
         """(R, E) mask of the contacts whose stored friction has a component along the normal, which no friction has: on
         packings a component above rounding, on lattices any. All False for discs, whose friction is stored as one
         number."""
@@ -153,14 +160,11 @@ class Judgement:
     def states(self) -> list[States]:
         """Contact states at every minimum, a list with an object for each of R samples; SLIPLESS for all contacts of
         samples for which a state without any slip is proven to exist."""
-        none, slipless = (
-            States(np.full(self.acts.shape[1], SLIPLESS), self.network.graph.layered or None),
-            self.slipless,
-        )
-        if slipless.all():
-            return [none] * self.network.count
+        nothing_slips = States(np.full(self.acts.shape[1], SLIPLESS), self.network.graph.layered or None)
+        if self.slipless.all():
+            return [nothing_slips] * self.network.count
         found = proven_states(self.bounds)
-        return [none if at_rest else states for at_rest, states in zip(slipless, found, strict=True)]
+        return [nothing_slips if rests else states for rests, states in zip(self.slipless, found, strict=True)]
 
     @property
     def known(self) -> np.ndarray:
@@ -178,8 +182,8 @@ class Judgement:
         """(R,), for each of R samples a number not above the least objective (power, or potential with viscosity),
         energy/time.
 
-        If the reported objective is rounded down from the upper bound, this bound is scaled down by the same ratio. So
-        the gap of the reported numbers never looks smaller than the proven one."""
+        The reported objective, a nearest double, may lie below the upper bound. Then this bound is scaled down by the
+        same ratio. So the gap of the reported numbers never looks smaller than the proven one."""
         lower = np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
         upper, objective = self.upper_bound, self.objective
         share = np.divide(objective, upper, out=np.ones_like(upper), where=np.isfinite(upper) & (upper > objective))
@@ -206,7 +210,7 @@ class Judgement:
 
     def _of_spins(self, of_slope: float, unit: np.ndarray) -> np.ndarray:
         """Return for each sample the sum of mu F_n slip + `of_slope` eta slip^2 over contacts, at the stored spins,
-        times `unit`: (R,). It is infinite for spins that no motion can have, 0 at rest.
+        times `unit`: (R,). It is infinite for spins that no motion can have, 0 for samples at rest (`at_rest`).
 
         of_slope : 1 for the power, 1/2 for the potential. unit : (R,), energy/time, of a unit of power of the network.
         """
@@ -224,8 +228,8 @@ class Judgement:
 
     @property
     def gap(self) -> np.ndarray:
-        """(R,), for each of R samples (objective - lower bound) / objective of the reported numbers; 0 at rest, NaN for
-        stored spins that no motion can have."""
+        """(R,), for each of R samples (objective - lower bound) / objective of the reported numbers; 0 for samples at
+        rest (`at_rest`), NaN for stored spins that no motion can have."""
         objective = self.objective
         gap = np.where(np.isfinite(objective), 0.0, np.nan)
         some = np.isfinite(objective) & (objective > 0)

@@ -127,8 +127,8 @@ class Listed:
         return [Enclosure.exact(np.full(len(self.place), size)) for size in box]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
-        """Return the numbers k of the spin components along which some contact has to slip at every minimum, or may
-        have to, in ascending order.
+        """Return, in ascending order, the numbers k of the spin components along which contacts may slip at some
+        minimum: those along which not all contacts can roll with what is imposed.
 
         box : (C,), largest absolute imposed value of each of the C components; only their number is used here.
         differs : function of k, True if the imposed spins differ along component k, so that not all contacts can roll

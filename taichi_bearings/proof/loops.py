@@ -1,12 +1,12 @@
 """Bounds on the friction of contacts in loops that cannot roll as their normals are stored: part of theorem 8.
 
-What is proven. With rounded normals loops of contacts cannot roll that would do so with ideal ones: at the minimum some
+What is proven. Loops of contacts that would roll with ideal normals cannot roll with rounded ones: at the minimum some
 of their contacts slip by 1e-16, and rounding decides which. No proof about slips can help there, but friction is in
 balance there as elsewhere. This file bounds the optimal friction of each contact near such loops. A contact whose
 friction is proven to be below mu F_n rests at every minimum (theorem 4).
 
 Symbols
-    N (in shapes) : number of spheres. E : of contacts. n : of unknowns, the components of the spins of free spheres.
+    N : number of spheres. E : of contacts. n : of unknowns, the components of the spins of free spheres.
     F : friction at hand. F* : optimal friction. f = F* - F. K : matrix of slips, so K^T F are the torques of F.
     X : the contacts that can roll exactly (exact_motions.py).
     Q : contacts that can dissipate, touch a free sphere outside X, and whose friction is not known at every minimum
@@ -14,27 +14,30 @@ Symbols
         pieces that share no such sphere.
     q : number of contacts of a piece. Their friction has two components each, along two tangents.
     M : (2 q, n), rows of K for the contacts of a piece and the unknowns of its spheres, along the tangents.
-    N (in formulas) : (2 q, m), columns of friction along loops: N exerts no torque, M^T N = 0 but for rounding.
-    c = N^T f : (m,), how much friction circulates along each loop.
+    L : (2 q, m), friction along *loops*, one in each column: L exerts no torque, M^T L = 0 but for rounding. A *group*
+        of contacts that this friction connects may have several loops.
+    c = L^T f : (m,), how much friction circulates along each loop.
+    D : (2 q, 2 q), the error of the splitting of step 1.
 
 The proof
-1. Choose any N and any Y (n, 2 q); here they come from a singular value decomposition of M. Define E = I - N N^T - M Y,
-   which is small. Then, as an identity,
-       f = N c + Y^T (M^T f) + E^T f.
-2. Both F* and F leave over no torque, or a known one: K^T f = -K^T F on every free sphere. So M^T f is minus what the
-   other contacts of these spheres change, and what F leaves over. For contacts that are known to slip f is small; for
-   all others both F and F* are inside a disc. That bounds all of f but N c.
+1. Choose any L and any Y (n, 2 q); here they come from a singular value decomposition of M. Define D = I - L L^T - M Y.
+   It is of the size of rounding if no singular value of M lies between 0 and NEARLY_SINGULAR, and in any case it is
+   bounded. Then, as an identity,
+       f = L c + Y^T (M^T f) + D^T f.
+2. Both F* and F leave over no torque, or a known one: K^T f = -K^T F on every free sphere. So M^T f is minus the sum of
+   what the other contacts of these spheres change and what F leaves over. For contacts whose friction is known f is
+   small; for all others both F and F* are inside a disc. That bounds all of f but L c.
 3. |F + f| <= mu F_n + eta |y| for every contact. So each contact of a loop confines its c to an interval, the solution
    of a quadratic inequality, and all contacts of the loop together to the common part of these intervals. Where a
-   contact belongs to several loops, their c are bounded one by one by the sum of what the discs allow.
-4. Then |F*| is at most |F + N c| at the middle of the intervals, plus |N| times their half lengths, plus the bound of
+   contact belongs to several loops, |c| is only bounded by the sum over the contacts of |L| (largest |F*| + |F|).
+4. Then |F*| is at most |F + L c| at the middle of the intervals, plus |L| times their half lengths, plus the bound of
    step 2.
 
-Example. Four discs in a ring, limits (2, 2, 2, 5), F = (1, 0, 0, 0), and no other contact may change. Friction that
-alternates is in balance on each disc: N = (1, -1, 1, -1) / 2. The first contact gives |1 + c / 2| <= 2, so -6 <= c <=
-2; the next two |c| <= 4; the last one |c| <= 10. Together -4 <= c <= 2, with the middle -1 and the half length 3. The
-last contact bears at most |1 / 2| + 3 / 2 = 2, less than 5: it rests. The others may bear all their friction, so
-nothing is proven of them.
+Example (of the arithmetic of step 3 alone, as discs can roll). Four discs in a ring, limits (2, 2, 2, 5), F = (1, 0, 0,
+0), and no other contact may change. Friction that alternates is in balance on each disc: L = (1, -1, 1, -1) / 2. The
+first contact gives |1 + c / 2| <= 2, so -6 <= c <= 2; the next two |c| <= 4; the last one |c| <= 10. Together -4 <= c
+<= 2, with the middle -1 and the half length 3. The last contact bears at most |1 / 2| + 3 / 2 = 2, less than 5: it
+rests. The others may bear all their friction, so nothing is proven of them.
 """
 
 from __future__ import annotations
@@ -69,7 +72,8 @@ class FrictionBounds:
     number : (N, 3), which unknown each component of a spin is, -1 where it is none (of driven spheres).
     exact : the contacts that can all roll exactly at once, and their motions.
     given : friction at hand by component, 3 enclosures (E,), in units of force.
-    known : (E,) mask of the contacts whose friction is known at every minimum: they slip, or have damping alone.
+    known : (E,) mask of the contacts whose friction is nearly known at every minimum: they slip there, or have damping
+        alone.
     most_change : (E,), bound on |optimal friction - friction at hand|, force.
     most_friction : (E,), bound on |optimal friction|, force.
     """
@@ -119,8 +123,8 @@ class FrictionBounds:
 
     @cached_property
     def in_q(self) -> np.ndarray:
-        """(E,) mask of the contacts whose loops are looked at: they can dissipate, are not known to slip, and touch one
-        of `other_spheres`, free spheres that no exactly rolling contacts join."""
+        """(E,) mask of the contacts whose loops are looked at: they can dissipate, their friction at minima is not
+        known, and they touch one of `other_spheres`, free spheres that no exactly rolling contact touches."""
         touches = self.other_spheres[self.network.graph.contact].any(axis=0)
         return np.asarray(self.network.counts & ~self.known & touches)
 
@@ -162,15 +166,15 @@ class FrictionBounds:
 class Piece:
     """Bounds on the friction of q contacts at any minimum, which their spheres connect.
 
-    Let f be the change of their friction from the one at hand to an optimal one. It is N c + the rest, with c the
+    Let f be the change of their friction from the one at hand to an optimal one. It is L c + the rest, with c the
     friction that circulates along each of m loops.
 
     contacts : (q,), indices of these contacts.
     others : (k,), indices of the other contacts of their spheres.
-    loops : N, (2 q, m), friction along each loop, two tangential components for each contact.
+    loops : L, (2 q, m), friction along each loop, two tangential components for each contact.
     middle, half_length : (m,), of the interval in which each c lies.
     by_others : (2 q, 2 k), the matrix by which a change of friction on the others changes f.
-    most_off_loops : (q,), bound on the size of f without N c.
+    most_off_loops : (q,), bound on the size of f without L c.
     by_rounding : (q,), the part of `most_off_loops` that is due to rounding and leftover torques, not to the others.
     largest : (q,), bound on the size of the optimal friction.
     """
@@ -189,7 +193,7 @@ class Piece:
     def of(cls, bounds: FrictionBounds, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
         """Bound the friction of the q contacts of one piece.
 
-        The change f of their friction, from the one at hand to an optimal one, is split into friction N c along m
+        The change f of their friction, from the one at hand to an optimal one, is split into friction L c along m
         loops, which exerts no torque, and the rest, which follows from the torques of f. These are minus what the other
         contacts of the spheres change, and so have bounds. Limits of friction then confine each number of c to an
         interval.
@@ -256,31 +260,32 @@ def block_norms(matrix: np.ndarray, numbers: int = 2) -> np.ndarray:
 
 
 def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Return a bound (2 q, 2 q) on the size of each entry of E = I - N N^T - M Y, the error of a splitting of friction
-    into loops N and the rest: E in doubles, and EPS for each term of the sums by which it is formed, and 64 more.
+    """Return a bound (2 q, 2 q) on the size of each entry of D = I - L L^T - M Y, the error of a splitting of friction
+    into loops L and the rest: D in doubles, and EPS for each term of the sums by which it is formed, and 64 more.
 
-    rows : M, (2 q, n), slips of q contacts. loops : N, (2 q, m). inverse : Y, (n, 2 q)."""
+    rows : M, (2 q, n), slips of q contacts. loops : L, (2 q, m), friction along m loops. inverse : Y, (n, 2 q), about
+        the pseudo-inverse of M."""
     found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
     of_along = np.abs(loops)
     return found + terms * EPS * (np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse))
 
 
 def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for a matrix M of slips of q contacts, a matrix N (2 q, m) and a matrix Y (n, 2 q). Each column of N is
-    friction along one of m loops, which exerts no torque: M^T N = 0 but for rounding. Y is the pseudo-inverse of M.
+    """Return, for a matrix M of slips of q contacts, a matrix L (2 q, m) and a matrix Y (n, 2 q). Each column of L is
+    friction along one of m loops, which exerts no torque: M^T L = 0 but for rounding. Y is the pseudo-inverse of M.
 
     rows : M, (2 q, n), both tangential components of each slip from n unknown spin components."""
     u, size, v = np.linalg.svd(rows, full_matrices=True)
     rank = int((size > NEARLY_SINGULAR * size.max(initial=0.0)).sum())
     inverse = (v[:rank].T / size[:rank]) @ u[:, :rank].T
-    # Friction without torque: the projection on it. Contacts that it connects form a loop. Its eigenvectors within each
-    # loop with eigenvalues 1, rather than 0, are the columns of N.
+    # Friction without torque: the projection on it. Contacts that it connects form a group. Its eigenvectors within
+    # each group with eigenvalues 1, rather than 0, are the columns of L.
     balanced = u[:, rank:] @ u[:, rank:].T
     share = block_norms(balanced)
     first, second = np.nonzero(share > IN_A_LOOP)
-    loop, found = pieces(len(share), first, second), [np.zeros((len(rows), 0))]
-    for own in np.unique(loop[share.diagonal() > IN_A_LOOP]):
-        at = tangent_rows(np.flatnonzero(loop == own))
+    group, found = pieces(len(share), first, second), [np.zeros((len(rows), 0))]
+    for own in np.unique(group[share.diagonal() > IN_A_LOOP]):
+        at = tangent_rows(np.flatnonzero(group == own))
         value, vector = np.linalg.eigh(balanced[np.ix_(at, at)])
         found.append(np.zeros((len(rows), int((value > 0.5).sum()))))
         found[-1][at] = vector[:, value > 0.5]
@@ -291,21 +296,21 @@ def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> 
     """Return the middle and the half length, (m,) each, of an interval for each of m loops that contains the friction c
     which circulates along it.
 
-    loops : N, (2 q, m), two tangential components for each of q contacts, by a unit of each c.
+    loops : L, (2 q, m), two tangential components for each of q contacts, by a unit of each c.
     force : (q, 2), friction F at hand along the tangents.
-    limit : (q,), sizes that F + N c does not exceed at each contact."""
+    limit : (q,), sizes that F + L c does not exceed at each contact."""
     size = np.linalg.norm(loops.reshape(len(force), 2, -1), axis=1)
-    # As c = N^T f and |f| <= |F*| + |F| at each contact, c is at most the sum of |N| (limit + |F|) over contacts.
+    # As c = L^T f and |f| <= |F*| + |F| at each contact, c is at most the sum of |L| (limit + |F|) over contacts.
     most_c = (size * (limit + np.linalg.norm(force, axis=1))[:, None]).sum(axis=0) * UP
     middle, half_length, in_loop = np.zeros(len(most_c)), most_c.copy(), (size > IN_A_LOOP).astype(float)
     for c in np.flatnonzero(((in_loop.T @ in_loop) > 0).sum(axis=0) == 1):
         own = np.flatnonzero(in_loop[:, c])
-        # For each contact of a loop that shares none with another loop solve |F + N c| = most, a quadratic equation
-        # c^2 + 2 linear c + constant = 0. What tiny entries of N for other loops may add is in `most`; 1e-12 covers the
-        # rounding of the difference under the root.
-        square, most = size[own, c] ** 2, limit[own] + (size[own] @ most_c - size[own, c] * most_c[c])
+        # For each contact of a loop that shares none with another loop solve |F + L c| = size_limit, a quadratic
+        # equation c^2 + 2 linear c + constant = 0. What tiny entries of L for other loops may add is in `size_limit`;
+        # 1e-12 covers the rounding of the difference under the root.
+        square, size_limit = size[own, c] ** 2, limit[own] + (size[own] @ most_c - size[own, c] * most_c[c])
         linear = (loops[:, c].reshape(-1, 2)[own] * force[own]).sum(axis=1) / square
-        constant = ((force[own] ** 2).sum(axis=1) - most**2) / square
+        constant = ((force[own] ** 2).sum(axis=1) - size_limit**2) / square
         root = np.sqrt(np.maximum(linear**2 - constant, 0.0) + 1e-12 * (linear**2 + np.abs(constant)))
         low, high = (-linear - root).max(), (root - linear).min()
         if 0 <= high - low < 2 * most_c[c]:

@@ -55,7 +55,7 @@ from scipy import sparse
 
 from taichi_bearings.dissection import Part
 from taichi_bearings.proof.bounds import Bounds
-from taichi_bearings.proof.curvature import Form
+from taichi_bearings.proof.curvature import MOST_RELATIVE_CHANGE, Form
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judged_network import JudgedNetwork
@@ -66,9 +66,6 @@ from taichi_bearings.proof.springs import floor_of_slips, numbered, slip_rows
 # A contact is put into S if its slip exceeds this share of the fastest imposed component: any choice is safe, since a
 # wrong one only makes the proof fail.
 MOVING = 1e-10
-MOST_RELATIVE_CHANGE = (
-    0.25  # largest change of a slip, over its size, up to which friction resists by 0.72 of its curvature
-)
 TINY = 1e-290  # added to bounds that might underflow
 # The four numbers below belong to Newton's method, of which nothing has to be proven.
 FIRM = 1e4  # factor of the rows of T over those of a contact with the median slip, to precondition conjugate gradients

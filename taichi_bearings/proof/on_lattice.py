@@ -139,8 +139,12 @@ class OnLattice:
         return jump.at(np.tile(self.layer(component), self.count))
 
     def layer(self, component: int) -> np.ndarray:
-        """Return for each of the N spheres of a sample the index (N,) of its layer in `jump`, what is imposed on the
-        top: its coordinate along the spin component, or 0 where all layers have the same jump."""
+        """Return for each of the N spheres of a sample the number (N,) of its layer, which is its index in the arrays
+        of `jump`: its coordinate along the spin component, or 0 where all layers have the same jump, what is imposed on
+        the top less that on the bottom.
+
+        component : number of the spin component.
+        """
         if len(self.jump[component].high) == 1:
             return np.zeros(self.lattice.sites, dtype=np.int64)
         return np.indices(self.lattice.shape)[component].ravel()

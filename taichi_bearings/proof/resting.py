@@ -50,12 +50,13 @@ SHARE_AROUND = 1.5
 
 
 def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (known, distance) for E contacts. known : (E,) mask of those that surely slip at every minimum, or have
-    damping alone, so that their friction there is nearly known. distance : (E,), bound on |F* - F|, optimal friction
-    less the friction at hand, for every contact that can dissipate; 0 for others.
+    """Return two arrays for E contacts: a mask (E,) of those whose friction is nearly known at every minimum, since
+    they surely slip there or have damping alone; and a bound (E,) on |F* - F|, optimal friction less the friction at
+    hand, for every contact that can dissipate, 0 for others.
 
     bounds : the network and its friction.
-    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known."""
+    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known.
+    """
     network, size = bounds.network, bounds.network.slip
     known = network.counts & ((size.least > far) | ((network.holding.high == 0) & np.isfinite(far)))
     own, friction = np.flatnonzero(known), bounds.friction or network.own_friction

@@ -244,9 +244,12 @@ class Elimination:
         return int(self.samples.of[self.order[front.first]])
 
     def dependent(self, least: float) -> np.ndarray:
-        """Return the mask (n,) of a few unknowns such that, once these are held at 0, all pivots are above `least`: as
-        far as doubles show, one for each eigenvalue 0. All True in samples whose elimination fails even so. Nothing
-        about it is proven."""
+        """Return the mask (n,) of a few unknowns such that all pivots are above `least` once these unknowns are held at
+        0. As far as doubles show there is one of them for each eigenvalue 0. All are True in samples whose elimination
+        fails even so. Nothing about it is proven.
+
+        least : pivot up to which an unknown is taken to depend on those before.
+        """
         held, failed = np.zeros(self.size, dtype=bool), np.zeros(self.samples.count, dtype=bool)
         for front, columns in self.columns(0.0, least, held):
             if columns is None:

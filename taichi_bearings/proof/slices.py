@@ -54,9 +54,12 @@ class Grid(Listed):
 
     @staticmethod
     def _group(axis: int, *along: slice) -> tuple[int, Place, Place, Place]:
-        """Return one group of contacts, (axis, own, first, second): indices of them in the array (R, *contacts) of
-        their axis, and of their two spheres in arrays (R, *N). along : three slices, of the contacts, the first and the
-        second spheres along `axis`."""
+        """Return one group of contacts along `axis`, as (axis, own, first, second): an index of the contacts in the
+        array (R, *contacts) of their axis, and of their two spheres in arrays (R, *N), for R samples of a lattice of
+        shape *N.
+
+        along : three slices along the axis: of the contacts, of their first and of their second spheres.
+        """
         own, first, second = ((slice(None),) * (1 + axis) + (part,) for part in along)
         return axis, own, first, second
 

@@ -128,9 +128,12 @@ def proven_states(bounds: Bounds) -> list[States]:
 
 
 def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
-    """Return an object for each of R samples with its part of the states (m,) of all their contacts. They all have the
-    same `reason`, words that say why states are missing, and the same `unique`, whether there is one minimum (None if
-    not known)."""
+    """Return an object for each of R samples with its part of the given states.
+
+    network : the R samples, with m contacts in all. states : (m,), contact states, UNDECIDED where nothing is proven.
+    reason : words that say why states are missing, the same for all samples.
+    unique : True if all minima of a sample have the same slips, False if not, None if not known; the same for all.
+    """
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
 
 

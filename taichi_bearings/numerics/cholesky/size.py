@@ -24,25 +24,14 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     """
     shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
-    def neighbours(region: Region) -> float:
-        """Return the number of unknowns outside a region (a box of spheres for each spin component) that touch it."""
-        total = 0
-        for component, (low, high) in region.items():
-            sides = [b - a for a, b in zip(low, high, strict=True)]
-            for axis in {*range(len(shape))} - {component}:
-                closed = axis in lattice.periodic
-                around = closed and sides[axis] == shape[axis] - 1  # one plane is next to both of its ends
-                ends = 1 if around else (low[axis] > 0 or closed) + (high[axis] < shape[axis] or closed)
-                total += ends * int(np.prod(sides)) // sides[axis]
-        return float(total)
-
     def tree(region: Region) -> Tree:
-        """Return three sizes, in doubles: of the factor of a region; of the update matrices (what eliminated unknowns
-        add to the matrix of later ones) alive at one time, at most; of all of them at each depth of its dissection, a
-        tuple, its own first. region : by spin component, a box of spheres. Regions of one shape and border share it."""
+        """Return three sizes of a region, in doubles: of its factor; of the update matrices (what eliminated unknowns
+        add to the matrix of later ones) alive at one time, at most; of all of them at each depth of its dissection, its
+        own first. They are computed once for all regions of one shape and border. region : by spin component, a box of
+        spheres."""
         corner = np.min([low for low, _ in region.values()], axis=0)
         moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
-        border = neighbours(region)
+        border = _border(region, lattice)
         alike = (*moved, border)
         if alike not in known:
             known[alike] = divided(region, border)
@@ -50,10 +39,11 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
 
     def divided(region: Region, border: float) -> Tree:
         """Return three sizes of a region, in doubles, from those of its two halves: of its factor; of the update
-        matrices alive at one time, at most; of all of them at each depth of its dissection, its own first. An update
-        matrix is what eliminated unknowns add to the matrix of later ones.
+        matrices (what eliminated unknowns add to the matrix of later ones) alive at one time, at most; of all of them
+        at each depth of its dissection, its own first.
 
-        region : by spin component, a box of spheres. border : number of unknowns outside that touch the region."""
+        region : by spin component, a box of spheres. border : number of unknowns outside that touch the region.
+        """
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:
@@ -78,6 +68,19 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     last = len(spin_axes) * float(np.prod(shape)) - unknowns(whole)  # the planes where periodic axes are cut open
     columns, updates, _ = tree(whole) if whole else (0.0, 0.0, ())
     return columns + last**2 + JOINED * updates
+
+
+def _border(region: Region, lattice: Lattice) -> float:
+    """Return the number of unknowns outside a region (a box of spheres for each spin component) that touch it."""
+    shape, total = lattice.free_shape, 0
+    for component, (low, high) in region.items():
+        sides = [b - a for a, b in zip(low, high, strict=True)]
+        for axis in {*range(len(shape))} - {component}:
+            closed = axis in lattice.periodic
+            around = closed and sides[axis] == shape[axis] - 1  # one plane is next to both of its ends
+            ends = 1 if around else (low[axis] > 0 or closed) + (high[axis] < shape[axis] or closed)
+            total += ends * int(np.prod(sides)) // sides[axis]
+    return float(total)
 
 
 def unknowns(region: Region) -> float:
