@@ -381,7 +381,9 @@ class Path:
         return _Step(slot, spins, found)
 
     def gap(self, sample: int) -> float:
-        """Relative gap of sample number `sample` after a step: (cost - lower bound) / cost, for balanced forces."""
+        """Return `Iterate.gap` of sample number `sample` after a step, the relative gap (cost - lower bound) / cost for
+        balanced forces. Without viscosity the cost is the power, and both sums are those that the step has made.
+        """
         if self._viscosity is not None:
             return self.iterate(sample).gap
         return float(self._excess[sample] / self._power[sample])

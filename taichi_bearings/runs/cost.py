@@ -77,10 +77,11 @@ def bytes_of_lattice(
 def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
     """Raise NotEnoughMemory if a solve on a lattice, with proof and file, needs more memory than is free.
 
-    row : class of the method. scene : what is solved; it is counted although it is in memory already.
+    row : class of the method. scene : what is solved. Its coefficients are in memory already, so they are not counted.
     """
-    lattice = of_lattice(scene).lattice
-    needed = bytes_of_lattice(row, lattice.shape, lattice.periodic, scene.replicas) - PROCESS_BYTES
+    scene = of_lattice(scene)
+    lattice, there = scene.lattice, sum(values.nbytes for values in (*scene.coefficients, *scene.viscosity))
+    needed = bytes_of_lattice(row, lattice.shape, lattice.periodic, scene.replicas) - PROCESS_BYTES - there
     what = f"{row.name} of {counted(lattice.sites * scene.replicas, 'sphere')}"
     if needed == inf:
         raise NotEnoughMemory(f"{what} is too large: its matrix factorisation needs more than 2^31 - 1 numbers")

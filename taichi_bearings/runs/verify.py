@@ -106,19 +106,6 @@ def _size_of(scene: Bearing) -> Json:
     return {"shape": None, "spheres": network.spheres, "contacts": network.contacts}
 
 
-def _judgements(solution: Solution) -> list[Judgement]:
-    """Return one judgement for all samples of a lattice, or one for each sample of a packing.
-
-    The list is empty if numbers are not finite, or too far from 1 for any arithmetic.
-    """
-    scene, given = solution.scene, (solution.spin, solution.spin_rounding, solution.friction)
-    if scene.network.lattice is not None:
-        found = [Judgement(scene, *given)]
-    else:
-        found = [Judgement(scene.sample(number), *arrays) for number, arrays in enumerate(zip(*given, strict=True))]
-    return found if all(one.can_be_judged for one in found) else []
-
-
 @dataclass(frozen=True)
 class NewProof:
     """Bounds and contact states of a run, proven anew from the spins and friction forces in its file.
@@ -129,51 +116,47 @@ class NewProof:
     run: Result
 
     @cached_property
-    def judgements(self) -> list[Judgement]:
-        """The proofs, one for all samples of a lattice or one for each sample of a packing; empty if numbers are not
-        finite.
-        """
-        return _judgements(self.run.solution)
+    def possible(self) -> Judgement | None:
+        """The proof of all samples; None if numbers are not finite, or too far from 1 for any arithmetic."""
+        stored = self.run.solution
+        return Judgement.of(stored.scene, stored.spin, stored.spin_rounding, stored.friction)
 
-    def of(self, name: str) -> np.ndarray:
-        """Return an attribute of the new proofs, called judgements, for all samples as one array, (samples R, ...).
-
-        name : of the attribute, such as "known", the proven contact states, or "price", what unbalanced torques cost.
-        """
-        return np.concatenate([getattr(one, name) for one in self.judgements])
+    @property
+    def judgement(self) -> Judgement:
+        """The proof of all samples. An assertion fails where `possible` is None."""
+        assert self.possible is not None
+        return self.possible
 
     @cached_property
     def known(self) -> np.ndarray:
         """(samples R, contacts E) contact states that are proven for all minima; DRIVEN for contacts that are absent or
         between driven spheres.
         """
-        return np.where(self.of("acts"), self.of("known"), DRIVEN)
+        return np.where(self.judgement.acts, self.judgement.known, DRIVEN)
 
     @cached_property
     def solution(self) -> Solution:
         """The answer in the file, with all numbers that follow from the new proof in place of those stored. It has the
         findings on a torque, if one was asked for, unless they would need another solve, which a verification does not
         make."""
-        stored, scene, slip = self.run.solution, self.run.solution.scene, self.of("slip")
+        stored, scene, new = self.run.solution, self.run.solution.scene, self.judgement
         ended = np.array(stored.own["status"])
         # Solution.status says CERTIFIED again where the new gap is within the tolerance
         ended[ended == Status.CERTIFIED] = Status.STALLED
         proven = stored.proven & are_proven(stored.state, self.known)
-        said = {
-            "proof": self.of("proof"),
-            "driven_power": self.of("driven_power"),
-        }  # the latter: between driven spheres
+        # the power of contacts between driven spheres is stored beside the rest
+        said = {"proof": new.proof, "driven_power": new.driven_power}
         follows_motion = scene.network.lattice is not None and "time" in stored.history
         found = replace(
             stored,
-            slip=slip,
-            power_per_contact=scene.law.power(scene.material, slip),
-            power=self.of("power"),
-            objective=self.of("objective"),
-            lower_bound=self.of("lower_bound"),
-            gap=self.of("gap"),
+            slip=new.slip,
+            power_per_contact=scene.law.power(scene.material, new.slip),
+            power=new.power,
+            objective=new.objective,
+            lower_bound=new.lower_bound,
+            gap=new.gap,
             proven=proven,
-            largest_balance_residual=stored.largest_balance_residual if follows_motion else self.of("largest_torque"),
+            largest_balance_residual=stored.largest_balance_residual if follows_motion else new.largest_torque,
             findings={**stored.findings, **{name: v for name, v in said.items() if name in stored.findings}},
             own={**stored.own, "status": ended},
         )
@@ -193,8 +176,8 @@ class NewProof:
         minimum_is_unique : True, False or None. unproven_because, proof : words.
         """
         several = self.run.solution.scene.replicas > 1
-        found = self._of_samples if self.judgements else self._nothing
-        proof = " ".join(dict.fromkeys(self.of("proof").tolist())) or None
+        found = self._nothing if self.possible is None else self._of_samples
+        proof = None if self.possible is None else " ".join(dict.fromkeys(self.judgement.proof.tolist())) or None
         return {name: list(v) if several else v[0] for name, v in found.items()} | {"proof": proof}
 
     @property
@@ -202,23 +185,23 @@ class NewProof:
         """What the new proof says, by name, each a list with one entry for each sample: numbers, truth values, counts
         of proven contact states, and why others are not proven.
         """
-        states = [states for one in self.judgements for states in one.states]
+        new = self.judgement
         # largest force that still counts as within the friction limit, relative to that
         most = 1 + ROUNDED * (self.run.solution.scene.network.lattice is None)
         numbers = {
-            name: [plain(v) for v in self.of(of)]
+            name: [plain(v) for v in getattr(new, of)]
             for name, of in {"power": "power", "upper_bound": "upper_bound", "lower_bound": "lower_bound",
                              "gap": "gap", "largest_balance_residual": "largest_torque"}.items()
         }  # fmt: skip
         return numbers | {
-            "balanced": (self.of("price") <= TORQUE_COST).tolist(),
-            "inside_discs": np.concatenate([one.bounds.worst <= most for one in self.judgements]).tolist(),
+            "balanced": (new.price <= TORQUE_COST).tolist(),
+            "inside_discs": (new.bounds.worst <= most).tolist(),
             "states_proven": [
                 {name: int(((s.known == kind) & acts).sum()) for name, kind in PROVEN_STATES.items()}
-                for s, acts in zip(states, self.of("acts"), strict=True)
+                for s, acts in zip(new.states, new.acts, strict=True)
             ],
-            "minimum_is_unique": [s.unique for s in states],
-            "unproven_because": [s.reason for s in states],
+            "minimum_is_unique": [s.unique for s in new.states],
+            "unproven_because": [s.reason for s in new.states],
         }
 
     @property
@@ -236,7 +219,7 @@ class NewProof:
     def contradictions(self) -> Iterator[str]:
         """Yield sentences on what the file says and does not prove."""
         stored, attributes = self.run.solution, self.run.attributes
-        if not self.judgements:
+        if self.possible is None:
             certain = stored.states_proven.any() or (stored.lower_bound > 0).any()
             if certain or Status.CERTIFIED in stored.own["status"]:
                 yield f"{NOT_PROVABLE}: what is said of it is not proven"

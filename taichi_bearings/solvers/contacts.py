@@ -94,29 +94,6 @@ class Contacts(ABC):
     scene: Bearing
     spin_axes: tuple[int, ...]
 
-    def paths(self, spin: np.ndarray, settle: bool) -> Part:
-        """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
-        along which Newton steps lead to the minimum.
-
-        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
-        settle : True to go on along the paths until contact states are settled.
-        """
-        raise NotImplementedError
-
-    def cuts(self, spin: np.ndarray) -> Part:
-        """Return the solver that finds the minimum cuts of all samples, for the planar cut.
-
-        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
-        """
-        raise NotImplementedError
-
-    def linear_systems(self, spin: np.ndarray) -> Part:
-        """Return the solver that finds the spins of all samples at which viscous forces balance.
-
-        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
-        """
-        raise NotImplementedError
-
     @property
     def seconds_to_prove(self) -> float:
         """An estimate of the seconds that the proof of an answer takes; 0 if that is not known."""
@@ -127,18 +104,6 @@ class Contacts(ABC):
         """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
         checkpoint, prove.
         """
-
-    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: object) -> Progress:
-        """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
-        left.
-
-        staggered : (C components, R samples, *N spheres), spins as methods carry them (on lattices with alternating
-            signs), 1/time; in a packing radius * spin.
-        force : (C, R, E contacts), contact forces at these spins.
-        proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
-        more : further fields of :class:`Progress`, by name.
-        """
-        raise NotImplementedError
 
     @abstractmethod
     def answered(self, ended: Ended) -> Solution:
@@ -156,6 +121,33 @@ class Contacts(ABC):
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Continue from the arrays by name that `state` returned in an earlier call; here there are none."""
         assert not self.state()
+
+
+class WithMinima(Contacts):
+    """Contacts whose minima are found: each kind of minimising method has a solver for them."""
+
+    @abstractmethod
+    def paths(self, spin: np.ndarray, settle: bool) -> Part:
+        """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
+        along which Newton steps lead to the minimum.
+
+        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+        settle : True to go on along the paths until contact states are settled.
+        """
+
+    @abstractmethod
+    def cuts(self, spin: np.ndarray) -> Part:
+        """Return the solver that finds the minimum cuts of all samples, for the planar cut.
+
+        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+        """
+
+    @abstractmethod
+    def linear_systems(self, spin: np.ndarray) -> Part:
+        """Return the solver that finds the spins of all samples at which viscous forces balance.
+
+        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+        """
 
 
 class Stepped(Contacts):
@@ -179,6 +171,18 @@ class Stepped(Contacts):
     def of_law(self) -> list[str]:
         """Names of the fields that hold the coefficients of the contact law."""
         return ["coefficient", *(["viscosity"] if self.scene.viscosity_beside_friction is not None else [])]
+
+    @abstractmethod
+    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: object) -> Progress:
+        """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
+        left.
+
+        staggered : (C components, R samples, *N spheres), spins as methods carry them (on lattices with alternating
+            signs), 1/time; in a packing radius * spin.
+        force : (C, R, E contacts), contact forces at these spins.
+        proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
+        more : further fields of :class:`Progress`, by name.
+        """
 
     @abstractmethod
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> AnySpec:

@@ -5,6 +5,7 @@ carried: on a lattice with signs by which neighbours differ, measured from the b
 radius times spin. In the shape (C, R, E) of forces of a packing C is the number of tangents of a contact.
 """
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -14,7 +15,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Bearing, Energy, Progress
 from taichi_bearings.scene.scene import vector_length
@@ -183,19 +183,6 @@ class Dynamics(Method):
         """
         return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= self.rest_gap).all())
 
-    def advance(self, steps: int) -> None:
-        """Make `steps` steps, or fewer if one cannot be made."""
-        with one_thread():  # fronts are shared among threads here, not inside the library
-            for _ in range(steps):
-                self._step()
-                if self.halted:
-                    return
-                self.iteration += 1
-
-    def _step(self) -> None:
-        """Make one step in time; set `halted` if it cannot be made."""
-        raise NotImplementedError
-
     def start_energy_balance(self, staggered: np.ndarray) -> None:
         """Begin the energy balance, when no spring is stretched.
 
@@ -262,11 +249,11 @@ class SpringDynamics(Dynamics):
         super().begin(scene, spin)
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
 
+    @abstractmethod
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the spins, staggered (with alternating signs), (C components, R samples, *N spheres), the contact
         forces (C, R, E contacts) and the elongations of the springs (C, R, E) now.
         """
-        raise NotImplementedError
 
     def damping_force(self, staggered: np.ndarray) -> np.ndarray:
         """Return the forces (C components, R samples, E contacts) of contacts whose springs are not stretched.

@@ -6,6 +6,7 @@ times spin. Shapes: R samples, N spheres, E contacts, C carried spin components;
 packing C is the number of tangents of a contact.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,7 +16,7 @@ from taichi_bearings.fields import Fields
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.contacts import Contacts, Launch, Stepped
+from taichi_bearings.solvers.contacts import Contacts, Launch, Stepped, WithMinima
 from taichi_bearings.solvers.found import Found
 from taichi_bearings.solvers.part import Part
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.table import MethodOptions
 
 
-class Method:
+class Method(ABC):
     """One way to reach the state of least dissipation: its steps and what they mean, nothing else.
 
     A method never prints, times, opens a file or decides when to stop.
@@ -60,25 +61,28 @@ class Method:
         """Return the iteration at which to read the progress next. iteration : the one at which it was read now."""
         return iteration + 1
 
+    @abstractmethod
     def advance(self, steps: int) -> None:
         """Make `steps` iterations; a method on Taichi fields reads nothing back from the device."""
-        raise NotImplementedError
 
+    @abstractmethod
     def progress(self) -> Progress:
         """Return the state now with its bounds; the only call that reads from the device."""
-        raise NotImplementedError
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that the further iterations depend on, by name; for a method that `resumes`."""
-        raise NotImplementedError
+        """Return all that the further iterations depend on, by name; empty for a method that does not resume."""
+        return {}
 
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from the arrays by name that `state` returned in an earlier call; called after `begin`."""
-        raise NotImplementedError
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:  # noqa: B027
+        """Continue from the arrays by name that `state` returned in an earlier call; called after `begin`. A method
+        that does not resume begins anew.
+        """
 
     def found(self) -> list[Found]:
-        """Return the spins and forces that each sample of a packing has reached; of methods that find minima."""
-        raise NotImplementedError
+        """Return the spins and forces that each sample of a packing has reached; empty for a method whose answers
+        follow from its progress.
+        """
+        return []
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
         """Return the slips of the contacts divided by the radius (`Bearing.slip_radius`), (C components, R samples, E
@@ -140,6 +144,7 @@ class Method:
         proof : (C, R, E), forces from which the lower bound follows; None for `force`.
         more : further entries of the `Progress`, by name.
         """
+        assert isinstance(self.contacts, Stepped), "methods that find minima of packings judge them by their part"
         return self.contacts.judged(staggered, force, proof, **more)
 
 
@@ -150,6 +155,7 @@ class Minimiser(Method):
     part : the solver that makes the iterations.
     """
 
+    contacts: WithMinima
     start: np.ndarray
     part: Part
 
@@ -163,9 +169,9 @@ class Minimiser(Method):
         self.start = spin
         self.part = self.part_of()
 
+    @abstractmethod
     def part_of(self) -> Part:
         """Return the solver (`Part`) that fits the contacts of this scene: one for lattices, or one for packings."""
-        raise NotImplementedError
 
     @property
     def iteration(self) -> int:  # type: ignore[override]
@@ -212,11 +218,11 @@ class Swept(Method):
         """The numbers of all spheres and contacts."""
         return self.contacts.fields
 
+    @abstractmethod
     def launches(self, steps: int) -> Iterator[Launch]:
         """Yield the launches (calls of the kernel with the same constants), one after the other, that make `steps`
         steps.
         """
-        raise NotImplementedError
 
     def advance(self, steps: int) -> None:
         """Make `steps` steps by the launches that the method plans."""

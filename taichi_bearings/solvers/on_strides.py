@@ -18,7 +18,7 @@ from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque,
 from taichi_bearings.scene import Bearing, Progress, Scene, Solution
 from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.answer import answered
-from taichi_bearings.solvers.contacts import Ended, Inertia, Launch, Stepped
+from taichi_bearings.solvers.contacts import Ended, Inertia, Launch, Stepped, WithMinima
 from taichi_bearings.solvers.gear import largest_laplacian_eigenvalue, largest_weighted_eigenvalue
 from taichi_bearings.solvers.lattice_states import LatticeReached
 from taichi_bearings.solvers.part import Part
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.table import Motion
 
 
-class OnStrides(Stepped):
+class OnStrides(Stepped, WithMinima):
     """The contacts of all samples of a lattice, as methods step them: neighbours are a constant stride apart in memory.
 
     scene : the lattice, with its R samples.

@@ -19,7 +19,7 @@ from taichi_bearings.scene import Progress, Solution
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers import nested_cuts
 from taichi_bearings.solvers.answer import answered
-from taichi_bearings.solvers.contacts import Contacts, Ended
+from taichi_bearings.solvers.contacts import Ended, WithMinima
 from taichi_bearings.solvers.found import Found
 from taichi_bearings.solvers.packing_paths import MOST_STEPS, PackingPaths, viscous_spins
 from taichi_bearings.solvers.packing_states import PackingReached
@@ -31,7 +31,7 @@ ENOUGH_FRICTION = 1e3  # friction beyond which a contact hardly slips, in units 
 MOST_CAPS, LESS_POWER = 12, 0.5  # how often friction is cut off at most; factor by which that has to lower the power
 
 
-class OnSystem(Contacts):
+class OnSystem(WithMinima):
     """R samples of a packing, all with the same contacts taking part, in the form that minimising methods use: the
     slips of the contacts are a linear map of the spins.
 

@@ -31,16 +31,18 @@ class Part(ABC):
         """Return spins and forces now, with the bounds on the objective that they prove."""
 
     def found(self) -> list[Found]:
-        """Return the spins and forces that each sample of a packing has reached."""
-        raise NotImplementedError
+        """Return the spins and forces that each sample of a packing has reached; empty for lattices, whose answers
+        follow from the progress.
+        """
+        return []
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that the further iterations depend on, by name; for a method that `resumes`."""
-        raise NotImplementedError
+        """Return all that the further iterations depend on, by name; empty for a method that does not resume."""
+        return {}
 
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from the arrays by name that `state` returned in an earlier call.
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:  # noqa: B027
+        """Continue from the arrays by name that `state` returned in an earlier call. A method that does not resume
+        begins anew.
 
         Raises ValueError if they do not fit the scene.
         """
-        raise NotImplementedError

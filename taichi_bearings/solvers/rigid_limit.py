@@ -22,6 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
+from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
 
@@ -114,6 +115,15 @@ class RigidLimitMethod(Dynamics):
         if scene.viscosity_beside_friction is not None:
             force += mean(scene.viscosity_beside_friction) * fastest
         return float(np.mean(self.inertia)) * self.largest / (scene.slip_radius * force)
+
+    def advance(self, steps: int) -> None:
+        """Make `steps` steps, or fewer if one cannot be made."""
+        with one_thread():  # fronts are shared among threads here, not inside the library
+            for _ in range(steps):
+                self._step()
+                if self.halted:
+                    return
+                self.iteration += 1
 
     def _step(self) -> None:
         """Make one step, shortened until it is accurate enough or as short as steps may be.

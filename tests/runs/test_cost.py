@@ -15,10 +15,12 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import NotEnoughMemory
 from taichi_bearings.numerics.cholesky import dissect, factor
 from taichi_bearings.numerics.cholesky.size import factor_numbers
-from taichi_bearings.runs.cost import PROCESS_BYTES
+from taichi_bearings.runs.cost import PROCESS_BYTES, bytes_of_lattice, refuse_too_large
 from taichi_bearings.runs.run import cost, prepare, run
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.solvers.table import InteriorPoint
 from tests.cli.commands import bearings
+from tests.scenes import make_scene
 
 
 @pytest.mark.parametrize(
@@ -86,6 +88,19 @@ def test_what_does_not_fit_is_refused_before_it_is_begun(shape, method, words, m
     monkeypatch.setattr(memory, "free_bytes", lambda: 23e9 if prod(shape) > 1e8 else room)
     with pytest.raises(NotEnoughMemory, match=words):
         prepare(RunSettings(shape=shape, method=method))
+
+
+@pytest.mark.usefixtures("taichi_runtime")
+def test_coefficients_in_memory_are_not_counted_again(monkeypatch):
+    scene = make_scene((400, 300), law="coulomb-viscous")
+    needed = bytes_of_lattice(InteriorPoint, (400, 300)) - PROCESS_BYTES
+    contacts = 399 * 300 + 400 * 299
+    room = (needed - 2 * 8 * contacts) * memory.ESTIMATE_MARGIN  # two coefficients of 8 bytes a contact
+    monkeypatch.setattr(memory, "free_bytes", lambda: 1.0001 * room)
+    refuse_too_large(InteriorPoint, scene)
+    monkeypatch.setattr(memory, "free_bytes", lambda: 0.9999 * room)
+    with pytest.raises(NotEnoughMemory, match="of 120,000 spheres needs some"):
+        refuse_too_large(InteriorPoint, scene)
 
 
 def test_a_dry_run_says_method_time_and_memory_and_writes_nothing(tmp_path):

@@ -1,4 +1,6 @@
-"""Operator splitting against stored exact minima; its forces and its bits."""
+"""Operator splitting against stored exact minima; its forces and its bits; which of its forces and bounds are kept."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from taichi_bearings.proof.certificate import dual_value
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.solvers import OperatorSplitting
-from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.drive import _Best, solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, scene_of
 
@@ -60,3 +62,20 @@ def test_contacts_that_exceed_the_resolution_slip_in_the_exact_solution_too():
 def test_a_start_far_outside_a_small_jump(start):
     scene = make_scene((6, 6, 6), spin_bottom=0.99)
     assert split(scene, 1e-3, start, 3_000).status is Status.CERTIFIED
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_the_bound_that_is_kept_is_what_the_kept_forces_prove():
+    """Also where forces that prove contact states are kept although they prove a little less."""
+    scene = make_scene((4, 5, 6), seeds=(3, 4))
+    method = OperatorSplitting().build()
+    method.begin(scene, initial_spin(scene, "linear"))
+    method.advance(300)
+    first, best = method.progress(), _Best(method)
+    weaker = first.proof * (1 - 5e-12 * np.random.default_rng(7).random(first.proof.shape))
+    proven = method.proven_by(weaker)
+    assert first.lower_bound[0] * (1 - 1e-11) < proven[0] < first.lower_bound[0]
+    best.take(first)
+    best.take(replace(first, force=weaker, proof=None, lower_bound=proven, states_believed=np.array([True, False])))
+    np.testing.assert_array_equal(best.bound, [proven[0], max(proven[1], first.lower_bound[1])])
+    np.testing.assert_allclose(method.proven_by(best.proof), best.bound, rtol=1e-14)

@@ -4,6 +4,7 @@ S is the number of samples: matrices of one pattern that are factorised together
 time, one in each lane of a SIMD vector.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -150,7 +151,7 @@ class Cholesky:
                 factor.forget()
 
 
-class Factor:
+class Factor(ABC):
     """Numbers of the factors of one matrix or of LANES matrices; samples is their number.
 
     entries : (entries or more, samples) values of the matrices at the stored entries of the pattern.
@@ -160,16 +161,16 @@ class Factor:
     entries: np.ndarray
     solution: np.ndarray
 
+    @abstractmethod
     def factorise(self) -> np.ndarray:
         """Factorise the matrices whose values are in `entries`; return a mask (samples,), True for matrices that are
         positive definite to working precision."""
-        raise NotImplementedError
 
+    @abstractmethod
     def substitute(self) -> None:
         """Solve the factorised systems: replace the right-hand sides in `solution` by the solutions."""
-        raise NotImplementedError
 
-    def forget(self) -> None:
+    def forget(self) -> None:  # noqa: B027
         """Give memory back that others may take; here there is none."""
 
 
