@@ -246,6 +246,7 @@ class FrictionStage:
         """Return the length in (0, 1] of a Newton step at which the function of the stage is nearly flat along the
         step, or 1 if it still falls there.
 
+        friction : laws of the n contacts.
         trial, change : (d, n), trial forces, and their change by the whole step.
         spins, base, step : (unknowns,), spins now, spins from which inertia acts, and the whole step.
         first : slope along the step at length 0, below 0.
@@ -289,6 +290,7 @@ class FrictionStage:
         """Return the end of the stage, with the last torques taken away by linear corrections of the forces: stiff
         contacts have forces that depend on spins to more digits than doubles have.
 
+        friction : laws of the n contacts.
         base, spins : (unknowns,), spins from which inertia acts, and spins now. trial, force : (d, n), before and after
             the limit. scale : torque by which the rest is judged.
 

@@ -179,7 +179,10 @@ def _held_by_springs(
 
 def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
     """Return for each of R samples the largest size (R,) of one component of the torque on a free sphere that contacts
-    connect to driven ones. torque : that component for n spheres, an enclosure (n,)."""
+    connect to driven ones.
+
+    network : the R samples, with n spheres in all. torque : (n,), that component of the torque on each, an enclosure.
+    """
     if not torque.high.any():
         return np.zeros(network.count)
     return np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)
@@ -189,6 +192,7 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
     """Return a bound (R,) on how much leftover torques on free spheres may reduce the work at some minimum: the sum of
     their size times the largest spin (times radius) that the sphere may have there.
 
+    network : R samples with n spheres in all.
     torques : torque over radius on each of the n spheres by spin component, C enclosures (n,)."""
     total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken_between if network.graph.layered else _taken
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
@@ -225,6 +229,7 @@ def _worst(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndar
 
     Only contacts whose ratio in doubles is about the largest are computed with enclosures.
 
+    network : R samples with m contacts in all.
     size : (m,), |F| of all m contacts. hard : indices of the contacts without viscosity, whose friction has a limit."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
     about[hard] = size.high[hard] / network.holding.high[hard]

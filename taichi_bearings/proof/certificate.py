@@ -45,6 +45,7 @@ def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.n
     """Return a proven lower bound (R,) on the least objective of each of R samples (power, or potential with
     viscosity), energy/time; never below 0.
 
+    scene : R samples of a lattice with E contacts each.
     force : (C, R, E), friction of the E contacts in C spin components, any values; those that are not finite prove
         nothing.
     spin_axes : the axes of the C components."""
@@ -58,6 +59,7 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list
     prove the most. They are the forces as given, balanced, capped at the friction limit, or scaled to be within it, as
     the law needs.
 
+    scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts), finite. spin_axes : the axes of the C components."""
     balanced = balance(scene, force, spin_axes)
     found = [force, balanced] if scene.law.flows else []  # every force is admissible
@@ -75,6 +77,7 @@ def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
     the spins of both planes. If the excess is at least the largest w times that speed, the first bound says no more
     than the second for any contact, whatever f is.
 
+    scene : R samples of a lattice. The answer is False unless its contacts have friction alone.
     excess : (R,) for R samples, power less its proven lower bound, energy/time."""
     if scene.law.flows or not scene.law.holds:
         return False
@@ -92,6 +95,7 @@ def certifying_forces(
     is then the work of the driven planes, less the potential that is dual to each force. Where such forces prove less
     than `bound`, forces are returned that leave torques over, whose price is subtracted.
 
+    scene : R samples of a lattice with E contacts each.
     force : (C, R, E), friction to begin with. spin_axes : the axes of the C components.
     bound : (R,), energy/time, lower bound on the objective that the forces should prove.
     excess : (R,), objective less bound, if known: where no contact state can follow from it, forces that leave torques
@@ -141,6 +145,7 @@ def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     """Return the work (R,), energy/time, that the driven planes do against friction forces which balance on every free
     sphere. For laws of friction alone; the result is in plain doubles, with no allowance for rounding.
 
+    scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
     top, work = scene.top_spin(spin_axes), np.zeros(scene.replicas)
     upward = scene.lattice.by_axis(force)[-1]
@@ -156,6 +161,7 @@ def _as_a_whole(
     """Return all forces of a sample divided by one number, so that none exceeds its limit, (C, R, E); and the lower
     bound (R,) that they prove, energy/time.
 
+    scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts). worst : (R,), the largest |f| / (mu F_n) of each sample; only numbers
         above 1 divide. spin_axes : the axes of the C components."""
     whole = _divided(force, worst)
@@ -167,6 +173,7 @@ def _most_proving(
 ) -> Forces:
     """Return the forces `best` (C, R, E), replaced by better ones in the samples where they miss the bound.
 
+    scene : R samples of a lattice with E contacts each.
     best, reached : (C components, R samples, E contacts) forces, and the lower bounds (R,) that they prove.
     force : (C, R, E), from which other candidates are made, as :func:`lower_bound` does. A candidate is taken where it
         proves more.
@@ -204,6 +211,7 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
     does not balance them by a Poisson solve. Roundings are allowed for in the bound alone, which holds for any finite
     forces.
 
+    scene : R samples of a lattice with E contacts each, whose law is Coulomb's.
     balanced : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
     ratio = saturation(scene, balanced)
     work = _work_of_planes(scene, balanced, spin_axes)
@@ -235,7 +243,9 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
 
 def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Return the largest torque (R,) that forces (C components, R samples, E contacts) leave on a free sphere, force *
-    length. spin_axes : the axes of the C components."""
+    length. spin_axes : the axes of the C components.
+
+    scene : R samples of a lattice with E contacts each."""
     pull = np.abs(torques(force, scene.lattice, spin_axes)[..., 1:-1])
     return scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
 
@@ -245,6 +255,7 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
     driven planes, less the price of torques left on free spheres, less the potential that is dual to each force, less
     an allowance for rounding.
 
+    scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts), within their friction limits. spin_axes : the axes of the C
         components."""
     pull = precise_torques(scene, force, spin_axes)
@@ -271,6 +282,7 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     Forces in balance cancel, so a plain sum has an error as large as the torque itself. Here each addition keeps what
     it rounds away (Knuth's two-sum): the relative error is that of one rounding, plus about 1e-32 of the forces.
 
+    scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts). spin_axes : the axes of the C components. *N : the shape of the
         lattice."""
     total = np.zeros((len(spin_axes), scene.replicas, *scene.lattice.shape))
@@ -331,22 +343,29 @@ def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.
 
 
 def scaled(scene: Scene, force: Forces) -> Forces:
-    """Return the forces (C components, R samples, E contacts), those of a sample divided by the largest |f| / (mu F_n)
-    of it where that exceeds 1. So all are within their limits, and forces in balance stay so."""
+    """Return the forces (C components, R samples, E contacts), those of each sample divided by the largest |f| / (mu
+    F_n) of its contacts where that exceeds 1. So all are within their limits, and forces in balance stay so.
+
+    scene : the R samples, with their friction limits. force : (C, R, E), 0 at contacts that take no part.
+    """
     return _divided(force, saturation(scene, force).max(axis=1))
 
 
 def _divided(force: Forces, worst: np.ndarray) -> Forces:
-    """Return the forces (C, R, E), those of each of the R samples divided by its number in `worst` (R,) where that
-    exceeds 1."""
+    """Return the forces (C components, R samples, E contacts), those of each sample divided by its number in `worst`
+    (R,) where that exceeds 1. force : (C, R, E)."""
     if (worst <= 1.0).all():
         return force
     return force * (1.0 / np.maximum(worst, 1.0))[:, None]
 
 
 def saturation(scene: Bearing, force: Forces) -> np.ndarray:
-    """Return |f| / (mu F_n) of every contact, (R, E), rounded up: 0 at contacts that take no part, infinite for a force
-    at an absent contact. force : (C components, R samples, E contacts), 0 at contacts that take no part."""
+    """Return |f| / (mu F_n) of every contact, (R samples, E contacts), rounded up: 0 at contacts that take no part,
+    infinite for a force at an absent contact.
+
+    scene : the R samples, with their friction limits mu F_n.
+    force : (C components, R, E), f, 0 at contacts that take no part.
+    """
     size, absent = vector_length(force), scene.coefficient == 0
     ratio = size * (1 + 4 * np.finfo(np.float64).eps)
     ratio *= scene.inverse_limit
@@ -363,6 +382,7 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
     the driven ones: one constant-coefficient Poisson problem for each component, solved by cosine and sine transforms.
     Component k is coupled only by the contacts that are not along k.
 
+    scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
     lattice = scene.lattice
     pull = torques(force, lattice, spin_axes)
@@ -376,6 +396,6 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
 
 
 def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
-    """Return the forces (C, R, E), set to 0 at contacts that take no part: those without a coefficient or without a
-    free sphere."""
+    """Return the forces (C components, R samples, E contacts), set to 0 at contacts that take no part: those without a
+    coefficient or without a free sphere. force : (C, R, E)."""
     return np.where(scene.idle, 0.0, force)

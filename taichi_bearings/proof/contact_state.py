@@ -51,8 +51,11 @@ def are_proven(state: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def all_slipless(scene: Bearing) -> np.ndarray:
-    """Return new states (R, E) uint8, a value that a method can overwrite: SLIPLESS at all contacts, but DRIVEN where
-    they take no part."""
+    """Return states for R samples of E contacts, (R, E) uint8, a new array that a method can overwrite: SLIPLESS at all
+    contacts, but DRIVEN where they take no part.
+
+    scene : the R samples.
+    """
     return np.where(scene.idle, ContactState.DRIVEN, ContactState.SLIPLESS).astype(np.uint8)
 
 
@@ -63,13 +66,16 @@ SATURATED = 1 - 1e-6  # friction over mu F_n from which a contact counts as bear
 
 
 def classify(scene: Bearing, slip: np.ndarray, force: np.ndarray, threshold: float) -> np.ndarray:
-    """Return the state of every contact, (R, E) uint8, by its slip and its friction.
+    """Return the state of every contact, (R samples, E contacts) uint8, by its slip and its friction.
 
     A contact is SLIPPING if its slip exceeds `threshold` and its friction is at its limit (|f| > 0.999999 mu F_n),
-    SLIPLESS if neither holds, UNDECIDED if the two disagree. Viscous contacts have no friction limit: their slip alone
-    decides.
+    SLIPLESS if neither holds, UNDECIDED if the two disagree, and DRIVEN if it takes no part. Viscous contacts have no
+    friction limit: their slip alone decides.
 
-    slip : (R, E), slip speeds, length/time. force : (C, R, E). threshold : length/time.
+    scene : the R samples, with coefficients and law of their contacts.
+    slip : (R, E), slip speeds, length/time.
+    force : (C components, R, E), contact forces, of which only the size is used.
+    threshold : slip speed, length/time, up to which a contact counts as slipless.
     """
     fast = slip > threshold
     full = saturation(scene, force) > SATURATED if scene.law.holds else fast
@@ -80,7 +86,8 @@ def classify(scene: Bearing, slip: np.ndarray, force: np.ndarray, threshold: flo
 
 @dataclass(frozen=True)
 class Separation:
-    """How far apart the slips of the slipless and of the slipping contacts are, one entry (R,) a sample.
+    """How far apart the slips of the slipless and of the slipping contacts are; arrays (R,) with an entry for each of R
+    samples.
 
     largest_slipless, smallest_slipping : slip speeds, length/time; NaN where there is no such contact.
     decades : log10 of smallest_slipping / largest_slipless; a largest slipless slip below the rounding of the spins is
@@ -95,6 +102,7 @@ class Separation:
 def separate(scene: Bearing, slip: np.ndarray, state: np.ndarray) -> Separation:
     """Compare the slips of slipless with those of slipping contacts, sample by sample.
 
+    scene : the R samples.
     slip : (R, E), slip speeds of the E contacts of R samples, length/time. state : (R, E), their states."""
     still, moving = state == ContactState.SLIPLESS, state == ContactState.SLIPPING
     largest = np.where(still.any(axis=1), np.where(still, slip, 0.0).max(axis=1), np.nan)
@@ -115,12 +123,15 @@ def unresolved(solution: Solution, times: float = 1.0) -> np.ndarray:
 
 
 def too_uneven(solution: Solution) -> np.ndarray:
-    """Return the mask (R,) of the samples whose contacts are so uneven that their slips cannot be trusted.
+    """Return the mask (R,) of those of R samples whose contacts are so uneven that their slips cannot be trusted.
 
-    A contact is lost if the power that it could dissipate is too small to fix its slip. That power is taken at a slip
-    as fast as the smallest imposed component. The contact is lost if it is at most LOST_POWER of the power of its
-    sample, or if it is, times smallest component / whole jump, within the gap between objective and lower bound. Its
-    slip is then whatever rounding makes it. A sample is too uneven if more than LOST_CONTACTS of its contacts are lost.
+    A contact is lost if the power that it could dissipate is too small to fix its slip, which then is whatever rounding
+    makes it. That power is taken at a slip as fast as the smallest component of the imposed jump. The contact is lost
+    if it is at most LOST_POWER of the power of its sample, or if it is, times smallest component / whole jump, within
+    the gap between objective and lower bound. A sample is too uneven if more than LOST_CONTACTS of its contacts are
+    lost.
+
+    solution : the R samples, solved.
     """
     scene, acting = solution.scene, ~solution.scene.idle
     at_jump = scene.strength * scene.coefficient * scene.slip_radius * scene.smallest_jump  # power of a slip by it
@@ -133,8 +144,10 @@ def too_uneven(solution: Solution) -> np.ndarray:
 
 
 def what_is_proven(state: np.ndarray, proven: np.ndarray) -> np.ndarray:
-    """Return the states (R, E) that are proven, and UNDECIDED for all other contacts. state : (R, E). proven : (R, E)
-    mask."""
+    """Return the states (R samples, E contacts) that are proven, and UNDECIDED for all other contacts.
+
+    state : (R, E), states that are reported. proven : (R, E) mask of those that are proven.
+    """
     return np.where(proven, state, ContactState.UNDECIDED)
 
 

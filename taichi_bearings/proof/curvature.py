@@ -210,6 +210,7 @@ def _slipping_components(network: JudgedNetwork, some: np.ndarray) -> np.ndarray
     one or two components along which some minimum may slip, or, if these are all three, the two that are not along the
     normal of the contact.
 
+    network : a network whose slips do not mix the components of the spins.
     some : (k,), indices of the contacts."""
     if len(network.needed) == 3:
         axis = np.argmax(np.abs(network.graph.normal[some]), axis=1)

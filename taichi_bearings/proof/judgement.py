@@ -50,7 +50,12 @@ class Judgement:
     @classmethod
     def of(cls, scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray) -> Judgement | None:
         """Return what spins and friction prove by themselves, whatever a method believes; None for numbers that no
-        arithmetic can judge. The arguments are the fields."""
+        arithmetic can judge.
+
+        scene : R samples of a lattice or a packing, with N spheres (on lattices *N, their shape) and E contacts each.
+        spin, spin_rounding : (R, *N, 3), of discs (R, *N), laboratory spins, 1/time: the spin is the sum of the two.
+        friction : (R, E, 3), of discs (R, E), force on the second sphere of each contact.
+        """
         found = cls(scene, spin, spin_rounding, friction)
         return found if found.can_be_judged else None
 

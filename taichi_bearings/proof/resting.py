@@ -121,6 +121,7 @@ def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.n
     an odd number half of it each way: no force changes by more than 3/2 of their sum. It can rest if all driven spheres
     that it touches ask for one spin, up to the signs by which neighbours differ, and for none if it has an odd loop.
 
+    network : a packing with N spheres and E contacts, whose slips do not mix the components of the spins.
     rests : (E,) mask of the contacts that are tried. torque : (N,), bound on the torque on each sphere that they have
         to take up."""
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))

@@ -33,7 +33,10 @@ IMPOSED = -1  # the key for the constant term of an equation, from imposed spins
 
 def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (R,) of the samples for which it is proven that some spins of the free spheres leave all contacts
-    without slip, so that the least power is 0. False means that nothing is proven."""
+    without slip, so that the least power is 0. False means that nothing is proven.
+
+    network : the R samples, of a lattice or a packing.
+    """
     if network.graph.layered:
         return _planes_are_separate(network)
     if not network.counts.any():
@@ -97,9 +100,11 @@ def _rolls_exactly(network: JudgedNetwork) -> bool:
 
 
 def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
-    """Return True if spins exist at which the contacts in the mask `contacts` (E,), which free spheres join to one
-    part, roll exactly: by Gaussian elimination in fractions, without any rounding. False if there are none, or if the
-    part has more than MOST_IN_FRACTIONS free spheres."""
+    """Return True if spins exist at which some contacts roll exactly: by Gaussian elimination in fractions, without any
+    rounding. False if there are none, or if there are more than MOST_IN_FRACTIONS free spheres.
+
+    network : a packing with E contacts. contacts : (E,) mask of the contacts, which free spheres join to one part.
+    """
     spheres = np.unique(network.graph.contact[:, contacts])
     spheres = spheres[network.free[spheres]]
     if len(spheres) > MOST_IN_FRACTIONS:

@@ -127,6 +127,7 @@ def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, 
     """Return the quadratic form |A x|^2, where A is `rows` (3 E, n) with each row multiplied by its `weight` (3 E,),
     and x are n unknowns; None if a column of A is 0. Unknowns are scaled so that each column gets the length 1.
 
+    network : a packing with N spheres and E contacts.
     number : (N, 3), which unknown each component of the spins of N spheres is, -1 where it is none."""
     rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
     rows.eliminate_zeros()
@@ -139,7 +140,10 @@ def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, 
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (N,) of free spheres that are proven to be able to make all their contacts roll, whatever the
-    other spheres do. Only spheres are tried whose contacts bear nearly no friction."""
+    other spheres do. Only spheres are tried whose contacts bear nearly no friction.
+
+    network : a packing with N spheres, and the friction of its contacts.
+    """
     size = np.sqrt((network.graph.friction**2).sum(axis=1))
     largest = network.on_contacts(size.reshape(network.count, -1).max(axis=1, initial=0.0))
     small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, largest)
@@ -163,8 +167,11 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
 
 
 def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
-    """Return the mask (R,) of the samples for which it is proven that spins of the spheres in the mask `some` (N,) can
-    give any slips whatever to all contacts of these spheres that can dissipate."""
+    """Return the mask (R,) of the samples for which it is proven that spins of some spheres can give any slips whatever
+    to all contacts of these spheres that can dissipate.
+
+    network : R samples of a packing, with N spheres in all. some : (N,) mask of the spheres.
+    """
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
     own = network.counts & some[network.graph.contact].any(axis=0)
@@ -179,6 +186,7 @@ def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndar
     Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
     out.
 
+    network : R samples of a packing, with N spheres and E contacts in all.
     number : (N, 3), which unknown each component of a spin is, -1 where it is none.
     contacts : (E,) mask of the contacts.
     sharp : True to spend more time on a bound that is as large as possible."""
@@ -206,6 +214,7 @@ def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarr
     """Return n slip components in groups, in the order in which they are eliminated from a matrix that couples two
     contacts if they share a moving sphere: by nested dissection of these contacts.
 
+    network : a packing with N spheres.
     moves : (N,) mask of the spheres that move. contact : (n,), the contact of each slip component."""
     own, node = np.unique(contact, return_inverse=True)
     ends = network.graph.contact[:, own]
@@ -216,15 +225,23 @@ def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarr
 
 
 def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
-    """Return a matrix of the same shape with bounds on the errors of the entries of a sparse matrix, if each of these
-    was rounded once."""
+    """Return bounds on the errors of the entries of a sparse matrix, each of which was rounded once: a sparse matrix of
+    the same shape.
+
+    rows : the rounded matrix.
+    """
     return sparse.csr_array((EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
 
 
 def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
-    """Return the matrix (3 E, n) that gives the slips (u_i + u_j) x n of E contacts from n unknown spins, exactly:
-    first the x components of all contacts, then y, then z. Here u is spin times radius, n the normal. Rows of contacts
-    that cannot dissipate are 0. number : (N, 3), column of each component of u, -1 for what is no unknown."""
+    """Return the matrix (3 E, n) that gives the slips (u_i + u_j) x n of E contacts from unknown spins, exactly: first
+    the x components of all contacts, then y, then z. Here u is spin times radius, n (in the formula) the normal. Rows
+    of contacts that cannot dissipate are 0.
+
+    network : a packing with N spheres and E contacts.
+    number : (N, 3), which of the n unknowns each component of u is, the number of its column; -1 for what is no
+        unknown.
+    """
     # Component k of u x n is u_a n_b - u_b n_a; four entries a row, for a and for b of either sphere.
     a, b, normal = [1, 2, 0], [2, 0, 1], network.graph.normal
     ends = number[network.graph.contact]
@@ -245,9 +262,9 @@ def numbered(mask: np.ndarray) -> np.ndarray:
 
 
 def turning_freely(network: JudgedNetwork) -> np.ndarray:
-    """Return a mask (N, 3). For spheres whose contacts all have one direction, bit by bit or with the opposite sign, it
-    marks the largest component of this direction: such a sphere can turn about it without slip. Nothing is marked for
-    other spheres."""
+    """Return a mask (N, 3) for the N spheres of a packing. For spheres whose contacts all have one direction, bit by
+    bit or with the opposite sign, it marks the largest component of this direction: such a sphere can turn about it
+    without slip. Nothing is marked for other spheres."""
     normal = network.graph.normal[network.counts]
     large = np.argmax(np.abs(normal), axis=1)
     turned = normal * np.sign(normal[np.arange(len(normal)), large])[:, None]

@@ -166,9 +166,13 @@ def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 
 def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.ndarray]) -> list[States]:
-    """Return the states of all samples from `near`, a tuple of the mask (E,) of contacts that may slip, and bounds (E,)
-    on |slip at any minimum - given slip|; its third entry is not used here. Contacts outside the mask rest. Those in it
-    slip if they have friction, or if their slip exceeds the bound; else they are undecided."""
+    """Return the states of all samples from bounds on the slips of minima: contacts that cannot slip rest; others slip
+    if they have friction, or if their given slip exceeds its bound; else they are undecided.
+
+    network : the samples, with E contacts in all.
+    near : a mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - given slip|, and a third entry
+        that is not used here.
+    """
     slides, far, _ = near
     known = (network.holding.high > 0) | (network.slip.least > far)
     slips = np.where(known, SLIPPING, UNDECIDED)
@@ -181,16 +185,21 @@ def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
 
 
 def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
-    """Return states (m,) of m contacts: SLIPPING where a contact can dissipate and its given slip exceeds `far`;
-    SLIPLESS where it has no coefficient or no free sphere; UNDECIDED elsewhere. far : (m,), bound on |slip at any
-    minimum - given slip|."""
+    """Return states (m,) of the m contacts of a network: SLIPPING where a contact can dissipate and its given slip
+    exceeds `far`; SLIPLESS where it has no coefficient or no free sphere; UNDECIDED elsewhere.
+
+    far : (m,), bound on |slip at any minimum - given slip|.
+    """
     slips = network.counts & (network.slip.least > far)
     return np.where(slips, SLIPPING, np.where(network.acts, UNDECIDED, SLIPLESS))
 
 
 def _by_cuts(bounds: Bounds, k: int) -> list[States]:
-    """Return the states of each of R samples, with friction alone, where minima may slip along component k of the spins
-    only: what the lightest cuts between imposed values say."""
+    """Return the states of each of R samples, with friction alone, where minima may slip along component number k of
+    the spins only: what the lightest cuts between imposed values say.
+
+    bounds : the samples, with their friction and bounds on their power.
+    """
     states = states_by_cuts(bounds, k)
     return [States(of, _is_one(of), "cuts (nearly) tie") for of in states.reshape(bounds.network.count, -1)]
 
@@ -265,6 +274,7 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     largest imposed speed. That is tried only where every contact of the sample is clear, as one of both numbers is
     CLEAR_RATIO times the other.
 
+    bounds : the samples, with their spins and friction, and bounds on their power.
     known : states of each sample, which are returned where nothing better is proven."""
     network, count = bounds.network, bounds.network.count
     if not network.law.holds or network.mixes or not network.needed:
@@ -295,9 +305,14 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> 
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """Return the states (m,) at the only minimum, if it is proven that spheres which contacts of the mask `rests` (m,)
-    join, in a component of the spins, turn as one there. Contacts between such groups of spheres, domains, then slip,
-    and all others rest. Else return a text that says what is missing in the proof."""
+    """Return the states (m,) of the m contacts of a network at the only minimum, or a text that says what is missing in
+    the proof of it.
+
+    What is tried is a minimum at which spheres that resting contacts join, in a component of the spins, turn as one.
+    Contacts between such groups of spheres, domains, then slip, and all others rest.
+
+    rests : (m,) mask of the contacts that are taken to rest.
+    """
     if not network.graph.layered and any(
         network.signs(k)[1][network.graph.contact[:, network.counts]].any() for k in network.needed
     ):

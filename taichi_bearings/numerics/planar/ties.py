@@ -32,6 +32,7 @@ def equal_paths(
     A path leads from the left to the right outside of a grid of w columns and h rows, from face to face across
     contacts; these are a cut of the grid between bottom and top.
 
+    path : shortest paths of the same B grids, by weights rounded down to multiples of `unit`.
     inner, upward : weights of the contacts, along rows without the end rows, (B, w - 1, h - 2), and between rows, (B,
         w, h - 1).
     unit : (B,) unit to whose multiples weights were rounded down for `path`, the shortest paths.
