@@ -50,7 +50,7 @@ class Arrays:
         self.step = self._rows(1e-3 / weight)
 
     def _rows(self, values: np.ndarray) -> np.ndarray:
-        """Return values (C, 1, *N) as (C, length), zero in the margins."""
+        """Return values (C, 1, *N spheres) as (C components, length), zero in the margins."""
         margin, sites = self.layout.margin, self.layout.sites
         sides = ((0, 0), (margin, self.layout.length - margin - sites))
         return np.pad(values.reshape(len(values), -1), sides).astype(self.dtype)

@@ -97,7 +97,7 @@ def missing() -> dict[str, str]:
 def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up: int) -> dict[str, Any]:
     """Return what a script needs to run our scene, by name.
 
-    spin : (*N, 3) initial spins, laboratory frame.
+    spin : (*N spheres, 3) initial spins, laboratory frame.
     folder : where they are written.
     steps : time steps that are timed. warm_up : steps before.
     """

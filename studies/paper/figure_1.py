@@ -94,8 +94,8 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def contacts_between(scene: Scene, above: np.ndarray) -> np.ndarray:
-    """Return a mask (R, E) of the contacts that join a disc above a cut with one below. above : mask (R, *N) of the
-    discs above.
+    """Return a mask (R samples, E) of the contacts that join a disc above a cut with one below. above : mask (R, *N
+    spheres) of the discs above.
     """
     low, high = above.reshape(len(above), scene.lattice.sites)[:, scene.lattice.ends].swapaxes(0, 1)
     return np.asarray(low != high)
@@ -133,8 +133,8 @@ def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
 
 
 def visible(scene: Scene, ended: Solution) -> np.ndarray:
-    """Return a mask (R, E) of the contacts that slip visibly at the end of a descent: by more than VISIBLE of the
-    largest possible slip.
+    """Return a mask (R samples, E) of the contacts that slip visibly at the end of a descent: by more than VISIBLE of
+    the largest possible slip.
     """
     return np.asarray(ended.slip > VISIBLE * scene.lattice.radius * scene.jump)
 
@@ -196,8 +196,8 @@ def least_rise(scene: Scene, spin: np.ndarray) -> float:
     """Return the least change, from one layer to the next towards the top, of the mean spin of a layer, over the jump;
     the least of all samples.
 
-    spin : (R, *N, ...), laboratory frame. Spins are taken staggered (with opposite signs on neighbours) and along the
-        direction of the jump, so that 0 means no change and a negative number a step backwards.
+    spin : (R samples, *N, ...), laboratory frame. Spins are taken staggered (with opposite signs on neighbours) and
+        along the direction of the jump, so that 0 means no change and a negative number a step backwards.
     """
     axes = scene.minimum_spin_axes
     top = scene.top_spin(axes).reshape(len(axes), -1)[:, 0]

@@ -178,7 +178,7 @@ def _grown(
 
     sizes, spread : (sizes,) the sizes, and the standard error of what is fitted.
     beside : exponents of the further terms.
-    columns : (sizes, R) what grows with the size: one column for each course.
+    columns : (sizes, R samples) what grows with the size: one column for each course.
 
     For each trial exponent the law is fitted linearly; the best trial exponent is then refined by the parabola through
     its misfit and those of its two neighbours.

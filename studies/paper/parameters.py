@@ -61,7 +61,7 @@ def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
     does.
 
     time : (T,), rising.
-    excess : (T, R) power over the proven least one, less 1.
+    excess : (T, R samples) power over the proven least one, less 1.
     """
     late = excess > LATE
     last = len(late) - 1 - np.argmax(late[::-1], axis=0)
@@ -104,7 +104,7 @@ def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> d
     bounds : for each normal force (R,) proven lower bounds on the least power, energy/time.
 
     * `courses`: the relaxations with their times multiplied by F_n over the paper's F_n;
-    * `excess`: (T, R) power over the proven least one, less 1; `last`: (R,) at the end;
+    * `excess`: (T, R samples) power over the proven least one, less 1; `last`: (R,) at the end;
     * `apart`: (R,) largest difference of power / initial power from the paper's variant;
     * `ratio`: (R,) time until the minimum is reached, over that of the paper's variant.
     """
@@ -141,7 +141,7 @@ def draw_parameters(of: Any) -> Figure:
     t; a curve for each variant, the paper's in black.
 
     of : the values that :func:`study` names, as attributes. Used are `courses`: by variant its relaxation (a Run) of R
-        samples with T recorded times; `excess`: by variant (T, R), power over the least one, less 1; `seed`.
+        samples with T recorded times; `excess`: by variant (T, R samples), power over the least one, less 1; `seed`.
     """
     figure = new_figure(7.1, 3.2)
     left, right = figure.subplots(1, 2)

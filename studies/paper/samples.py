@@ -365,7 +365,7 @@ class Run:
     start : name of the initial spins.
     time : (T,) recorded times.
     power : (T, R) dissipated power, energy/time.
-    first, last : (3, R, *N) spins at the beginning and at the end, 1/time, staggered: with opposite signs on
+    first, last : (3, R, *N spheres) spins at the beginning and at the end, 1/time, staggered: with opposite signs on
         neighbours, so that spheres that roll on each other have equal values.
     """
 

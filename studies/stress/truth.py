@@ -105,8 +105,8 @@ class Sample:
     spin : (spins,) one after the other: components of the free spheres, a zero for the bottom, those of the top.
     jump : by spin component, spins of the top less those of the bottom, (columns,) or (1,) decimals. top : these, flat.
     unknowns : number of components of free spheres, which come first.
-    low, up : (E, C) index into `spin` of each component of the lower and of the upper sphere of a contact.
-    felt : (E, C) 1 for components that make the contact slip, else 0.
+    low, up : (E contacts, C) index into `spin` of each component of the lower and of the upper sphere of a contact.
+    felt : (E, C components) 1 for components that make the contact slip, else 0.
     a, c : (E, 1) costs of the contacts, see :func:`_costs`.
     of : (E,) indices of these contacts among all contacts of the lattice: those without cost are left out.
     box : (unknowns,) largest value that each free component can have at a minimum.
@@ -142,19 +142,19 @@ class Sample:
         self.box = np.abs(parts)
 
     def slips(self) -> np.ndarray:
-        """Return the slips (E, C) of the contacts, in units of spin."""
+        """Return the slips (E contacts, C) of the contacts, in units of spin."""
         return (self.spin[self.up] - self.spin[self.low]) * self.felt
 
     def torques(self, force: np.ndarray) -> np.ndarray:
-        """Return (unknowns,) the sum of the forces (E, C) on each component of the free spins."""
+        """Return (unknowns,) the sum of the forces (E contacts, C) on each component of the free spins."""
         total = np.full(len(self.spin), Decimal(0), dtype=object)
         np.add.at(total, self.up, force)
         np.subtract.at(total, self.low, force)
         return total[: self.unknowns]
 
     def forces(self, barrier: Decimal) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return at the present spins the slips (E, C); and, each (E, C) or (E, 1), their lengths, the friction that
-        the barrier gives (always within its limit), and friction over slip.
+        """Return at the present spins the slips (E contacts, C); and, each (E, C components) or (E, 1), their lengths,
+        the friction that the barrier gives (always within its limit), and friction over slip.
 
         barrier : energy/time, the weight of the barrier. Friction is a slip / (width + root) with width = barrier / a
             and root = sqrt(width^2 + slip^2).

@@ -158,7 +158,8 @@ class Structure:
         return float(np.linalg.norm(self.scene.driven_speed, axis=1).max(initial=0.0))
 
     def shown_spin(self, spin: np.ndarray) -> np.ndarray:
-        """Return spins (..., *N, 3) or (..., *N) as pictures show them, without rotations that no contact resists.
+        """Return spins (..., *N spheres, 3) or (..., *N) as pictures show them, without rotations that no contact
+        resists.
 
         No contact of a lattice resists a rotation of a whole layer about the height (with the signs of the
         sublattices), so that a dynamics keeps whatever mean each layer began with. If both driven planes have the same

@@ -53,7 +53,7 @@ class ContactSystem:
 
     contact : (n,), numbers of the contacts in the network.
     slot : (d, n), the spin component or the tangent of each row.
-    place : (D, unknowns), where the sphere of each unknown is.
+    place : (D dimensions, unknowns), where the sphere of each unknown is.
     whole : the network whose contacts these are; None for a lattice in strides.
     sphere : (unknowns,), the sphere of each unknown.
     moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0.
@@ -300,13 +300,13 @@ class ContactSystem:
 
     def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
         """Return vectors (d, n) on the n contacts of the system, with up to d slip components, of sample number
-        `replica`, read from values (C, R, E) by spin component, sample and contact of the whole network."""
+        `replica`, read from values (C, R samples, E) by spin component, sample and contact of the whole network."""
         return values[self.slot, replica, self.contact]
 
     def scatter_vectors(self, vectors: np.ndarray, values: np.ndarray, replica: int | slice) -> None:
         """Write vectors (d, n) on the n contacts of the system, with up to d slip components, of sample number
-        `replica`, or (R, d, n) of a slice of samples, into values (C, R, E) by spin component, sample and contact of
-        the whole network, in place."""
+        `replica`, or (R samples, d, n) of a slice of samples, into values (C, R, E contacts) by spin component, sample
+        and contact of the whole network, in place."""
         np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
@@ -388,9 +388,9 @@ def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def free_spins(staggered: np.ndarray) -> np.ndarray:
-    """Return the spins (R, unknowns) of the free spheres of a lattice, from staggered spins (C, R, *N) of all. The
-    component varies fastest. Driven are the first and the last plane along the last axis. Letters: C spin components, R
-    samples, N the shape of the lattice."""
+    """Return the spins (R samples, unknowns) of the free spheres of a lattice, from staggered spins (C, R, *N) of all.
+    The component varies fastest. Driven are the first and the last plane along the last axis. Letters: C spin
+    components, R samples, N the shape of the lattice."""
     return np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(staggered.shape[1], -1)
 
 

@@ -79,8 +79,8 @@ class Unknowns(ABC):
 
     @abstractmethod
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Write the unknowns `spins` (unknowns,) of sample number `replica` into spins (C, R, *N), in place. Letters: C
-        spin components, R samples, N the shape of the lattice."""
+        """Write the unknowns `spins` (unknowns,) of sample number `replica` into spins (C components, R, *N), in place.
+        Letters: C spin components, R samples, N the shape of the lattice."""
 
 
 class OfLattice(Unknowns):

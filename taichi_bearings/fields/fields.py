@@ -129,8 +129,8 @@ class Fields:
         return found
 
     def load(self, name: str, values: np.ndarray) -> None:
-        """Set the field `name` from values (C, R, *N), or in lists from (C, 1, N) of spheres or (C, 1, E) of contacts.
-        Numbers in the margins of its rows stay."""
+        """Set the field `name` from values (C, R samples, *N), or in lists from (C, 1, N spheres) of spheres or (C, 1,
+        E contacts) of contacts. Numbers in the margins of its rows stay."""
         first, components, rows = self._place[name]
         given = values.reshape(components, int(np.prod(rows.shape)))[:, rows.order]
         if self._host is not None:
@@ -160,12 +160,12 @@ class Fields:
         self.load(name, np.zeros((components, *rows.shape)))
 
     def view(self, name: str) -> np.ndarray:
-        """Return a field of a lattice as (C, R, *N) in the memory of a CPU, not copied."""
+        """Return a field of a lattice as (C, R samples, *N) in the memory of a CPU, not copied."""
         return self._inside(name).reshape(-1, *self._place[name][2].shape)
 
     def _inside(self, name: str) -> np.ndarray:
-        """Return the numbers of a field (C, n) in the memory of a CPU, without margins, in the order of their places; a
-        view."""
+        """Return the numbers of a field (C components, n) in the memory of a CPU, without margins, in the order of
+        their places; a view."""
         assert self._host is not None
         first, components, rows = self._place[name]
         whole = self._host[first : first + components * rows.length].reshape(components, rows.length)

@@ -42,7 +42,7 @@ class Lists:
         """Return the lists of a network, ordered so that neighbours stand near each other: spheres by the method of
         reverse Cuthill and McKee, contacts by their first sphere in that order.
 
-        spheres : number of spheres. pairs : (E, 2) spheres of each contact.
+        spheres : number of spheres. pairs : (E contacts, 2) spheres of each contact.
         """
         ones, block = np.ones(2 * len(pairs), dtype=np.int8), block_size()
         graph = sparse.csr_array((ones, (pairs.T.ravel(), pairs[:, ::-1].T.ravel())), shape=(spheres, spheres))
@@ -89,8 +89,8 @@ class Lists:
 
     def parts(self, spec: ListSpec) -> list[tuple[FieldSpec, Rows]]:
         """Return for each kind of fields its spec and the place of its rows in memory, in the first copy of the
-        network: fields of spheres (C, 1, N), of contacts (C, 1, E), and "numbers", the constants of kernels (C, 1). C
-        is the number of components.
+        network: fields of spheres (C, 1, N spheres), of contacts (C, 1, E contacts), and "numbers", the constants of
+        kernels (C components, 1). C is the number of components.
 
         spec : fields of spheres, and fields of contacts: names and numbers of components.
         """

@@ -92,8 +92,8 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
 def colour_of_turn(turn: np.ndarray) -> np.ndarray:
     """Return colours (..., 4) that show how a domain rotates between bottom, blue, and top, red.
 
-    turn : (..., C), spin by component as a fraction: 0 is that of the bottom, 1 that of the top. Yellow or green is
-        mixed in as the first or the second component is nearer to the top than the other.
+    turn : (..., C components), spin by component as a fraction: 0 is that of the bottom, 1 that of the top. Yellow or
+        green is mixed in as the first or the second component is nearer to the top than the other.
     """
     turn = np.clip(turn, 0.0, 1.0)
     colour: np.ndarray = colormaps[SPIN_COLOURS](turn.mean(axis=-1))

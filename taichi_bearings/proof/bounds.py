@@ -49,8 +49,8 @@ class Bounds:
     proof : (R,), PROVEN, or the words that restrict `lower` to slower spins.
     largest_torque : (R,), largest torque over radius that the stored friction leaves over on a free sphere.
     price : (R,), what these torques may cost at spins within the box of imposed spins.
-    unknown : (n, 3) mask of the components of spins that springs hold, where components mix; None elsewhere, or if no
-        springs could be made.
+    unknown : (n spheres, 3) mask of the components of spins that springs hold, where components mix; None elsewhere, or
+        if no springs could be made.
     friction : F by component after springs have balanced it, where components mix; else empty.
     alone : the bounds of each sample by itself, where several samples do not go the same way; else empty. The fields
         `unknown` and `friction` are then found in these alone.

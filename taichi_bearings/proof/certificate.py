@@ -303,8 +303,8 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
 
 def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
-    """Return pairs of slices that cut the first two axes of arrays with the shape of `values`, (R, n, ...), into parts
-    which fit the caches of a processor."""
+    """Return pairs of slices that cut the first two axes of arrays with the shape of `values`, (R samples, n, ...),
+    into parts which fit the caches of a processor."""
     several = max(1, CACHED_PULLS // max(values[0].size, 1))
     size = max(1, CACHED_PULLS * values.shape[1] // max(values[0].size, 1))
     return [

@@ -20,8 +20,8 @@ from taichi_bearings.scene.solution import Solution
 def decided(
     indicated: np.ndarray, known: np.ndarray, is_present: bool = False, has_ended: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state of every contact, (R, E) uint8, and the mask (R, E) of those that are proven, for R samples of E
-    contacts.
+    """Return the state of every contact, (R, E contacts) uint8, and the mask (R, E) of those that are proven, for R
+    samples of E contacts.
 
     indicated : (R, E), states read from slip and friction. Contacts that are DRIVEN there take no part and count as
         proven.
@@ -168,6 +168,6 @@ def counts(state: np.ndarray) -> np.ndarray:
 
 
 def count(state: np.ndarray, which: ContactState) -> np.ndarray:
-    """Return (R,), how many contacts of each of R samples are in the state `which`. state : (R, E), states of E
-    contacts."""
+    """Return (R,), how many contacts of each of R samples are in the state `which`. state : (R, E contacts), states of
+    E contacts."""
     return counts(state)[:, which]

@@ -337,8 +337,8 @@ def _sum_of_spins(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:
     """Return the matrix (3 A, n) of 0 and 1 that gives u_i + u_j, the sum of the spins (times radius) of both spheres,
     for A contacts from n unknowns: x components first, then y, then z.
 
-    ends : (2, A), indices of the spheres of the contacts. number : (N, 3), which unknown each spin component is, -1 for
-        one that is taken as 0."""
+    ends : (2, A), indices of the spheres of the contacts. number : (N spheres, 3), which unknown each spin component
+        is, -1 for one that is taken as 0."""
     at = number[ends].transpose(0, 2, 1).reshape(2, -1)
     end, row = np.nonzero(at >= 0)
     return sparse.csr_array((np.ones(len(row)), (row, at[end, row])), shape=(at.shape[1], number.max(initial=-1) + 1))

@@ -152,14 +152,14 @@ class JudgedNetwork:
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, True where component k of the spins makes a contact slip. It has a meaning only where each
-        component of a slip depends on one component of the spins: discs, and normals along the axes."""
+        """(C components, m) mask, True where component k of the spins makes a contact slip. It has a meaning only where
+        each component of a slip depends on one component of the spins: discs, and normals along the axes."""
         return self.graph.slips_with
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """(C, m) mask, True where a contact can dissipate at a minimum (`counts`) and component k of the spins makes it
-        slip. It has a meaning only for discs and for normals along the axes."""
+        """(C components, m) mask, True where a contact can dissipate at a minimum (`counts`) and component k of the
+        spins makes it slip. It has a meaning only for discs and for normals along the axes."""
         return self.counts & self.slips_with
 
     @cached_property

@@ -92,7 +92,7 @@ class Judgement:
         return Bounds.of(self.network)
 
     def _by_sample(self, of_contacts: np.ndarray) -> np.ndarray:
-        """Return values (R * E,) of all contacts of R samples as an array (R, E)."""
+        """Return values (R * E,) of all contacts of R samples as an array (R, E contacts)."""
         return of_contacts.reshape(self.network.count, -1)
 
     @property
@@ -121,9 +121,9 @@ class Judgement:
 
     @property
     def friction_has_normal_part(self) -> np.ndarray:
-        """(R, E) mask of the contacts whose stored friction has a component along the normal, which no friction has: on
-        packings a component above rounding, on lattices any. All False for discs, whose friction is stored as one
-        number."""
+        """(R samples, E) mask of the contacts whose stored friction has a component along the normal, which no friction
+        has: on packings a component above rounding, on lattices any. All False for discs, whose friction is stored as
+        one number."""
         friction, normal = self.network.graph.friction, self.network.graph.normal
         if friction.shape != normal.shape:
             return np.zeros(self.acts.shape, dtype=bool)

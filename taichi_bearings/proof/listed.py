@@ -90,8 +90,8 @@ class Listed:
 
     @property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, True where a component of the spins makes a contact slip. For discs all are True; for spheres it
-        has a meaning only where normals are along the axes: then the two components across the normal do."""
+        """(C components, m) mask, True where a component of the spins makes a contact slip. For discs all are True; for
+        spheres it has a meaning only where normals are along the axes: then the two components across the normal do."""
         return self.normal.T == 0 if self.normal.shape[1] == 3 else np.ones((1, len(self.normal)), dtype=bool)
 
     @cached_property
@@ -189,7 +189,7 @@ def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
     """Return the cross products v x n of vectors with unit normals, by component, C enclosures (m,); for discs (C = 1)
     the vectors as they are.
 
-    vectors : v by component, C enclosures (m,). normal : (m, D), n."""
+    vectors : v by component, C enclosures (m,). normal : (m, D dimensions), n."""
     if len(vectors) == 1:
         return vectors
     n = normal.T
@@ -201,7 +201,7 @@ def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
     """Return the moments n x F of friction F, minus its torque over R on both spheres of a contact: by component, C
     enclosures (m,). For discs, whose friction and moment are one number, friction itself.
 
-    friction : F of m contacts by component, C enclosures (m,). normal : (m, D), unit normals n."""
+    friction : F of m contacts by component, C enclosures (m,). normal : (m, D dimensions), unit normals n."""
     return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
 
 

@@ -102,8 +102,8 @@ class FrictionBounds:
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """Matrix (2 E, n): both tangential components of the slip of contact i, in rows 2 i and 2 i + 1, from the n
-        unknown spin components."""
+        """Matrix (2 E contacts, n): both tangential components of the slip of contact i, in rows 2 i and 2 i + 1, from
+        the n unknown spin components."""
         count = len(self.most_change)
         row = np.repeat(np.arange(2 * count), 3)
         column = (np.arange(3) * count + np.arange(count)[:, None]).repeat(2, axis=0)

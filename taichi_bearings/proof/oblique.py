@@ -334,8 +334,8 @@ class Centre:
         return np.sqrt(np.bincount(sample, values**2, self.network.count))
 
     def _norms_on_spheres(self, values: np.ndarray, some: np.ndarray) -> np.ndarray:
-        """Return for each of R samples the Euclidean norm (R,) of the values (N, 3) at its spheres in the mask `some`
-        (N,)."""
+        """Return for each of R samples the Euclidean norm (R,) of the values (N spheres, 3) at its spheres in the mask
+        `some` (N,)."""
         squares = np.where(some[:, None], values, 0.0) ** 2
         return np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
 
@@ -365,8 +365,9 @@ class Centre:
         return found
 
     def _largest_torques(self, unsure: np.ndarray) -> np.ndarray:
-        """Return bounds (N, 3) on the size of each component of the torque over radius that friction leaves over on
-        each sphere, if that of slipping contacts may differ from the one in use; 0 for components that are no unknowns.
+        """Return bounds (N spheres, 3) on the size of each component of the torque over radius that friction leaves
+        over on each sphere, if that of slipping contacts may differ from the one in use; 0 for components that are no
+        unknowns.
 
         unsure : (S,), how far the friction of each of the S slipping contacts may be from the one in use."""
         found = np.stack([part.most for part in self.torques], axis=1)

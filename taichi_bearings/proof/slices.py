@@ -23,7 +23,7 @@ Place = tuple[slice, ...]
 
 class Grid(Listed):
     """The contacts of R samples of a lattice, for the proofs: n spheres and m contacts in all, with C components of
-    spins. Results are computed by slices of arrays over the lattice, of shape (R, *N), rather than by lists.
+    spins. Results are computed by slices of arrays over the lattice, of shape (R, *N spheres), rather than by lists.
 
     samples : the samples whose contacts these are, with their spins and friction."""
 
@@ -78,8 +78,8 @@ class Grid(Listed):
         return values.reshape(self.samples.count, *self.samples.lattice.shape)
 
     def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
-        """Return for each axis of the lattice a view (R, *contacts) of those of the values (m,) that belong to its
-        contacts."""
+        """Return for each axis of the lattice a view (R samples, *contacts) of those of the values (m,) that belong to
+        its contacts."""
         return list(self.samples.lattice.by_axis(values.reshape(self.samples.count, -1)))
 
     def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
@@ -125,7 +125,8 @@ class Grid(Listed):
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask, True where a component of the spins makes a contact slip: those not along its normal."""
+        """(C components, m) mask, True where a component of the spins makes a contact slip: those not along its normal.
+        """
         found = np.ones((len(self.samples.components), self.contacts), dtype=bool)
         for mask, component in zip(found, self.samples.components, strict=True):
             if component < self.samples.lattice.dimension:
@@ -242,9 +243,9 @@ class Grid(Listed):
         return float(scene.lattice.radius * speed / speed_unit)
 
     def leader(self, k: int) -> np.ndarray:
-        """Return for each sphere two indices, (2, n): of the first sphere of the bottom and of the first of the top in
-        the layer of the sphere, those with the same coordinate along component k. All driven spheres of a plane and
-        layer have the spin of this first one in component k, and are identified by it."""
+        """Return for each sphere two indices, (2, n spheres): of the first sphere of the bottom and of the first of the
+        top in the layer of the sphere, those with the same coordinate along component k. All driven spheres of a plane
+        and layer have the spin of this first one in component k, and are identified by it."""
         return self.samples.leader(self.samples.components[k])
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:

@@ -212,8 +212,8 @@ class Result:
     @property
     def snapshots(self) -> Snapshots | None:
         """Spins of a dynamics at the S times that were asked for: `time`, (snapshots S,), and `spin`, (S, spheres *N),
-        in 3D (snapshots S, *N, 3), 1/time; with several samples (R, S, ...), but one `time` if it is the same for all.
-        None if no times were asked for.
+        in 3D (snapshots S, *N, 3), 1/time; with several samples (R samples, S, ...), but one `time` if it is the same
+        for all. None if no times were asked for.
         """
         kept = self.solution.snapshots
         return None if kept is None else Snapshots(kept.time.T, self._of_samples(np.moveaxis(kept.spin, 1, 0)))

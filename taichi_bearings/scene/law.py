@@ -176,7 +176,7 @@ class Law:
         return excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
 
     def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
-        """Return the sum over the coefficients of the law, each times its function of the slip, (..., E).
+        """Return the sum over the coefficients of the law, each times its function of the slip, (..., E contacts).
 
         of : coefficients, a tuple of arrays (..., E). friction, viscous : values (..., E) of that function for friction
             and for viscosity.
@@ -201,7 +201,8 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
     """Check a law that a user has defined, at some contacts and slips; raise InputError with the first condition that
     it violates.
 
-    law : the law. of : its coefficients, a tuple of arrays (..., E), of which `CONTACTS_TRIED` contacts are tried.
+    law : the law. of : its coefficients, a tuple of arrays (..., E contacts), of which `CONTACTS_TRIED` contacts are
+        tried.
     fastest : length/time. The slips that are tried are 0, and 1e-9 to 1e3 times this speed.
 
     A lower bound follows from any balanced forces if phi is convex and phi* is its conjugate (Rockafellar, Convex

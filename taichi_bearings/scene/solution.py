@@ -391,7 +391,7 @@ class Solution:
             return replace(one, **ended)
 
         def placed(whole: np.ndarray, value: object) -> np.ndarray:
-            """Return a copy of `whole`, (R, ...), with the value of this replica replaced."""
+            """Return a copy of `whole`, (R samples, ...), with the value of this replica replaced."""
             changed = np.array(whole)
             changed[number] = value
             return changed

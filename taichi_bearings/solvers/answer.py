@@ -114,7 +114,7 @@ def answered(reached: Reached, ended: Ended, while_wanted: Callable[[], Abstract
     has_ended = moves and threshold is None and status is Status.CERTIFIED
 
     def with_states(known: np.ndarray | None) -> Solution:
-        """Return the answer with final states. known : (R, E), the states that are proven, or None."""
+        """Return the answer with final states. known : (R samples, E), the states that are proven, or None."""
         undecided = np.full(answer.state.shape, ContactState.UNDECIDED)
         seen, proven = reached.observed(answer, known), undecided if known is None else known
         state, is_proven = decided(seen, proven, moves or threshold is not None, has_ended)

@@ -28,7 +28,7 @@ class GridCuts(Part):
     component : number of the axis of that spin component; the planes are the layers across it.
     top : (planes,), imposed spin of the top less that of the bottom in each plane, 1/time.
     staggered, force, states : (1, R samples, *N spheres) spins with alternating signs as methods carry them, (1, R, E
-        contacts) contact forces and (R, E) contact states.
+        contacts) contact forces and (R, E contacts) contact states.
     tied : (R, planes), number of contacts that are in some but not in all minimum cuts.
     next_over_minimum : (R, planes), weight of the lightest other cut over that of the minimum cut.
     """

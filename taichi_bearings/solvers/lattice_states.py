@@ -107,7 +107,7 @@ class LatticeReached(Reached):
 
     def indicated(self, slip: np.ndarray) -> Indicated:
         """Return the states that method, slips and forces indicate, with the slip speeds up to which contacts count as
-        slipless. slip : (R, E), slip speeds, length/time.
+        slipless. slip : (R samples, E), slip speeds, length/time.
         """
         known = _known_by_contact(self.judgement, self.options.is_dynamics)
         state, each, of_all = _states_and_thresholds(self.scene, slip, self.final, self.threshold, known, self.proof)

@@ -102,7 +102,7 @@ class Method(ABC):
         """Return spins as methods carry them, but measured from zero, not from the bottom: (C components, R samples, *N
         spheres), as energies need them.
 
-        staggered : (C, R, *N), spins with alternating signs, measured from the bottom, 1/time.
+        staggered : (C, R, *N spheres), spins with alternating signs, measured from the bottom, 1/time.
         """
         return self.scene.absolute(staggered, self.spin_axes)
 

@@ -38,8 +38,8 @@ def main(request: dict[str, Any]) -> None:
     number of contacts.
 
     request : `shape`, numbers of spheres along three axes; `steps` to time and `warm_up` steps before; `stiffness`,
-        `damping` and `friction` of contacts; `normal_force`; `time_step`; `spin`, a file with initial spins (*N, 3);
-        and optionally `final`, a file for those at the end.
+        `damping` and `friction` of contacts; `normal_force`; `time_step`; `spin`, a file with initial spins (*N
+        spheres, 3); and optionally `final`, a file for those at the end.
     """
     shape, spin = request["shape"], np.load(request["spin"])
     material = O.materials.append(

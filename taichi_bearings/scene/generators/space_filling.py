@@ -127,7 +127,7 @@ def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.
     """Return contacts (contacts E, 2) and normals (E, 2), unit vectors from the first to the second disc, of discs on a
     strip that is periodic along x.
 
-    place : (N, 2), centres. radius : (N,). length : of the strip along x. Lengths are in heights of the strip.
+    place : (N spheres, 2), centres. radius : (N,). length : of the strip along x. Lengths are in heights of the strip.
     """
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
