@@ -281,6 +281,8 @@ def _asked(method: str | MethodOptions, options: Mapping[str, object], start: st
     """Return the settings of a run that the arguments of :func:`solve` amount to, by key, without those of the scene.
 
     Raises InputError for an option that does not exist.
+
+    method, options, start : as :func:`solve` takes them.
     """
     for name in options:
         if name not in ("tolerance", *OPTIONS):

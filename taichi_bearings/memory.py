@@ -91,6 +91,8 @@ def refuse_before(needed: float, what: str) -> None:
 def aligned_zeros(count: int, block: int, dtype: DTypeLike = float) -> np.ndarray:
     """Return zeros (count,) at an address that is a multiple of `block` of them, as SIMD writes of whole blocks
     expect.
+
+    dtype : type of the numbers.
     """
     memory = np.zeros(count + block, dtype)
     start = -(memory.ctypes.data // memory.itemsize) % block

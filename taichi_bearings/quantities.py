@@ -118,13 +118,17 @@ def _decades(answer: Answer) -> np.ndarray:
     """Return the decades (R,) between the largest slip of slipless contacts and the smallest of slipping ones.
 
     They are not-a-number for samples whose gap is above the tolerance, as they mean nothing there.
+
+    answer : a result of one or several samples.
     """
     return np.where(answer.solution.gap <= answer.asked.tolerance, _separation(answer).decades, np.nan)
 
 
 def _normalised(answer: Answer) -> np.ndarray | None:
     """Return the power over F_n R |omega_T| of a lattice, (R,); None where that is 0, with a viscosity, and for other
-    packings."""
+    packings.
+
+    answer : a result of one or several samples."""
     facts, solution = answer.solution.scene.facts, answer.solution
     unit = facts["normal_force"] * facts["radius"] * abs(facts["spin_top"]) if "spin_top" in facts else 0.0
     return solution.power / unit if solution.scene.law.is_rate_independent and unit > 0 else None
@@ -440,7 +444,9 @@ def _over(value: float, unit: float) -> float:
 
 
 def _if_spans(structure: Any, value: float) -> float:
-    """Return the value, or not-a-number where slipless contacts do not join bottom and top."""
+    """Return the value, or not-a-number where slipless contacts do not join bottom and top.
+
+    structure : what the contacts of a sample form. value : any number that has a meaning only then."""
     return value if structure.network.spans else np.nan
 
 

@@ -146,6 +146,8 @@ def _ours(method: Any, steps: int, _: int) -> float:
 def _theirs(code: Code, request: Mapping[str, Any], _: int) -> float:
     """Return the processor time of a time step of another code, seconds, as it reports it. Raises BearingsError if it
     does not see the same number of contacts. The last argument, the number of the round, is not used.
+
+    request : lattice and number of steps, as the other code takes them.
     """
     found, shape = code.measure(request), tuple(request["shape"])
     seen, ours = found["contacts"], Lattice(shape).contacts

@@ -79,6 +79,8 @@ def _clocked(call: Callable[[], Row]) -> tuple[float, float, Row]:
 def _by_us(scene: Scene, threads: int) -> Row:
     """Return the proven relative gap of our minimum, and the share of contacts whose state is proven. threads : number
     of threads.
+
+    scene : what is solved.
     """
     result = solve(scene, "interior-point", TOLERANCE, progress=False, threads=threads)
     return {"proven_gap": float(result.gap), "proven": 1 - float(result.unproven) / scene.lattice.contacts}

@@ -195,6 +195,7 @@ class Report:
 
 def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
     """Measure all chosen benchmarks, and return the report; Ctrl-C ends it and keeps what was measured until then.
+    plan : sizes and repetitions of the measurements.
     chosen : benchmarks by name.
     """
     report = Report(missing={name: why for one in chosen.values() for name, why in one.missing().items()})
@@ -215,7 +216,9 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
 
 
 def _take(report: Report, name: str, found: Row | str) -> None:
-    """Add a row, or a sentence on what is left out, to the report. name : of the benchmark."""
+    """Add a row, or a sentence on what is left out, to the report. name : of the benchmark.
+
+    found : a row, a dictionary, or the sentence."""
     if isinstance(found, str):
         report.notes += [] if found in report.notes else [found]
     else:
@@ -302,6 +305,7 @@ def _table(rows: Sequence[Row]) -> str:
 def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> list[Path]:
     """Write the report as text, all numbers of each benchmark as CSV, and its figure if it has one; return the paths.
 
+    folder : where the files go.
     chosen : benchmarks by name.
     here : the machine, as :func:`machine` returns it.
     """
@@ -334,6 +338,8 @@ def _lines(row: Row) -> Iterator[Row]:
 def as_json(report: Report, here: Mapping[str, Any], files: Sequence[Path]) -> dict[str, Any]:
     """Return the object of `--json`. here : the machine, as :func:`machine` returns it. files : paths that were
     written.
+
+    report : all that was measured.
     """
     return {
         "machine": here, **report.rows, "left_out": report.notes,

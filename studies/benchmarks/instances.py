@@ -48,6 +48,7 @@ def instances() -> dict[str, Scene]:
 def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
     """Write the files of one problem, solve it, and return its row of the table.
 
+    name, scene : of the problem.
     folder : for the files. peers : largest side that other solvers are given.
     """
     write_problem(scene, "fclib", folder / f"{name}.hdf5")

@@ -96,6 +96,7 @@ def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, 
     """Return the course of one run of a method with its default options: a row whose lists have one entry for each
     check.
 
+    scene : what is solved.
     name : of the method.
     seconds : time limit.
 
@@ -121,6 +122,7 @@ def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int
     """Return what a conic solver reaches at one tolerance after another: a row whose lists have one entry for each
     tolerance. It ends at the first that the solver does not reach.
 
+    peer : the other solver. programme : the conic programme that it is given. threads : number of threads.
     seconds : time limit for each tolerance. The last argument, the number of the round, is not used.
     """
     answers, asked = [], []

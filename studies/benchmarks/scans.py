@@ -48,6 +48,8 @@ def _template(shape: tuple[int, ...]) -> ConicProgramme:
 def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]:
     """Solve samples by a conic solver, one after another, and return a record of each, as workers of scans do: key,
     status, and that no contact state is proven.
+
+    samples : as a scan plans them. peer : the conic solver.
     """
     found = []
     for one in samples:

@@ -170,6 +170,7 @@ def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> N
     """Draw the share of samples whose slipless network joins the planes, by some thresholds and by certified states,
     against the side.
 
+    axes : where it is drawn.
     sides : of the cubes. spans : for each of them (samples, thresholds + 1), True where the network spans; last by the
         certified states.
     """
@@ -185,6 +186,7 @@ def _by_threshold(axes: Any, largest: Any) -> None:
     """Draw numbers of the slipless network and of rigid domains, means over samples, against the slip threshold below
     which contacts are taken for slipless.
 
+    axes : where it is drawn.
     largest : table of the largest cubes, with columns NAME_seen (samples, thresholds + 1); the last number is by the
         certified states.
     """

@@ -226,6 +226,7 @@ def _records(
     """Yield for each piece, as it is finished, a record with its key, its status and its result (`numbers`) or its
     error.
 
+    parts : the pieces that are computed.
     units : groups of pieces that are sent to a worker together. workers : number of processes; up to 1, this process
         does all.
     """
@@ -238,13 +239,17 @@ def _records(
 
 
 def _record(part: Part) -> dict[str, Any]:
-    """Compute one piece, and return its record: key, status, and the result as `numbers`."""
+    """Compute one piece, and return its record: key, status, and the result as `numbers`.
+
+    part : the piece: a function with its arguments and a key."""
     return {"key": part.key, "scalars": {"status": "solved"}, "numbers": part.work(*part.words)}
 
 
 def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
     """Compute some pieces in a worker process, and return their records; a piece that raises gets a record of its
     error.
+
+    unit : the pieces, which one worker computes.
     """
     runtime.start("cpu", "f64", 1)
     records = []
@@ -415,10 +420,11 @@ def relax(
 
 
 def relax_rigidly(scene: Scene, start: str) -> Run:
-    """Return the relaxation of all samples of a scene with rigid contacts, without springs, followed until each is
-    proven to be within a relative RIGID_END of its least power. Their powers are recorded at each step.
+    """Return the relaxation of all samples of a scene from given spins to the minimum, with rigid contacts: they have
+    no springs, and each keeps its spins or slips at the friction limit. It ends when the power of each sample is proven
+    to be within a relative RIGID_END of the least one; powers are recorded at each step.
 
-    start : which spins to begin from: the name of an initial state, such as "random".
+    start : name of the spins to begin from, such as "random".
     """
     return _followed(scene, start, RigidLimit(), StopRule(RIGID_END), Recording())
 

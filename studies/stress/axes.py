@@ -132,6 +132,8 @@ def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
 
     It is driven about x + y or, if the method refuses that, about x alone; None if the method refuses both. quick :
     take a smaller sample.
+
+    seed : of the sample.
     """
     shape = (SMALL_SHAPES if quick else SHAPES)[row.dimension]
     for direction in ((1.0, 1.0, 0.0), (1.0, 0.0, 0.0)):

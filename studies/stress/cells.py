@@ -99,9 +99,14 @@ class Judge:
         record : what the worker has returned: the `answer` of the solve, its `refusal` in words, or its `crash` in
             words.
 
-        `outcome` is one of OUTCOMES; `reason` says why a cell is wrong, refused or a crash; `error` is the relative
-        error of the power; `states_wrong` counts slipless contacts that are said to slip and the other way round,
-        `states_unproven` contacts without a proven state; None where something is not known.
+        Columns of the row; those that are not known are None:
+
+        key, axis, value, and the fields of the method : which cell it is.
+        outcome : one of OUTCOMES. reason : why it is wrong, refused or a crash; else "".
+        status, objective, gap, seconds, states_proven : of the answer. unit : energy/time, the unit of its objective.
+        truth, error : the true least objective, and the relative error of the answer.
+        states_wrong : number of slipless contacts that are said to slip and the other way round. states_unproven :
+            number of contacts without a proven state.
         """
         unknown = ("error", "gap", "states_wrong", "states_unproven", "states_proven", "objective", "truth")
         row: dict[str, Any] = {

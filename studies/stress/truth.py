@@ -153,11 +153,13 @@ class Sample:
         return total[: self.unknowns]
 
     def forces(self, barrier: Decimal) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return at the present spins the slips (E contacts, C); and, each (E, C components) or (E, 1), their lengths,
-        the friction that the barrier gives (always within its limit), and friction over slip.
+        """Return at the present spins the slips (E contacts, C components) of the contacts; and, each (E, C) or (E, 1),
+        their lengths, the friction, and friction over slip. The friction is smoothed, and thus always within its limit:
+        along the central path the cost a |slip| of a contact is replaced by a smooth function near it, which tends to
+        it as `barrier` goes to 0.
 
-        barrier : energy/time, the weight of the barrier. Friction is a slip / (width + root) with width = barrier / a
-            and root = sqrt(width^2 + slip^2).
+        barrier : energy/time. Friction is a slip / (width + root) with width = barrier / a and root = sqrt(width^2 +
+            slip^2).
         """
         slip = self.slips()
         length = np.sqrt((slip * slip).sum(axis=1, keepdims=True))
@@ -167,7 +169,12 @@ class Sample:
         return slip, length, stiffness * slip, stiffness
 
     def step(self, barrier: Decimal) -> Decimal:
-        """Make a damped Newton step for cost + barrier, and return its decrement (Nesterov and Nemirovskii, 1994)."""
+        """Make a Newton step towards the minimum of the smoothed cost, and return its decrement, sqrt(gradient * step /
+        barrier): a number without unit that goes to 0 at the minimum. While it is above 1/4, the step is divided by 1 +
+        decrement, which makes the method converge from anywhere (Nesterov and Nemirovskii, 1994).
+
+        barrier : energy/time, how much the cost is smoothed, as in `forces`.
+        """
         slip, _, friction, stiffness = self.forces(barrier)
         # second derivatives of a contact: (stiffness + c) 1 - bend slip slip^T, added at its ends with signs
         matrix = np.full((len(self.spin), len(self.spin)), Decimal(0), dtype=object)
@@ -192,6 +199,8 @@ class Sample:
     def enclosure(self, barrier: Decimal) -> tuple[Decimal, Decimal]:
         """Return bounds of the least cost, energy/time: from below the work of the driven planes, less the most that
         forces out of balance can take from it; from above the cost of the present spins.
+
+        barrier : energy/time, how much the cost is smoothed.
         """
         slip, length, friction, _ = self.forces(barrier)
         force, viscous = friction + self.c * slip, (self.c * length * length).sum() / 2

@@ -225,6 +225,8 @@ def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.nd
 
     Each item has the numbers of the spheres on the side with fewer of them, those on the other side, and the number of
     pairs. Two driven spheres are a pair if they have links to the same connected piece of free spheres.
+
+    network : a graph of spheres, some of them driven, and of links between them.
     """
     touching = _pieces_beside(network)
     touched = [network.touched_of(body).tolist() for body in network.driven_nodes]
@@ -246,6 +248,8 @@ def _all_of(sets: Iterable[frozenset[int]]) -> frozenset[int]:
 def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
     """Return, for each driven sphere by its number, the set of the connected pieces of free spheres to which it has a
     link.
+
+    network : a graph of spheres, some of them driven, and of links between them.
     """
     sites, free = len(network.body), network.free.ravel()
     # connected pieces of the free spheres alone
@@ -277,7 +281,9 @@ class _Neighbours(NamedTuple):
 
 
 def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
-    """Return the neighbours of all spheres over some links. links : numbers of these links."""
+    """Return the neighbours of all spheres over some links. links : numbers of these links.
+
+    network : a graph of spheres and links."""
     low, high = network.ends[:, links]
     here, there = np.concatenate([low, high]), np.concatenate([high, low])
     order = np.argsort(here, kind="stable")

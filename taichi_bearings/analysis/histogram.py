@@ -93,6 +93,7 @@ def count_powers(
 ) -> SampleCounts:
     """Return how many slipping contacts of each of R samples fall into each logarithmic bin of power.
 
+    bins_per_decade : bins for each factor of 10 of the power.
     power : (R, E) of the E contacts, energy/time. state : (R, E), contact states. unit : (R,), power that serves as
         unit in each sample; default 1. Slipping contacts with a power of exactly 0 are in no bin.
     """

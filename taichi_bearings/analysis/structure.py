@@ -302,9 +302,11 @@ class Structure:
 
     @cached_property
     def torque_flow(self) -> TorqueFlow:
-        """The torque on the driven bodies, the power they spend, and the share that slipless contacts carry.
+        """The torque on the driven bodies, the power they spend, and the share of it that slipless contacts carry.
 
-        That share is taken over the differences of `height` across the contacts.
+        Torque flows through the contacts from one body to the other. A contact carries the part of the power that
+        belongs to its part of the way: its force times the difference of the imposed speeds of both bodies, times the
+        difference of `height`, 0 at one body and 1 at the other, between its spheres. These parts add up to the power.
         """
         whole, imposed, (odd, sign) = self.whole, self.scene.driven_speed, self.signs
         first, second = whole.contact

@@ -107,6 +107,7 @@ def slipless_number(network: Network, free: np.ndarray) -> tuple[int | None, str
     """Return the number of independent slipless motions (spins at which no contact slips), None if it stays open, and
     words for how it was found.
 
+    network : the spheres and contacts of a sample.
     free : (spheres N,), mask of the spheres that may rotate; the others are at rest.
     """
     contact = np.flatnonzero(free[network.contact].any(axis=0))
@@ -117,6 +118,7 @@ def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[i
     """Return the number of states of self-stress: independent contact forces that balance on all free spheres by
     themselves.
 
+    network : the spheres and contacts of a sample.
     contact : (n,), numbers of the contacts that bear forces. components : numbers of the spin components in which
         torques are balanced. None where rounding leaves the number open.
     """
@@ -134,6 +136,7 @@ def _motions(
     """Return the matrix that turns spins into slips, the number of slipless motions (None if it stays open), and words
     for how it was found.
 
+    network : the spheres and contacts of a sample.
     free : (spheres N,), mask of the spheres that may rotate. contact : (n,), numbers of the contacts that must not
     slip.
     components : numbers of the spin components that may be other than 0.

@@ -110,8 +110,12 @@ class Contraction:
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
     def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
-        """Return the numbers of those contacts, among the numbers `places` of contacts that are not tied, that can
-        still slip, and their system over the sets of spins. whole : the system before any contact was tied.
+        """Return two things of the contacts that can still slip after others were tied: their numbers (q,) in the
+        system `whole`, and their own system, whose unknowns are the sets of spins that tied contacts join.
+
+        whole : the system before any contact was tied.
+        places : numbers in it of the contacts that are not tied. Of them those are left out that join spins of one set
+            and have no imposed slip.
         """
         assert whole.ends is not None
         ends = whole.ends[:, :, places]  # -1 where a spin was imposed before

@@ -186,6 +186,7 @@ class FrictionStage:
         """Return the torques (unknowns,) that have to become 0 at the end of a stage: inertia * gained plus those of
         the forces (d, n) on n contacts with up to d slip components.
 
+        force : (d, n).
         inertia : moment of inertia over the duration of the stage. gained : (unknowns,), spins less those before it.
         """
         return inertia * gained + self.radius * self.system.torques(force)

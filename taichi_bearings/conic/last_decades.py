@@ -80,9 +80,10 @@ class LastDecades:
         return path
 
     def over(self, tied: Contraction) -> "LastDecades":
-        """Return this point of the path over the contacts and unknowns that are left when some contacts are tied.
+        """Return this point of the path over the contacts and unknowns that are left when some contacts are tied: the
+        spins at their two ends are then equal, and they are left out.
 
-        tied : those contacts, and one unknown for each set of spins that the other contacts make equal.
+        tied : those contacts, and the system of the others, with one unknown for each set of spins that are equal.
         """
         spins, point = tied.contracted(self.spins), self.point
         friction, bound, difference, dual = (

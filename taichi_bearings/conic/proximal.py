@@ -269,7 +269,9 @@ class ProximalSteps:
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:
     """Return the excess of the cost over its dual (what the forces prove), divided by what is allowed: `sharp` times
-    the work done on inertia, or `closest` times the cost, whichever is larger. Up to 1 a step is solved."""
+    the work done on inertia, or `closest` times the cost, whichever is larger. Up to 1 a step is solved.
+
+    iterate : the point on the path that is judged."""
     assert iterate.inertia is not None
     moved = iterate.spins - iterate.inertia.origin
     return iterate.excess / max(sharp * iterate.inertia.weight * float(moved @ moved), closest * iterate.cost)

@@ -121,6 +121,7 @@ def write_vtkhdf(
 ) -> None:
     """Write a VTKHDF file, in full or not at all.
 
+    path : where it is written.
     geometry : points and lines. spheres, contacts : columns by name.
     attributes : further facts, written on the group /VTKHDF; VTK ignores them.
     moments, end : snapshots of a dynamics, and the simulated time of its end; None for other methods.
@@ -148,7 +149,9 @@ def write_vtkhdf(
 
 
 def _write_geometry(root: h5py.Group, geometry: Geometry) -> None:
-    """Write the points, and the contacts as lines between them."""
+    """Write the points, and the contacts as lines between them.
+
+    root : group of the file that holds the data. geometry : points and lines."""
     _store(root, "Points", geometry.place, "length", "centres of the spheres")
     root["NumberOfPoints"] = [len(geometry.place)]
     for name in TOPOLOGIES:

@@ -221,6 +221,7 @@ def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.
 def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarray:
     """Return |spin| over the larger of the two imposed spins, in the shape of the lattice.
 
+    spin_top, spin_bottom : the imposed spins, 1/time.
     spin : laboratory spins, in the shape of a flat lattice, or (nx, ny, nz, 3).
     """
     length = np.abs(spin) if spin.ndim == 2 else np.linalg.norm(spin, axis=-1)
@@ -233,6 +234,8 @@ def draw_speed_bar(
 ) -> None:
     """Draw the colour bar for spheres that are coloured by :func:`speed_of`. look : arguments of matplotlib's
     colorbar.
+
+    figure, axes : where it is drawn. spin_top, spin_bottom : the imposed spins, 1/time.
     """
     label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
     colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
@@ -263,6 +266,8 @@ def name_cut(axes: Axes, axis: int, index: int, before: str = "", after: str = "
 def paint_block(axes: "Axes3D", colour: np.ndarray, view: View = VIEW) -> None:
     """Draw a cubic lattice as a block of spheres seen from outside, the driven planes in boxes. colour : (nx, ny, nz,
     4) of its spheres.
+
+    axes : where it is drawn. view : from where it is seen.
     """
     outside = np.zeros(colour.shape[:3], dtype=bool)
     for axis in range(3):
@@ -290,6 +295,7 @@ EDGES = [(n, axis) for n in range(8) for axis in range(3) if not n >> axis & 1]
 def are_near(view: View, lid: bool) -> np.ndarray:
     """Return a mask (12,) of the edges EDGES of a box that bound a side which faces the reader.
 
+    view : from where the box is seen.
     lid : True if the side across z that faces the reader, lid or floor, is to be seen as well.
     """
     sides = range(3 if lid else 2)
@@ -324,7 +330,9 @@ def limit_block(axes: "Axes3D", shape: tuple[int, ...], view: View) -> None:
 
 
 def paint_spheres(axes: "Axes3D", centre: np.ndarray, colour: np.ndarray, radius: float = 0.5) -> None:
-    """Draw shaded spheres as one image, later ones in front. centre : (n, 2) as seen. colour : (n, 4)."""
+    """Draw shaded spheres as one image, later ones in front. centre : (n, 2) as seen. colour : (n, 4).
+
+    axes : where they are drawn. radius : of all spheres."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     # a picture of 1000 pixels along the longer side, with room for spheres at the edge
     pixel = max(x1 - x0, y1 - y0) / 1000

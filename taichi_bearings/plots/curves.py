@@ -173,6 +173,7 @@ def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Pag
     """Draw the share of slipping contacts per decade of their power, one curve for each histogram, with bands of one
     standard error.
 
+    page : size and resolution of the figure.
     histograms : by the value of a parameter. by : name of the parameter.
     """
     rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
@@ -247,8 +248,11 @@ class Look:
 
 @style.in_our_style
 def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
-    """Draw curves of points with error bars; points of a curve are joined by a line where x has numbers. look : words
-    and axes.
+    """Return a figure of curves: points with error bars, joined by a line where x has numbers. The legend, if there are
+    several curves, is below, in as many columns as fit.
+
+    look : title, names of axes and legend, which axes are logarithmic, and the names at x if it has no numbers.
+    page : size, resolution and title lines of the figure.
     """
     width = page.inches("single")
     entries = len(curves) if len(curves) > 1 else 0

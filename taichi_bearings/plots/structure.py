@@ -107,6 +107,7 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
 def _paint(axes: Axes, sheet: Sheet, colour: np.ndarray, structure: Structure, width: float) -> None:
     """Draw the spheres of a picture, coloured by rigid domain, with lines between discs of two domains.
 
+    structure : what the contacts of the sample form, with the domain of each sphere.
     axes : of matplotlib. sheet : N discs and their contacts on paper. colour : (N, 4) of the discs. width : of the
         picture in inches.
     """

@@ -210,7 +210,7 @@ class ExactlyRolling:
         all loads, at their largest, must stay below the limit at every contact of a part; then the part rests. Springs
         are made weaker where contacts bear too much, and tried again, up to MOST_TRIALS times."""
         margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
-        springs, most_change = SpringsOfX.of(self, margin**2), self.friction_bounds.most_change[self.others]
+        springs, most_change = SpringsUnderLoad.of(self, margin**2), self.friction_bounds.most_change[self.others]
         found = np.zeros(len(margin), dtype=bool)
         if springs is None:
             return found
@@ -243,7 +243,7 @@ class ExactlyRolling:
                 margin - by_others, LEAST_MARGIN * margin
             )
             eased = springs.weight * np.maximum(share / share.max(), LEAST_BORNE) ** -SPARED
-            springs = SpringsOfX.of(self, eased)
+            springs = SpringsUnderLoad.of(self, eased)
             if springs is None:
                 break
         return found
@@ -267,7 +267,7 @@ class ExactlyRolling:
 
 
 @dataclass(frozen=True)
-class SpringsOfX:
+class SpringsUnderLoad:
     """Springs at the q exactly rolling contacts. They find friction there that bears a load, which is a torque on each
     of the n unknown spin components.
 
@@ -282,7 +282,7 @@ class SpringsOfX:
     factor: Factor
 
     @classmethod
-    def of(cls, loaded: ExactlyRolling, weight: np.ndarray) -> SpringsOfX | None:
+    def of(cls, loaded: ExactlyRolling, weight: np.ndarray) -> SpringsUnderLoad | None:
         """Make springs at the q exactly rolling contacts, and factorise the matrix by which they are solved; None if
         that fails.
 
@@ -300,12 +300,13 @@ class SpringsOfX:
     def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return friction on the q contacts that bears each of m loads, and a bound on the torques that it leaves over.
 
-        load : (n, m), torques on the n unknowns. Their part along motions without slip is left out, as these parts
-            cancel in the sum over all loads.
+        load : (n, m), torques on the n unknowns. The part of a load that would turn spheres without any slip cannot be
+            borne; it is left out, since these parts cancel in the sum of all loads.
         most : (m,), the largest size of the number by which each load will be multiplied.
 
         Returns friction (3 q, m) for a unit of each load, three components of a contact after each other; and a bound
-        (n,) on the torques that are left over for all loads together, each multiplied by its largest number."""
+        (n,) on the torques that are left over for all loads together, each multiplied by its largest number.
+        """
         rows, weight, scale = self.loaded.rows, np.repeat(self.weight, 3)[:, None], self.scale[:, None]
         force, (left, amounts) = np.zeros((rows.shape[0], load.shape[1])), self._without_motions(load)
         for _ in range(CARRYING_STEPS):  # each step bears what the one before has left over

@@ -180,7 +180,9 @@ def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
-    """Return an object for each of R samples in which all contacts are UNDECIDED. reason : words that say why."""
+    """Return an object for each of R samples in which all contacts are UNDECIDED. reason : words that say why.
+
+    network : the R samples."""
     return _samples(network, np.full(len(network.acts), UNDECIDED), reason, None)
 
 
@@ -216,7 +218,9 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
 
     It is proven that one minimum is near where the contacts that rest still rest, and that these can bear what the
     others leave to them. Samples of a lattice are proven all at once, or else half by half; one by one where friction
-    limits are repeated, so that minima may tie."""
+    limits are repeated, so that minima may tie.
+
+    network : the R samples with stored spins and forces."""
     count = network.count
     if not network.graph.layered:
         return _by_tiny_slips(network)
@@ -242,7 +246,9 @@ def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
     """Return the states of each of R samples of a packing (discs, or normals along the axes), with friction alone,
     where minima may slip along several components. Contacts that hardly slip are taken to rest; it is proven that one
     minimum is near, and that they can bear what the others leave to them. Samples are proven all at once, or else half
-    by half."""
+    by half.
+
+    network : the R samples with stored spins and forces."""
     slip, fastest = network.slip.value, network.box.max()
     still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
     known = _by_domains(network, still)  # first as if spins were known in twice the precision
@@ -255,7 +261,9 @@ def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
 
 def _with_ties(network: JudgedNetwork) -> States:
     """Return the states of one sample of a lattice that may have many minima. Where friction limits are repeated many
-    minima are tried first, then a single one; else the other way round."""
+    minima are tried first, then a single one; else the other way round.
+
+    network : the sample with stored spins and forces."""
     contacts, repeats = Slipping.of(network.motion), _repeats(network)
     tied = tied_states(network.motion, contacts) if repeats else None
     if tied is None and isinstance(doubt := _near(network.motion, contacts), tuple):
@@ -295,7 +303,9 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
 def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> list[States]:
     """Return the states `told` of R samples of a packing, with contacts added that are proven to rest since they can
     bear what others leave to them (resting.py, or borne.py for oblique normals). far : (m,), bound on |slip at any
-    minimum - given slip|."""
+    minimum - given slip|.
+
+    bounds : the samples, and bounds on power and friction."""
     network, known = bounds.network, np.concatenate([states.known for states in told])
     if not network.law.holds or not (network.counts & (known == UNDECIDED)).any():
         return told

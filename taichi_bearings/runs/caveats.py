@@ -35,7 +35,9 @@ UNFINISHED = {  # words for why a run ended early
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """Return all warnings about an answer as sentences, each for all of its samples together. settings : those of its
-    run."""
+    run.
+
+    solution : the answer to all samples."""
     of_packings = (_without_power, _too_wide, _not_proven, _untouched, _tied)
     is_lattice = solution.scene.network.lattice is not None
     of_kind = (_torque_between, *(CAVEATS if is_lattice else of_packings))

@@ -118,10 +118,11 @@ def _limited(settings: RunSettings, beside: float, solve: float | None) -> float
 
 
 def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> int | None:
-    """Return the number of steps of a dynamics or descent on a lattice; None where it continues until it is at rest.
+    """Return how many steps a dynamics or a descent on a lattice makes at most: the limit on the iterations, or the
+    duration of a dynamics over the length of its time step, if that is less. None where it continues until it is at
+    rest.
 
-    It is the limit on the iterations, or the duration of a dynamics over the length of its time step, if that is less.
-    row : class of the method.
+    settings : of the run. row : class of the method. scene : its lattice.
     """
     limit = settings.iterations
     if not row.is_dynamics or settings.duration is None:
@@ -140,6 +141,8 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> i
 def _of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
     """Return the estimated cost of a run of packings, whose samples are solved one after the other. row : class of the
     method.
+
+    settings : of the run. scene : its packing with all samples.
     """
     network, count = scene.network, scene.replicas
     spheres = network.spheres

@@ -89,6 +89,7 @@ def _picture(figure: Figure, inches: float) -> np.ndarray:
 def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -> bytes:
     """Return the bytes of an MP4 film, H.264 in colours that every player can show.
 
+    frames_per_second : of the film.
     encoder : path of ffmpeg. frames : pictures of equal size. Each picture is repeated so that the file has at least 10
     frames a second, as some players need. Raises WriteError if ffmpeg fails.
     """
@@ -115,7 +116,9 @@ def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -
 
 
 def _gif(frames: Iterator[np.ndarray], frames_per_second: float) -> bytes:
-    """Return the bytes of a GIF film that starts again at its end, without limit."""
+    """Return the bytes of a GIF film that starts again at its end, without limit.
+
+    frames : pictures, one for each moment. frames_per_second : of the film."""
     first, *rest = [Image.fromarray(frame).quantize(256) for frame in frames]
     film, milliseconds = io.BytesIO(), max(20, round(1000 / frames_per_second))
     first.save(film, "GIF", save_all=True, append_images=rest, duration=milliseconds, loop=0)

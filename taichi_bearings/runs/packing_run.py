@@ -101,7 +101,9 @@ def solve_packings(
 
 
 def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
-    """Yield blocks of samples that are solved together: the number of the first, and one more than that of the last."""
+    """Yield blocks of samples that are solved together: the number of the first, and one more than that of the last.
+
+    settings : of the run. scene : the packing with all samples."""
     if are_solved_together(settings, scene.network.spheres):
         yield from side_by_side(scene)
     else:

@@ -181,7 +181,9 @@ class Result:
 
     @property
     def summary(self) -> Json:
-        """All numbers by name, as `bearings run --json` prints them; lists where several samples may differ."""
+        """All numbers by name, as `bearings run --json` prints them: `numbers`, then how the network is driven, the
+        name of the coefficients and the directory of the run; of lattices also `arch`, `precision` and `threads`. Where
+        samples may differ a list has one number of each."""
         where = {"coefficients": None, "run": None if self.path is None else str(self.path)}
         if self.scene.network.lattice is not None:
             where |= {name: getattr(self.solution.running, name) for name in ("arch", "precision", "threads")}

@@ -274,6 +274,8 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     """Return the better of two answers to one sample, with the higher of their two lower bounds.
 
     It is the second one only if it alone is within the tolerance, or if its gap is less than half of the other.
+
+    first, second : the two answers.
     """
     from taichi_bearings.solvers.answer import with_forces_of
 

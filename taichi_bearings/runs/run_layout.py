@@ -48,6 +48,7 @@ Row = tuple[str, np.ndarray, str, str]
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, object]) -> None:
     """Write run.h5, whole or not at all. With a single replica data sets have no axis of replicas.
 
+    path : where it is written. solution : the answer to all samples.
     attributes : numbers and words, by name, that become attributes of the file.
     """
     one = solution.scene.replicas == 1

@@ -294,6 +294,7 @@ class RunSettings:
     def from_mapping(cls, values: Mapping[str, Any], source: str = "the settings") -> "RunSettings":
         """Return the settings that key-value pairs describe.
 
+        values : the pairs, as in a scene file or from options.
         source : where the pairs come from, for messages. Raises InputError for an unknown key, with the nearest known
         one. A file of coefficients determines the shape, and the periodic sides unless some are given.
         """
@@ -394,6 +395,8 @@ class RunSettings:
     def fitting(self, method: type[MethodOptions], strict: bool = True) -> "RunSettings":
         """Return the settings with unused keys set to their defaults. strict : True to raise InputError if there are
         any instead.
+
+        method : name of the method whose options are used.
         """
         unused = self.unused(method)
         if not unused:

@@ -58,6 +58,8 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
 def _with_driven(found: Solution) -> Solution:
     """Return a copy of an answer in which power, objective and lower bound include contacts between driven spheres,
     which can slip in packings.
+
+    found : the answer.
     """
     scene, among, low = found.scene, found.state == ContactState.DRIVEN, found.lower_bound
     beside = float(scene.law.objective(scene.material, found.slip)[among].sum())

@@ -104,6 +104,7 @@ def write_run(folder: Path, found: "Result") -> None:
 def write_state(file: Path, found: "Result", stored: RunSettings) -> None:
     """Write a result in the layout of run.h5.
 
+    found : the result.
     stored : settings by which it can be solved again, with names of files relative to that of the file.
     """
     origin = {"command": found.command, "scene": stored.to_toml()}
@@ -138,6 +139,7 @@ def _unless_undrawable() -> Iterator[None]:
 def draw_figures(found: "Result", title: bool = True) -> None:
     """Draw the figures of a run into its directory, unless its settings ask for none.
 
+    found : the result of the run.
     title : whether figures have words above them.
     """
     if found.asked.figures != "all":

@@ -85,6 +85,8 @@ def plot_scan(
 ) -> list[Path]:
     """Draw a figure of a scan and write the numbers behind it beside it as CSV; returns both paths.
 
+    path : folder of the scan. request : what is drawn: the quantities on both axes, one curve for each value of which
+        setting, conditions.
     out : PNG, PDF or SVG; by default a PDF in the directory of the scan, where an earlier one is replaced.
     force : replace a file that stands there.
     tell : called with sentences that say how many of how many samples are in the figure, and in each curve that lacks
@@ -116,6 +118,8 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
 
     Two columns are added: L, the height of the lattice, and REASON, why a sample is in no point of the figure ("" if it
     is).
+
+    scan : a stored scan.
     """
     table = dict(scan.table)
     if SIZE not in table and "shape" in table:
@@ -158,6 +162,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
 def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
     """Return the statistics of y at each value of x, for each curve; raise InputError if no sample has both x and y.
 
+    request : what is drawn: the quantities x and y, the setting with one curve for each value, conditions.
     columns : table of the samples, from :func:`columns_of`.
     """
     names, terms = request.y.split("/"), list[np.ndarray]()
@@ -197,6 +202,8 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
 def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
     """Return (samples,) why each sample is in no point of the figure, in words that follow a number; "" for those that
     are in one.
+
+    scan : a stored scan. table : its samples by column. request : what is drawn.
     """
     reasons = np.full(scan.samples, "", dtype=object)
     for name in (request.x, *request.y.split("/")):
@@ -274,6 +281,8 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points,
 def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:
     """Return the table beside the figure: names of columns, and rows with the values of curve and x, and then all
     numbers of the point.
+
+    points : the points of the figure. request : what is drawn.
     """
     rows = [[*part, *point.values()] for part, own in points.items() for point in own]
     _, *others = next(iter(points.values()))[0]

@@ -58,6 +58,8 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     Samples that differ in the seed only are shared out evenly, with successive seeds together, since those can be
     solved as one block. The remaining ones go to the next parts in turn, large lattices first, and otherwise in an
     order that does not depend on the scan file, so that the parts have similar amounts of work.
+
+    plan : all samples of the scan with their settings.
     """
     groups = sorted(groups_of(plan.samples), key=lambda group: (-spheres_of(group[0].settings), group[0].key))
     numbers: dict[str, int] = {}

@@ -86,6 +86,8 @@ def _are_alike_packings(group: Sequence[Sample]) -> bool:
 
     It is False where a file gives the initial spins or all coefficients, which seeds do not change, where each sample
     has a limit on its time, and where the packing cannot be read: each sample then reports that itself.
+
+    group : the samples.
     """
     from taichi_bearings.runs.packing_run import are_solved_together  # and with it SciPy
 
@@ -202,6 +204,8 @@ def solve_tasks(tasks: Sequence[JobTask]) -> list[Json]:
     none.
 
     Each job uses one thread where its settings leave that open.
+
+    tasks : the jobs.
     """
     records = []
     with one_thread():

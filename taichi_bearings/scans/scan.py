@@ -112,6 +112,8 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
 
     Where the scan continues in its folder, an unused setting is only named in a warning. is_here : True if the scan is
     solved on this machine.
+
+    plan : all samples of the scan with their settings.
     """
     found, used = dict[str, str](), set[str]()
     for group in groups_of(plan.samples):  # all but their seeds alike
@@ -214,6 +216,7 @@ def scan(
 def merge(plan: ScanPlan, folder: Path) -> Json:
     """Write scan.h5 and scan.csv from the journals of all parts of a scan in `folder`, be they complete or not.
 
+    plan : all samples of the scan with their settings.
     returns : the report that `--json` prints of a scan, with `incomplete_parts`, the parts that lack samples and how
         many.
 
@@ -235,6 +238,8 @@ def _engine(
 ) -> LocalEngine:
     """Return the engine that solves the missing samples: on the Dask cluster of `client`, or in processes on this
     machine if it is None.
+
+    plan : all samples of the scan with their settings. folder : of the scan. workers : number of processes.
     """
     analyse, states = bool(plan.wishes.get("analyse")), plan.wishes.get("keep_states")
     work = partial(solve_samples, analyse=analyse, states=(folder / STATES).absolute() if states else None)

@@ -175,6 +175,7 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
     Such samples depend on each other: they differ at most in how they were solved and in settings that their methods or
     laws do not use. Where a table has no seeds no two rows are equal.
 
+    columns : the table, arrays (rows,) by name.
     settings : of all rows, where no column has them; needed to compare the names of several tables.
     """
     rows, table = len(next(iter(columns.values()))), settings_table()

@@ -159,6 +159,7 @@ def spins(values: ArrayLike, spheres: int, dimension: int, held: np.ndarray) -> 
 def sizes(name: str, values: ArrayLike, count: int, what: str, may_vanish: bool = False) -> np.ndarray:
     """Return positive numbers, (count,), one for each sphere or contact. A single number is repeated.
 
+    values : one number, or (count,).
     name : of the argument, for messages. what : "sphere" or "contact". may_vanish : True to allow 0 as well.
     """
     array = own_array(f"values of {name}", values)

@@ -29,7 +29,9 @@ def _power_law(
 
 
 def _bimodal(rng: np.random.Generator, shape: tuple[int, ...], low: float, high: float, fraction: float) -> np.ndarray:
-    """Return random numbers that are `high` with probability `fraction`, else `low`. shape : that of the array."""
+    """Return random numbers that are `high` with probability `fraction`, else `low`. shape : that of the array.
+
+    rng : generator of random numbers."""
     return np.where(rng.uniform(0.0, 1.0, shape) < fraction, high, low)
 
 
@@ -118,7 +120,9 @@ class Distribution:
             return self._draw(rng, shape)
 
     def _draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-        """Return an array of this shape with numbers drawn from the distribution."""
+        """Return an array of this shape with numbers drawn from the distribution.
+
+        rng : generator of random numbers. shape : that of the array."""
         _, drawn = DISTRIBUTIONS[self.name]
         return drawn(rng, shape, *self.parameters)
 

@@ -381,6 +381,7 @@ class Planes(Driving):
     def by_spins(cls, lattice: Lattice, top: float, bottom: float, direction: tuple[float, float, float]) -> "Planes":
         """Return the driving of planes that turn about one axis (paper, Eq. 1).
 
+        lattice : whose first and last planes are driven.
         top, bottom : their spins, 1/time. direction : the axis, of any length but 0; ignored in 2D, where spins point
             along z.
         """
@@ -398,6 +399,7 @@ class Planes(Driving):
         """Return the driving of planes in bearing states: staggered spins A + C x at position x, at which nothing
         slips.
 
+        lattice : whose first and last planes are driven.
         top, bottom : (A_x, A_y, A_z, C) of the plane, or in 2D (A_z,); A in 1/time, C in 1/(time length).
         """
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (top, bottom))

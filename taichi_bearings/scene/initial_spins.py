@@ -88,6 +88,7 @@ def _fitting(bearing: Bearing, given: ArrayLike, source: str) -> np.ndarray:
     """Return the spins of a user with an axis for the samples; raise InputError for a wrong shape or a value that is
     not finite.
 
+    bearing : what the spins are for.
     given : array of spins, 1/time, with or without that axis. source : where they come from, for messages.
     """
     spin = own_array(f"the spins in {source}", given)

@@ -149,6 +149,8 @@ def _needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
 
     The speeds are those of the other components: there all spheres can have values by which no contact slips, the
     driven ones their imposed values. This is looked for only where normals lie along the axes.
+
+    bearing : a lattice or a packing.
     """
     known, wanted, _ = bearing.network.needed(bearing.driven_speed, bearing.acting, bearing.network.free)
     return known, np.asarray(wanted.any(axis=0))

@@ -176,10 +176,13 @@ class Law:
         return excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
 
     def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
-        """Return the sum over the coefficients of the law, each times its function of the slip, (..., E contacts).
+        """Return the force or the power of each contact, (..., E contacts): the sum of its coefficients, each times the
+        value at its slip of the function that belongs to the coefficient.
 
-        of : coefficients, a tuple of arrays (..., E). friction, viscous : values (..., E) of that function for friction
-            and for viscosity.
+        of : the coefficients of the law, a tuple of arrays (..., E): for Coulomb friction with viscosity, the friction
+            coefficient and the viscosity.
+        friction, viscous : (..., E), the values at the slip of the two functions, one for coefficients of friction and
+            one for viscosities.
         """
         terms = [
             values * (friction if quantity.is_friction else viscous)

@@ -407,6 +407,7 @@ def _drawn(lattice: Lattice, source: Draw, seeds: tuple[int, ...], second: bool)
     """Return coefficients drawn at random, one array for each axis, with a leading axis of samples if there are several
     seeds.
 
+    lattice : for whose contacts they are.
     source : distribution, a function (rng, shape) -> array. second : True for the second coefficient of a law that has
         two, the viscosity.
     """

@@ -223,6 +223,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
 def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
     """Run the loops of some samples to their ends, side by side: all make the same number of steps at a time.
 
+    courses : the loops, one for each group of samples that are stepped together.
     monitors : functions that are called with a `Report` each time that the progress of a sample is read.
     """
     advance, drop = courses[0].method.advance, None

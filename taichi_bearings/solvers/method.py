@@ -70,7 +70,8 @@ class Method(ABC):
         """Return the state now with its bounds; the only call that reads from the device."""
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that the further iterations depend on, by name; empty for a method that does not resume."""
+        """Return by name all arrays that the further iterations depend on, for a checkpoint. Only methods whose runs
+        can be resumed (`resumes`) have it."""
         return {}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:  # noqa: B027

@@ -250,12 +250,13 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
 
 
 def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
-    """Halve the ranges of levels of all nodes by one maximum flow.
+    """Halve the ranges of levels of all nodes by one maximum flow, and return five things: the ranges, as `least` and
+    `most`; the level at which the upper half of each begins; the mask (nodes,) of the nodes in the upper half, where
+    the minimum cut with the smallest upper side is taken; and, for the cut with the smallest lower side, a graph and
+    some nodes, from which that side is all that is reached. The graph is the residual graph with reversed arcs; the
+    nodes are those whose sink is not saturated.
 
-    Returned are the ranges, the level at which the upper half of each begins, the mask (nodes,) of the nodes in the
-    upper half, for the smallest upper side, and a graph for the smallest lower side: the residual graph with reversed
-    arcs, and the nodes whose sink is not saturated; what is reached from them is that side.
-
+    cover : the graph that is cut.
     least, most : (nodes,), lowest and highest level that each node may have.
     """
     middle, (low, high), open_ = (least + most + 1) // 2, (cover.low, cover.high), least < most

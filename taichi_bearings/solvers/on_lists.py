@@ -317,7 +317,9 @@ class StepsReached(PackingReached):
         return force
 
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
-        """Return the states (1, E contacts) that slips and forces of the last state show.
+        """Return the states (1, E contacts) that slips and forces of the last step of a motion show. Contacts that take
+        no part in the minimum are told by their slips alone; all others by slip and friction, or, in laws without
+        friction, by whether the gap between power and bound leaves room for a slip of 0.
 
         answer : the answer so far.
         known : (1, E), the states that are proven, or None.

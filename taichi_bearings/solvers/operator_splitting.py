@@ -104,6 +104,7 @@ class OperatorSplittingMethod(Method):
         """Prepare the iteration: allocate the fields, build the Poisson solver, compile the kernels, and load the
         start.
 
+        scene : the lattice that is solved.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time; clipped to the
             interval of the driven ones.
 

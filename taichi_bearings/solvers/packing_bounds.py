@@ -78,6 +78,8 @@ class PackingBounds:
     def again(self, force: np.ndarray) -> float:
         """Return the lower bound that the forces (d tangents, 1, E contacts) of the best bound prove, computed anew
         after a checkpoint.
+
+        force : (d tangents, 1, E contacts).
         """
         if not self.proven > 0:
             return 0.0

@@ -95,10 +95,12 @@ class PackingReached(Reached):
         return self.judgement.known
 
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
-        """Return the states (R samples, E contacts) that slips and friction margins show. Where no proof of states was
-        wanted, those that the method has settled are not used either, as it takes long to tell which are tied.
+        """Return the states (R samples, E contacts) that slips and friction margins show.
 
-        answer : the answer so far. known : (R, E), the states that are proven, or None.
+        answer : the answer so far.
+        known : (R, E), the states that are proven, UNDECIDED elsewhere. None if no proof of states was wanted; then
+            states that the method has settled are not used either, since it takes long to tell which contacts slip in
+            some minima only.
         """
         found = self.found if known is not None else [replace(of, slips=None) for of in self.found]
         known = np.full(answer.state.shape, UNDECIDED) if known is None else known
@@ -150,7 +152,9 @@ def _finite(force: np.ndarray) -> np.ndarray:
 
 
 def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:
-    """Return the state in which no contact slips and none bears a force, to the rounding of sums of two doubles."""
+    """Return the state in which no contact slips and none bears a force, to the rounding of sums of two doubles.
+
+    system : contacts that take part. packing : one sample. found : spins and forces of a method, to be replaced."""
     from taichi_bearings.conic.rolling import rolled  # and with it Taichi's kernels
 
     start = exactly(np.zeros(system.unknowns))

@@ -48,6 +48,7 @@ class StopRule:
     ) -> Status | None:
         """Return the status with which the run should end now, or None if it should go on.
 
+        scene : what is solved.
         progress : the state now.
         objective, bound : (R samples,), the best objective and the best lower bound so far.
         elapsed : seconds of wall time in this call.

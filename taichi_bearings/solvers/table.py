@@ -142,6 +142,7 @@ class MethodOptions:
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
         """Return True if `--method auto` may take the method; it takes the first one of the table that it may.
 
+        scene : what is to be solved.
         tolerance : relative gap that is asked for.
         on_gpu : True if the run has a GPU.
         """
@@ -275,6 +276,7 @@ class InteriorPoint(MethodOptions):
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
         """Return True if `--method auto` may take the method: where operator splitting is slower, and the factor fits.
 
+        scene : what is to be solved.
         tolerance : relative gap that is asked for.
         on_gpu : True if the run has a GPU.
         """

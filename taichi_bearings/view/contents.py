@@ -32,6 +32,8 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     Numbers are float32, which has the six digits that the page shows. The arrays are arranged so that they compress
     well: vectors one axis after the other, ends of contacts as differences. On a lattice the distance of two neighbours
     is 1.
+
+    drawn : spheres and contacts as points and lines, with their columns.
     """
     network = drawn.network
     center, radius, ends = network.center - network.center[0], network.radius, network.contact.T
@@ -90,6 +92,8 @@ def _colour_map(name: str, first: float, last: float) -> np.ndarray:
 def _shown_snapshots(moments: Moments) -> np.ndarray:
     """Return the numbers of the snapshots that the page shows: all, or as many at even distances as fit into
     MOST_BYTES.
+
+    moments : the snapshots of a dynamics: times, with the spins and slips at each.
     """
     each = 4 * (moments.spin[0].size + moments.slip[0].size)
     most = max(2, int(MOST_BYTES / each))
@@ -97,7 +101,10 @@ def _shown_snapshots(moments: Moments) -> np.ndarray:
 
 
 def facts_of(drawn: PointsAndLines) -> Json:
-    """Return the numbers and words that the page shows, by name, in types that JSON has."""
+    """Return the numbers and words that the page shows, by name, in types that JSON has.
+
+    drawn : spheres and contacts as points and lines, with their columns, their structure, and the answer they belong
+        to."""
     structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.scene.law
     own, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
@@ -127,6 +134,8 @@ def facts_of(drawn: PointsAndLines) -> Json:
 def _of_lattice(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
     """Return four things that the page says of a lattice: entries of its facts by name; the largest imposed spin,
     1/time; the power in its natural unit, in words; and the bound, in words.
+
+    drawn : spheres and contacts as points and lines, with the answer they belong to.
     """
     scene, gap = of_lattice(drawn.answer.scene), float(drawn.answer.gap[0])
     lattice, unit = scene.lattice, scene.strength * scene.lattice.radius * abs(scene.imposed[0])
@@ -152,6 +161,8 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
 def _of_packing(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
     """Return four things that the page says of a packing: entries of its facts by name; the largest imposed radius *
     spin over the median radius, 1/time; an empty text; and the bound, in words.
+
+    drawn : spheres and contacts as points and lines, with the answer they belong to.
     """
     network, law = drawn.network, drawn.structure.scene.law
     within, proof = f"within {drawn.answer.gap[0]:.1e}", drawn.answer.findings["proof"][0]

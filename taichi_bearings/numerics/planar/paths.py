@@ -192,7 +192,9 @@ def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 def grids(values: np.ndarray) -> np.ndarray:
-    """Return numbers (B,), one for each grid, as (B, 1, 1), to be combined with arrays of contacts."""
+    """Return numbers (B,), one for each grid, as (B, 1, 1), to be combined with arrays of contacts.
+
+    values : (B,)."""
     return values[:, None, None]
 
 
