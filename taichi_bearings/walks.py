@@ -290,9 +290,9 @@ class _Record:
         return self._needed()
 
     def _needed(self) -> Walk:
-        """Return the walk as it is stored: names of the functions that are called, constants, and calls. It has the
-        steps (recorded calls) that change something, and those whose results these take, directly or through others;
-        steps and places are numbered anew."""
+        """Return the walk as it is stored: names of the functions that are called, constants, and calls. Kept are the
+        recorded calls (steps) that change something, and those whose results kept ones take; queries whose results
+        nothing takes are left out. The kept steps are numbered anew."""
         steps, needed, kept = self._steps, bytearray(len(self._steps)), list[int]()
         looks = {name: name.rpartition(".")[2].startswith(QUERIES) for name in {step[0] for step in steps}}
         for number in range(len(steps) - 1, -1, -1):

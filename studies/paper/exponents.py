@@ -68,8 +68,8 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Find cuts with held ends for several lengths, and with free ends for several heights; return table, figure and
-    values for the claims.
+    """Find the lightest cuts of random lattices, with held ends for several lengths of the cut, and with free ends for
+    several heights of the lattice; return table, figure and values for the claims.
 
     folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
         quick form.

@@ -335,9 +335,9 @@ class Path:
         return step
 
     def _solved(self, slot: int) -> _Step:
-        """Return the Newton step of all samples: it solves W^-2 d(primal) + d(dual) = right-hand side with all torques
-        in balance. Primal are bounds and slips, dual are frictions and forces; W is the scaling (Nesterov and Todd) of
-        their cones, bound >= |slip| and friction >= |force|.
+        """Return the Newton step of all samples: changes of bounds and slips (the primal point) and of frictions and
+        forces (the dual point), at which all torques balance. They solve W^-2 d(primal) + d(dual) = right-hand side, in
+        which W is the scaling by Nesterov and Todd of the cones bound >= |slip| and friction >= |force|.
 
         slot : 0 or 1, which of the two steps in memory holds the right-hand side and gets the step.
         """

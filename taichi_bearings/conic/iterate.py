@@ -167,9 +167,10 @@ class Iterate:
 
     @property
     def excess(self) -> float:
-        """Cost less what the forces prove, friction * |slip| - slip . force summed over the contacts: for balanced
-        forces the least cost is not more than this below `cost`. Summed without cancellation; with or without inertia
-        and viscosity.
+        """Upper bound on how far the cost is above the least one, if the forces balance: the sum over the contacts of
+        friction * |slip| + slip . dual, in which `dual` is minus the force. Each term is 0 if the contact obeys the law
+        of friction, and positive else. It is summed without cancellation, and holds with or without inertia and
+        viscosity.
 
         With viscosity the dual cost of a force f is max(|f| - friction, 0)^2 / (2 viscosity). That is never more than
         the cost of the present slip, viscosity * slip^2 / 2, which is counted here.

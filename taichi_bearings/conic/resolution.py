@@ -462,8 +462,8 @@ class _SmoothPower:
         return -self.friction * self.difference / length(self.difference)
 
     def resolved(self, top: Pair | None) -> list[Resolved | None]:
-        """Return the minimum of each sample, None where torques do not balance; in twice the precision where that is
-        reached.
+        """Return the minimum of each sample: None where torques do not balance; in twice the precision where that is
+        reached, else in doubles.
 
         top : for each spin of a sample the imposed spin of the top above it, as a sum of two doubles; None where
             imposed spins are doubles.
@@ -473,6 +473,7 @@ class _SmoothPower:
         (spins, rest), difference, dual, fine = polished(
             self.tied, self.matrix, (self.friction, self.viscosity), self.spins, top, self.balanced
         )
+        # the minima in twice the precision; in doubles, for samples that are not `fine`: where that was not reached
         rests = np.split(rest, self.samples)
         precise, rough = self._each(spins, rests, difference, dual), []
         if not fine[self.balanced].all():

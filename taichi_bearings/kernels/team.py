@@ -58,8 +58,8 @@ class Team:
     """
 
     def __init__(self, size: int) -> None:
-        """Begin with all workers, and launches of TRIAL_SECONDS; a worker alone begins with those of PIECE_SECONDS, as
-        no smaller team can follow.
+        """Begin with all workers. The first launch takes TRIAL_SECONDS, so that the team can soon be made smaller; that
+        of a single worker, which cannot be, takes PIECE_SECONDS.
 
         size : number of workers, threads of the CPU that wait for each other; 0 on a GPU.
         """

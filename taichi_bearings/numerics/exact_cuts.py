@@ -44,9 +44,7 @@ class LightestCuts:
 
     @property
     def between(self) -> np.ndarray:
-        """(nodes,) True for nodes that are not known to lie on the same side in all lightest cuts, and in those that
-        are heavier by no more than the slack.
-        """
+        """(nodes,) True for nodes whose side is not the same, or not known to be the same, in all these cuts."""
         return ~(self.near | self.far)
 
 

@@ -214,10 +214,12 @@ class Judgement:
         return self._of_spins(0.5, self.network.power_unit * self.law.share)
 
     def _of_spins(self, of_slope: float, unit: np.ndarray) -> np.ndarray:
-        """Return for each sample the sum of mu F_n slip + `of_slope` eta slip^2 over contacts, at the stored spins,
-        times `unit`: (R,). It is infinite for spins that no motion can have, 0 for samples at rest (`at_rest`).
+        """Return for each of R samples, (R,), the power or the potential at the stored spins, energy/time: the sum over
+        contacts of mu F_n |slip| + `of_slope` eta slip^2, times `unit`. It is infinite for spins that no motion can
+        have, and 0 for samples of which a state at rest is known (`at_rest`).
 
-        of_slope : 1 for the power, 1/2 for the potential. unit : (R,), energy/time, of a unit of power of the network.
+        of_slope : factor of the viscous term, 1 for the power and 1/2 for the potential.
+        unit : (R,), energy/time, of a unit of power of the network.
         """
         taken = np.where(np.isinf(self.bounds.upper), np.inf, self.network.dissipated(of_slope).value * unit)
         return np.where(self.at_rest, 0.0, taken)

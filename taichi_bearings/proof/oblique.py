@@ -424,14 +424,17 @@ class Centre:
         return distance, proven & self._of_all(relative_change <= MOST_RELATIVE_CHANGE, sample) & remains
 
     def _distance_from_slip_direction(self, to_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compare the friction F in use at the S slipping contacts with that by the contact law, at slips that may
-        differ from these by up to `to_v` (S,), a speed. Return three arrays (S,):
+        """Bound how far the friction F in use at the S slipping contacts is from the friction that the contact law
+        demands there. Return three arrays (S,):
 
-        1. the size of the difference between the unit vectors along F and along the slip; 0 for contacts without
-           friction,
-        2. the difference between |F| and the size by the law; for contacts without friction the size of the vector
-           difference,
-        3. an upper bound on the size by the law."""
+        1. a bound on the size of the difference between the unit vectors along F and along the slip; 0 for contacts
+           without friction,
+        2. a bound on the difference between |F| and the size that the law demands; for contacts without friction on the
+           size of the vector difference,
+        3. an upper bound on that size.
+
+        to_v : (S,), a speed: the slips in V may differ from the stored ones by up to this.
+        """
         some, angle, size_error = self.with_friction, np.zeros(len(self.slipping)), self._distance_from_law.copy()
         size_by_law = self.strength + self.damping * self.size if self.network.law.flows else self.strength
         angle[some] = ((self._distance_from_law / size_by_law.least + 2 * to_v / self.size.least) * UP)[some]

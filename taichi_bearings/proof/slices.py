@@ -125,7 +125,8 @@ class Grid(Listed):
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C components, m) mask, where a component of the spins makes a contact slip: those not along its normal."""
+        """(C components, m contacts) mask, True where a component of the spins makes a contact slip: where it is not
+        along the normal."""
         found = np.ones((len(self.samples.components), self.contacts), dtype=bool)
         for mask, component in zip(found, self.samples.components, strict=True):
             if component < self.samples.lattice.dimension:

@@ -237,9 +237,10 @@ class CundallStrackMethod(Swept, SpringDynamics):
     def _prepare_last_step(self, span: float) -> None:
         """Rescale the fields for one step of another length, and keep the state before it if the run can be resumed.
 
-        The n-th scaled derivative is proportional to the n-th power of the step. The field `integral` is the mean spin
-        of the next step as predicted, plus a correction c: the error of the mean that was predicted for the step
-        before. c * step is an angle that must stay the same, so c is divided by the ratio of the steps.
+        Fields "gear_n", the scaled n-th derivatives of the spins, are proportional to the n-th power of the step. The
+        field `integral` is the mean spin of the next step as predicted, plus a correction c for what was wrong in the
+        mean that was predicted for the step before. The angle c * step must stay the same, so c is divided by the ratio
+        of the steps.
 
         span : length of the step, time.
         """

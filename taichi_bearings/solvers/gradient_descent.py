@@ -118,12 +118,13 @@ class GradientDescentMethod(Swept):
         self._begin_epoch(FIRST_EPOCH)
 
     def _load_weights(self) -> None:
-        """Load the inverse of the diagonal metric, which bounds the curvature of the objective at the present width or
-        step.
+        """Load the field `inverse_weight`: one over the weight of each spin component of each sphere, 0 for driven
+        ones. A step of the descent is step length * gradient / weight; the weight is a sum over the contacts of the
+        sphere that bounds the second derivative of the objective.
 
-        The coefficients of friction bound the curvature once they are divided by the spin difference over which
-        friction is smoothed; that division is left to the step length. So a viscosity is multiplied by that spin
-        difference, and one step length is right for both.
+        Friction is smoothed over some difference of spins, and bends by no more than its coefficient over that
+        difference. As the step length has this difference as a factor, the weight has the bare coefficient; a
+        viscosity, whose bend does not depend on it, is multiplied by the difference instead.
         """
         scene = self.scene
         # spin difference over which friction is smoothed; a law of a user has a bound of its own

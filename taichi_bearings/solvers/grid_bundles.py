@@ -49,7 +49,8 @@ class GridBundles(Part):
     """
 
     def __init__(self, contacts: "OnStrides", spin: np.ndarray) -> None:
-        """Prepare to solve: split the planes of each spin component into bundles.
+        """Prepare to solve: split the planes of each spin component into bundles, sets of planes whose linear systems
+        are solved together.
 
         contacts : those of the lattice.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which give those of the driven

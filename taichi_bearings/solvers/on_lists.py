@@ -195,10 +195,12 @@ class OnLists(Stepped):
         return 1.0
 
     def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
-        """Return rigorous upper bounds on two eigenvalues, by the theorem of Collatz and Wielandt on matrices without
-        negative entries: that of M^-1 L with the viscosities as weights, the fastest decay rate, 1/time, 0 without
-        viscosity; and that of M^-1 L with all weights 1, as if all contacts stick, 1/mass. L is the weighted Laplacian
-        of the contact network and M has the inertias.
+        """Return two rates of the fastest motions: the decay rate by viscosity, 1/time, 0 without viscosity; and the
+        largest eigenvalue of M^-1 L if all contacts stick, 1/mass, from which the shortest period of springs follows. L
+        is the Laplacian of the contact network, with the viscosities as weights for the first and 1 for the second; M
+        has the inertias.
+
+        Both are rigorous upper bounds, by the theorem of Collatz and Wielandt on matrices without negative entries.
 
         inertia : (N spheres,), moments of inertia over squared radii, mass.
         """
@@ -287,8 +289,9 @@ class OnLists(Stepped):
 class StepsReached(PackingReached):
     """What a method that steps a packing has reached in its one sample: the best forces, with the best spins.
 
-    In three places it has the values of the last state, not those that are proven of the minima: in the forces, in the
-    states (slipping or not) of a dynamics, and in those of contacts in parts of the packing that nothing drives.
+    What is reported is proven of the minima, as with other methods, but for three things that are those of the last
+    state: the contact forces; the states (slipping or not) of a dynamics; and the states of contacts in parts of the
+    packing that nothing drives.
 
     acting : (E,), numbers of the contacts that take part, for which the method has forces.
     of_acting : the packing without the others.
@@ -300,6 +303,7 @@ class StepsReached(PackingReached):
 
         bounds : those that were proven on the way.
         of_acting : the packing without the contacts that take no part.
+        ended : how the run ended, with the last state and the best forces.
         """
         last, system, moves = ended.best, bounds.system, ended.options.is_dynamics
         value, forces = bounds.of(last.force if last.proof is None else last.proof, last.staggered, whole=True)

@@ -199,8 +199,8 @@ class OperatorSplittingMethod(Method):
         forces prove.
 
         The trial force v is cut off at the friction limit to give f; f leaves a torque on the spheres, which is
-        reported and vanishes with the gap. The stiffness rho is adapted here too, so that when this is called
-        influences the iteration.
+        reported and vanishes with the gap. The stiffness rho is adapted here too, so the iterations depend on when this
+        is called.
         """
         scene, axes = self.scene, self.spin_axes
         if self.balance.is_rough and self.iteration:  # balance once more, for the torques that its rounding has left

@@ -76,10 +76,9 @@ class PackingBounds:
         return best, proving
 
     def again(self, force: np.ndarray) -> float:
-        """Return the lower bound that the forces (d tangents, 1, E contacts) of the best bound prove, computed anew
-        after a checkpoint.
+        """Return the lower bound that the forces of the best bound prove, computed anew after a checkpoint.
 
-        force : (d tangents, 1, E contacts).
+        force : (d tangents, 1, E contacts), these forces.
         """
         if not self.proven > 0:
             return 0.0

@@ -30,10 +30,11 @@ class Paths(Descent, Part):
     def state(self) -> dict[str, np.ndarray]:
         """Return by name all that the further iterations depend on, for a checkpoint:
 
-        iteration : number of iterations made. "n/now/...", "n/before/..." : of sample number n, the arrays OF_A_POINT
-            of its point on the path, and of the point before it. "n/path" : its Newton steps, its gap, and as 0 or 1
-            whether it is done, is at its end, and so on. "n/settled/..." : the arrays OF_A_MINIMUM of its minimum, if
-            its contact states are settled.
+        * "iteration": number of iterations made;
+        * "n/now/..." and "n/before/...", of sample number n: the arrays OF_A_POINT of its point on the path, and of
+          the point before it;
+        * "n/path": its Newton steps, its gap, and as 0 or 1 whether it is done, is at its end, and so on;
+        * "n/settled/...": the arrays OF_A_MINIMUM of its minimum, if its contact states are settled.
         """
         found = {"iteration": np.array(self.iteration)}
         for number, sample in enumerate(self.samples):

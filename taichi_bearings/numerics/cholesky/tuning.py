@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Price:
-    """The cost of a part of the elimination tree beside its arithmetic, in operations.
+    """What a way of factorising costs beside its arithmetic, counted in operations that take as long.
 
-    part : once for each part. column, update : for each number in its own columns, and in its update.
+    part : cost of each front, a set of unknowns that are eliminated together.
+    column, update : cost of each number in the front's own columns, and in its update, what it changes in later ones.
     """
 
     part: float
