@@ -55,7 +55,7 @@ DEVICE_TYPE, DEVICE_NAME, NAME_LENGTH, SHADER_FLOAT64, SOFTWARE = 16, 20, 256, 3
 
 
 class _Application(ctypes.Structure):
-    """VkApplicationInfo of Vulkan."""
+    """The structure VkApplicationInfo of Vulkan's C interface, field by field, for ctypes."""
 
     _fields_ = (
         ("type", ctypes.c_int), ("next", ctypes.c_void_p), ("name", ctypes.c_char_p), ("version", ctypes.c_uint32),
@@ -64,7 +64,7 @@ class _Application(ctypes.Structure):
 
 
 class _InstanceInfo(ctypes.Structure):
-    """VkInstanceCreateInfo of Vulkan."""
+    """The structure VkInstanceCreateInfo of Vulkan's C interface, field by field, for ctypes."""
 
     _fields_ = (
         ("type", ctypes.c_int), ("next", ctypes.c_void_p), ("flags", ctypes.c_uint32),

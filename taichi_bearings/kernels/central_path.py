@@ -308,8 +308,9 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     to the forces on the contact's spheres (its pull), in a list: head, tail, pull. Head and tail are the parts of a
     point of the contact's cone: one number for the bound of the slip, and one for each of its slipping components.
 
-    The corrector aims at a given product, less the second-order error of the predictor (Mehrotra 1992). That error is
-    the Jordan product of the predictor's steps.
+    The corrector aims at a given product of bound and friction, less the second-order error of the predictor (Mehrotra
+    1992). That error is the Jordan product of the predictor's scaled steps p and q: a point with the head p . q, over
+    head and tail, and with the tail (head of p) * (tail of q) + (head of q) * (tail of p).
 
     values : numbers of all contacts, row by row, flat.
     at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the

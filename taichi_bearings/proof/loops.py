@@ -260,11 +260,13 @@ def block_norms(matrix: np.ndarray, numbers: int = 2) -> np.ndarray:
 
 
 def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Return a bound (2 q, 2 q) on the size of each entry of D = I - L L^T - M Y, the error of a splitting of friction
-    into loops L and the rest: D in doubles, and EPS for each term of the sums by which it is formed, and 64 more.
+    """Return a bound (2 q, 2 q) on the size of each entry of D = I - L L^T - M Y, what is missing where friction is
+    split into loops L and the rest. It is the size of D as doubles give it, and a bound on the rounding of the sums by
+    which they do: EPS for each term, and 64 EPS more.
 
     rows : M, (2 q, n), slips of q contacts. loops : L, (2 q, m), friction along m loops. inverse : Y, (n, 2 q), about
-        the pseudo-inverse of M."""
+        the pseudo-inverse of M.
+    """
     found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
     of_along = np.abs(loops)
     return found + terms * EPS * (np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse))
