@@ -40,7 +40,7 @@ from taichi_bearings_cli.progress import Display
 @width_option
 @dpi_option
 @title_option
-@out_options("Folder for the files. [default: outputs/<time>-histogram-<id>]")
+@out_options("Folder for the files. [default: a new one, outputs/<time>-histogram-<id>, named at the end]")
 @json_option
 def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: bool, **asked: Any) -> None:
     """Draw the distribution of the power per contact, pooled over all samples of runs and scans: CSV, HDF5 and a
@@ -73,4 +73,5 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
         units = "" if normalise == "none" else f" in units of {report['units']}"
         smallest, largest = report["smallest_power"], report["largest_power"]
         lines.append(f"power of the slipping contacts from {smallest:.2e} to {largest:.2e}{units}")
-    answer(report, as_json, lambda: "\n".join([*lines, *report["files"]]))
+    where = f"written into the folder {Path(report['files'][0]).parent}:"
+    answer(report, as_json, lambda: "\n".join([*lines, where, *report["files"]]))

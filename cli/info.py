@@ -7,6 +7,27 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import FILE_PATH, answer, json_option
 
+LABELS = {
+    "device_names": "GPUs",
+    "default_arch": "device by default",
+    "default_precision": "precision by default",
+    "threads": "CPU threads",
+    "kernel_cache": "folder of compiled kernels",
+    "driven": "driven spheres",
+    "bodies": "driven bodies (spheres driven together)",
+    "parts": "parts without contact to each other",
+    "floating": "parts without a driven sphere",
+    "rattlers": "free spheres without contact",
+    "free_dangling": "free spheres with one contact",
+    "bipartite": "all loops even (neighbours can turn oppositely)",
+    "smallest_odd_loop": "contacts of the smallest odd loop",
+    "free_motions": "motions without slip, driven spheres at rest",
+    "all_motions": "motions without slip, all spheres free",
+    "decided_by": "how these motions were counted",
+    "bearing_state": "bearing state: can all spin without slip",
+}
+"""Words for keys of the report that do not say enough by themselves."""
+
 
 @click.command()
 @click.argument("packing", required=False, type=FILE_PATH)
@@ -47,7 +68,9 @@ def command(packing: Path | None, as_json: bool) -> None:
         motions = found["all_motions"]
         bearing = "not decided" if motions is None else "yes" if motions else "none: no spins but rest are free of slip"
         report = {"packing": str(packing), "dimension": one.dimension, **found, "bearing_state": bearing}
-    lines = [f"{key.replace('_', ' '):18} {_word(value)}" for key, value in report.items()]
+    labels = {key: LABELS.get(key, key.replace("_", " ")) for key in report}
+    widest = max(map(len, labels.values()))
+    lines = [f"{labels[key]:{widest}}  {_word(value)}" for key, value in report.items()]
     answer(report, as_json, lambda: "\n".join(lines))
 
 

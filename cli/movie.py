@@ -32,4 +32,6 @@ def command(run: Path, fps: float, replica: int, title: bool, out: Path | None, 
     with Display():
         report = movie(run, out, force, replica, fps, title)
     size = f"{report['bytes'] / 1e6:.1f} MB"
-    answer(report, as_json, lambda: f"{report['file']}: {report['frames']} snapshots; {size}")
+    is_second_choice = out is None and report["file"].endswith(".gif")
+    why = "; a GIF, because there is no ffmpeg here, which MP4 needs" if is_second_choice else ""
+    answer(report, as_json, lambda: f"{report['file']}: {report['frames']} snapshots; {size}{why}")

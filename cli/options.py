@@ -10,7 +10,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from taichi_bearings.options import FILE, TRUTH, OneOf, Option, options_of
-from taichi_bearings.runs.settings import settings_table, users_of
+from taichi_bearings.runs.settings import ALSO_CALLED, settings_table, users_of
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import METHODS
 from taichi_bearings.words import meant
@@ -68,6 +68,17 @@ class SettingsCommand(click.Command):
         )  # fmt: skip
         return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context), everything]
 
+    def parse_args(self, context: click.Context, words: list[str]) -> list[str]:
+        """Return the words that are left after the options; the error for an option that goes by another name here
+        says that name.
+        """
+        try:
+            return super().parse_args(context, words)
+        except click.NoSuchOption as error:
+            if key := ALSO_CALLED.get(error.option_name.lstrip("-").replace("-", "_")):
+                error.possibilities = [f"--{key.replace('_', '-')}"]
+            raise
+
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options of the help into `formatter`, section by section."""
         sections = dict[str, list[tuple[str, str]]](
@@ -121,8 +132,16 @@ def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
             facts.append("default: " + ", ".join(f"{_shown(default)} with {name}" for name, default in own.items()))
         elif defaults != {""}:
             facts.append(f"default: {defaults.pop()}")
+        if key == "method":
+            facts.insert(0, "; ".join(_laws_of_methods()))
         options.append(_click_option(key, item, f"{item.help} [{'; '.join(facts)}]" if facts else item.help))
     return options
+
+
+def _laws_of_methods() -> list[str]:
+    """Return in words which laws each method solves, without the methods that solve all laws."""
+    solved = {name: [law.name for law in LAWS.values() if row.solves(law)] for name, row in METHODS.items()}
+    return [f"{name}: law {' or '.join(laws)}" for name, laws in solved.items() if len(laws) < len(LAWS)]
 
 
 def _click_option(key: str, item: Option, text: str) -> click.Option:

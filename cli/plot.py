@@ -16,7 +16,7 @@ from taichi_bearings_cli.options import (
 )
 
 STRUCTURE_KINDS = ("domains", "network")
-PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
+PLOT_KINDS = ("spins", "power", "coefficients", "history", "energy", *STRUCTURE_KINDS, "scan")
 
 
 @click.command()
@@ -72,10 +72,11 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     """Draw one figure from RUN, a run directory or its run.h5. KIND is one of
 
     \b
-    spins    the spins as colour; 3D: from outside and two cuts
-    power    where the power is dissipated
-    history  power, lower bound and gap as the run went on
-    energy   a dynamics: energy injected, dissipated, kinetic, in springs, and what their balance misses
+    spins         the spins as colour; 3D: from outside and two cuts
+    power         where the power is dissipated
+    coefficients  the friction (or damping) of every contact, as drawn or given
+    history       power, lower bound and gap as the run went on
+    energy        a dynamics: energy put in, dissipated, kinetic, in springs, and the error of their balance
 
     and the figures of `bearings analyse`:
 

@@ -87,7 +87,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
         raise InputError("with --scheduler the Dask cluster provides the workers; leave out --workers")
     if merge and (one_part or scheduler):
         raise InputError("--merge only combines what is solved; leave out --part and --scheduler")
-    if folder is None and (merge or one_part):
+    if folder is None and (merge or (one_part and not dry_run)):
         raise _without_folder(scan)
     folder, workers = folder or default_run_path("scan"), asked["workers"] or 0
     part = Part.parse(asked["part"]) if one_part else None

@@ -55,7 +55,8 @@ def describe(report: dict[str, Any], times: str = "") -> str:
     rows = list(zip(names, *columns, strict=True))
     for sample, power, bound, gap, states, unique, reason in rows[:10]:
         if power is None:
-            lines.append(f"  {sample}: nothing can be proven")
+            why = f", because {reason}" if reason else ""
+            lines.append(f"  {sample}: neither a power nor a contact state can be proven{why}")
             continue
         lines.append(f"  {sample}: {bound!r} <= least {law.minimises} <= {power!r}, a relative gap of {gap:.1e}")
         proven = [f"{states['slipping']:,} slip and {states['slipless']:,} do not at any minimum"]

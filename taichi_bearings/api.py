@@ -7,6 +7,7 @@ best = tb.solve(scene, tolerance=1e-9)
 """
 
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +30,7 @@ from taichi_bearings.scans.sample import JobTask, solve_all
 from taichi_bearings.scene import Scene as Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.packing import Packing as Packing
-from taichi_bearings.solvers import MethodOptions
+from taichi_bearings.solvers import METHODS, MethodOptions
 from taichi_bearings.solvers.drive import Monitor, Report
 from taichi_bearings.words import meant, shown
 
@@ -174,8 +175,30 @@ def solve_many(
         raise InputError(f"scenes is a {type(scenes).__name__}; it must be a list of scenes, as in solve_many([scene])")
     asked = {"tolerance": tolerance, **options}
     tasks = [JobTask(str(number), scene, _job(scene, method, asked, start)) for number, scene in enumerate(scenes)]
+    for own in {(type(task.scene.law), task.settings.method) for task in tasks}:
+        _refuse_of_script(*own)
     found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))
     return (replace(result, command="taichi_bearings.solve_many") for result in found)
+
+
+def _refuse_of_script(law: type, method: str) -> None:
+    """Raise InputError for a law or a method that worker processes cannot import: one that is defined in the running
+    script, or in a module whose own code calls solve_many while it is imported.
+
+    law : class of the contact law. method : name of the method.
+    """
+    for what, name, kind in (("law", law.__name__, law), ("method", method, METHODS.get(method))):
+        module = getattr(kind, "__module__", "")
+        if module == "__main__":
+            raise InputError(
+                f"the {what} {name} is defined in the script itself, which the processes of solve_many do not run; "
+                "define it in a module of its own, and import that"
+            )
+        if getattr(getattr(sys.modules.get(module), "__spec__", None), "_initializing", False):
+            raise InputError(
+                f"the module {module}, which defines the {what} {name}, calls solve_many while it is imported; put the "
+                "call under `if __name__ == '__main__'` or into another script"
+            )
 
 
 def analyse(result: Result | str | Path, threshold: float | None = None, sample: int = 0) -> Analysis:

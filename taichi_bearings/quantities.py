@@ -239,16 +239,16 @@ SAMPLES = _named(
         Quantity("contacts", "1", "number of contacts, without absent ones and those between driven spheres: the sum of"
                  " slipping, slipless, tied and undecided",
                  lambda a: _contacts(a.solution), r"N_\mathrm{contacts}"),
-        Quantity("slipping", "1", "number of contacts that slip in every state of least power; in a dynamics: that slip"
-                 " at its end",
+        Quantity("slipping", "1", "number of contacts that slip in every state of least power (of a dynamics: at its"
+                 " end)",
                  lambda a: count(a.solution.state, ContactState.SLIPPING), r"N_\mathrm{slipping}"),
-        Quantity("slipless", "1", "number of contacts that slip in no state of least power; in a dynamics: that do not"
-                 " slip at its end",
+        Quantity("slipless", "1", "number of contacts that slip in no state of least power (of a dynamics: not at its"
+                 " end)",
                  lambda a: count(a.solution.state, ContactState.SLIPLESS), r"N_\mathrm{slipless}"),
         Quantity("tied", "1", "number of contacts proven to slip in some states of least power and not in others",
                  lambda a: count(a.solution.state, ContactState.TIED)),
-        Quantity("undecided", "1", "number of contacts of which neither a proof nor slip and force together say whether"
-                 " they slip",
+        Quantity("undecided", "1", "number of contacts that are undecided: there is no proof whether they slip, and"
+                 " slip and force contradict each other",
                  lambda a: count(a.solution.state, ContactState.UNDECIDED)),
         Quantity("states_proven", "1", "whether it is proven of every contact that it slips, does not slip or is tied",
                  lambda a: a.solution.states_proven),
@@ -276,8 +276,8 @@ SAMPLES = _named(
         Quantity("version", "1", "version of the program that solved the sample", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force radius |spin_top|)",
                  _normalised, r"P\,/\,(F_n R\,\omega_T)"),
-        Quantity("minimum_is_unique", "1", "true: proven that only these slips have the least power; false: proven that"
-                 " other slips have it too",
+        Quantity("minimum_is_unique", "1", "whether only these slips have the least power: yes (true) or no (false) if"
+                 " that is proven",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time", _at_end("time")),
         Quantity("duration", "time", "simulated time at which the dynamics was asked to end",
@@ -327,7 +327,7 @@ STRUCTURE = {
                  r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
         Quantity("cut_contacts", "1", "number of contacts of the minimum cut",
                  lambda s: s.interface and s.interface.contacts.sum(), r"N_\mathrm{cut}"),
-        Quantity("slipping_contacts_are_the_cut", "1", "the contacts of the minimum cut slip, and no others",
+        Quantity("slipping_contacts_are_the_cut", "1", "whether the contacts of the minimum cut slip, and no others",
                  lambda s: s.interface and np.array_equal(s.state == ContactState.SLIPPING, s.interface.contacts)),
     ],
     "slipless network": [
@@ -360,11 +360,11 @@ STRUCTURE = {
     ],
     "rigid domains": [
         Quantity("domains", "1", "number of rigid domains", lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
-        Quantity("domains_locked_to", "1", "number of rigid domains of each kind: turning with the"
-                 " bottom, with the top, ..., with neither",
+        Quantity("domains_locked_to", "1", "number of rigid domains by the driven plane they turn with"
+                 " (mixed: with different planes in different spin components; partly: in some components only)",
                  lambda s: s.rigid_domains.domains_of_kind()),
-        Quantity("free_spheres_locked_to", "1", "number of free spheres by the kind of their rigid"
-                 " domain: turning with the bottom, with the top, ..., with neither",
+        Quantity("free_spheres_locked_to", "1", "number of free spheres by the driven plane that their rigid"
+                 " domain turns with (mixed and partly as for the domains)",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
         Quantity("largest_intermediate_domain", "1",
                  "number of spheres of the largest rigid domain that is not locked to one driven plane",

@@ -86,7 +86,10 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
     bare, holes, tree, reach = _without_odd_loops(lattice, size, bottom)
     places, most = len(holes), int(DENSEST * len(holes))
     if odd > most:
-        raise InputError(f"odd is {odd}; at most {most} of the {places} places can have an odd contact")
+        raise InputError(
+            f"odd is {odd}; this lattice has {places} places for contacts that close odd loops, and at most {most} of "
+            "them can be used"
+        )
     hole = rng.permutation(holes)[:odd]
     around = np.array([sorted(discs) for discs in tree.query_ball_point(hole, reach)], dtype=int)
     if lattice != "triangular":

@@ -462,6 +462,7 @@ class Cell:
 
 
 QUICK = 25  # the quick form takes one of this many cells, so that it ends after about a minute
+QUICK_CELLS = 100  # of fewer cells, as of one axis, it takes more of them: about so many, or all
 FIRST = {"sides": 3, "drift": 1}  # number of values that it takes of axes that need patience
 
 
@@ -472,7 +473,7 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
     axes : names of the axes.
     seed : of the samples.
     quick : take smaller samples and the first values alone of axes that need patience, and then only every QUICK-th
-        cell.
+        cell; of fewer axes more of the cells, about QUICK_CELLS.
     seconds : time limit of a solve; it is multiplied by the patience of the axis, unless `quick`.
     """
     found = []
@@ -492,4 +493,4 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
         return AXES[cell.axis].patience > 1, row.arch != "cpu", row.arch, row.precision != "f64", cell.axis == "threads"
 
     found.sort(key=order)
-    return found[::QUICK] if quick else found
+    return found[:: min(QUICK, max(1, len(found) // QUICK_CELLS))] if quick else found

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
 from taichi_bearings.errors import InputError
@@ -282,8 +282,10 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
         axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks], **slanted)
         axes.set_xlim(-0.5, len(look.ticks) - 0.5)
     elif "x" in look.log and len(values) <= MOST_NAMED_TICKS:
-        axes.set_xticks(values, [f"{value:g}" for value in values])
+        axes.set_xticks(values, [style.short(value) for value in values.tolist()])
         axes.xaxis.set_minor_locator(NullLocator())
+    elif "x" not in look.log and (values == np.round(values)).all():
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))  # no tick at 2.5 spheres
     if entries:
         figure.legend(title=as_text(look.legend) or None, loc="outside lower center", ncols=across)
     style.put_title(figure, as_text(look.title), page)

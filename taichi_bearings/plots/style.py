@@ -149,6 +149,21 @@ class PlainLogFormatter(LogFormatter):
         return f"10{str(round(exponent)).translate(SUPERSCRIPTS)}" if is_decade else f"{value:g}"
 
 
+def short(value: float) -> str:
+    """Return a number as the name of a tick: whole numbers below 100 000 as they are, others to three digits.
+
+    >>> short(1024.0), short(3.16228), short(0.0316228), short(316227.8), short(1e6)
+    ('1024', '3.16', '0.0316', '3.16·10⁵', '10⁶')
+    """
+    if value == round(value) and abs(value) < 1e5:
+        return str(round(value))
+    if 1e-4 <= abs(value) < 1e5:
+        return f"{float(f'{value:.3g}'):g}"
+    mantissa, _, exponent = f"{value:.2e}".partition("e")
+    power = f"10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+    return power if float(mantissa) == 1 else f"{float(mantissa):g}·{power}"
+
+
 def label_in_plain_text(*axes: Axis) -> None:
     """Label logarithmic axes in plain text, and within a decade some of the minor ticks, too."""
     for axis in axes:

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import OneOf
+from taichi_bearings.plots.coefficients import draw_coefficients
 from taichi_bearings.plots.curves import draw_energy, draw_history
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.spins import draw_power, draw_spins
@@ -19,16 +20,16 @@ from taichi_bearings.words import counted
 
 FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
 """Functions that draw the figures of `bearings analyse`, by name, from the structure of a sample."""
-OF_STRUCTURES = {"spins": draw_spins, "power": draw_power} | FIGURES
+OF_STRUCTURES = {"spins": draw_spins, "power": draw_power, "coefficients": draw_coefficients} | FIGURES
 """Functions that draw all figures that need the structure of a sample, by name."""
 OF_ANSWERS: dict[str, Callable[[Solution, int, Page], Figure]] = {
     "history": lambda answer, _, page: draw_history(answer, page),
     "energy": lambda answer, sample, page: draw_energy(answer.sample(sample), page),
 }
 """Functions that draw the figures of an answer, by name; the number is that of the sample."""
-FIGURE_KINDS = ("spins", "power", *OF_ANSWERS, *FIGURES)
+FIGURE_KINDS = ("spins", "power", "coefficients", *OF_ANSWERS, *FIGURES)
 STRETCHED_SLIP = 1e-3  # slower contacts, relative to the largest imposed R omega, may only stretch their springs
-WITH_PLANES = ("spins", "power", "domains")  # figures that show planes of a cubic lattice
+WITH_PLANES = ("spins", "power", "coefficients", "domains")  # figures that show planes of a cubic lattice
 WITH_VIEW = ("spins", "domains", "network")  # figures that show a cubic lattice in 3D
 
 
@@ -52,7 +53,10 @@ def draw_figure(
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):
-        raise InputError(f"replica is {sample}; the run has {counted(len(solution.state), 'replica')}, numbered from 0")
+        raise InputError(
+            f"replica is {sample}; the run has {counted(len(solution.state), 'replica')}, numbered from 0 to "
+            f"{len(solution.state) - 1}"
+        )
     _check_page(kind, solution.scene.network.shape, page)
     if time is not None:
         return draw_snapshot(solution, sample, time, slip_threshold, page)

@@ -327,7 +327,8 @@ class Result:
         Parameters
         ----------
         kind : str
-            "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network".
+            "spins", "power", "coefficients", "history", "energy", or one of `bearings analyse`: "domains",
+            "network".
         sample : int
             Which one of several samples is drawn.
         time : float, optional

@@ -94,6 +94,11 @@ MOST_TOUCHING = 0.05  # the largest gap at which spheres may touch, the same as 
 NAMED_FILES = ("coefficients", "packing", "contacts", "initial")  # keys that name files
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
+ALSO_CALLED = {
+    "friction": "distribution", "mu": "distribution", "size": "shape", "lattice": "shape", "samples": "replicas",
+    "output": "out", "solver": "method", "axis": "direction", "radii": "radius",
+}  # fmt: skip
+"""Words that users try for a setting, and the name that it has."""
 motion = partial(option, methods=attrgetter("is_dynamics"))  # declares an option of dynamics alone
 
 
@@ -300,7 +305,8 @@ class RunSettings:
         """
         for key in values:
             if key not in cls.keys():
-                hint = meant(key, cls.keys()) or f"; known keys are {', '.join(cls.keys())}"
+                likely = ALSO_CALLED.get(key.replace("-", "_"), key)
+                hint = meant(likely, cls.keys()) or f"; known keys are {', '.join(cls.keys())}"
                 raise InputError(f"unknown key {key!r} in {source}{hint}")
         settings = cls(**values)
         if settings.packing is not None:

@@ -40,6 +40,7 @@ TRIES = 2  # how often each sample is tried
 HOPELESS = 10  # if so many workers end one after the other, before there is any result, the scan gives up
 LOOK_SECONDS = 0.2  # seconds between looks at what else is going on
 KEEPING_SECONDS = 5.0  # seconds that an idle worker may take to keep its compiled kernels and end
+WORKER_NAME = "bearings-worker"  # name of the worker processes
 IDLE_SECONDS = 60.0  # seconds without work after which a worker ends
 DASK_REASONS = {"KilledWorker": "its Dask workers were lost", "CancelledError": "Dask has cancelled it"}
 LONGEST_WAIT = 2e6  # seconds; the system counts milliseconds in 31 bits
@@ -262,6 +263,9 @@ class _Solver:
                 self._end()
                 return None, f"no result within {seconds:g} s"
             records, is_healthy = self._pipe.recv()
+            if records is None:  # the second word is why, and the process ends
+                self._end()
+                return None, str(is_healthy)
         except (EOFError, OSError, pickle.UnpicklingError):  # it has ended, perhaps amid a message
             return None, self._end()
         if not is_healthy:
@@ -285,7 +289,7 @@ class _Solver:
                 raise EOFError
             self._pipe, theirs = context.Pipe()
             process = context.Process(
-                target=serve, args=(theirs, pickle.dumps(self.work)), daemon=True, name="bearings-worker"
+                target=serve, args=(theirs, pickle.dumps(self.work)), daemon=True, name=WORKER_NAME
             )
             process.start()
             theirs.close()
@@ -311,6 +315,15 @@ class _Solver:
             return f"the worker ended with exit code {code}"
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else f"signal {-code}"
         return f"the worker was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
+
+
+def refuse_in_worker() -> None:
+    """Raise InputError in a worker process: it would start workers of its own, and these again, without end."""
+    if multiprocessing.current_process().name == WORKER_NAME:
+        raise InputError(
+            "a module that a worker process imports calls solve_many itself; put such calls under "
+            "`if __name__ == '__main__'`"
+        )
 
 
 @contextlib.contextmanager
@@ -352,7 +365,12 @@ def serve(pipe: Connection, pickled_work: bytes) -> None:
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError), pipe:
         pipe.send("started")
         while healthy and pipe.poll(IDLE_SECONDS):
-            records = work(pipe.recv())
+            try:
+                unit = pipe.recv()
+            except (AttributeError, ImportError, BearingsError) as error:  # of a module that it has to import
+                pipe.send((None, f"a worker process cannot load what is solved: {error}"))
+                return
+            records = work(unit)
             healthy = all(r["scalars"]["status"] != FAILED or r.get("final", False) for r in records)
             pipe.send((records, healthy))
     if healthy and parent is not None and parent.is_alive():

@@ -19,7 +19,7 @@ from taichi_bearings.analysis.statistics import (
     mean_interval,
     ratio_interval,
 )
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.files.scan_file import StoredScan
 from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, write_csv
 from taichi_bearings.plain_files import Json
@@ -28,6 +28,8 @@ from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import ENDINGS, column_label, save
 from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.run_directory import claimed
+from taichi_bearings.runs.settings import parse_toml, settings_table
+from taichi_bearings.scans.plan import written
 from taichi_bearings.scans.stored_scans import (
     CENSUS_COLUMNS,
     OF_A_SPANNING_NETWORK,
@@ -40,6 +42,9 @@ from taichi_bearings.words import meant
 SIZE = "L"  # name of the height of the lattice as a column
 REASON = "left out"  # column with the reason why a sample is in no point; empty for samples that are in one
 MOST_CURVES = 24
+NAMED_BY_VALUE = ("shape", "law", "distribution")  # settings whose values need no name in a title
+LONGEST_NUMBER = 8  # letters of a number from which on it is rounded to six digits
+VECTORS = ("direction", "top", "bottom")  # settings that are lists of numbers, but no numbers of spheres
 DRAWN_COLUMNS = ("plot_x", "plot_y", "plot_low", "plot_high")
 Point = Json
 """All samples of equal parameters, as one row of the table beside the figure.
@@ -106,7 +111,7 @@ def plot_scan(
         tell(str(Census.of(reasons.tolist())))
         for part, own in groups(columns, request.by).items() if request.by else ():  # each curve that lacks some
             if (census := Census.of(reasons[own].tolist())).left_out:
-                words = ", ".join(f"{key} {value}" for key, value in zip(request.by, part, strict=True))
+                words = ", ".join(f"{key} {named(key, value)}" for key, value in zip(request.by, part, strict=True))
                 tell(f"  {words}: {census}")
         save(draw_scan(curves_of(points, request), look_of(scan, columns, points, request), page), figure)
         write_csv(table, *rows_of(points, request))
@@ -143,7 +148,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
             )
         values = table[key]
         if values.dtype == object or values.dtype == bool:
-            found = np.array([str(v).lower() == value.lower() for v in values.tolist()])
+            found = np.array([value.lower() in (str(v).lower(), named(key, v).lower()) for v in values.tolist()])
         else:
             try:
                 found = values == float(value)
@@ -152,7 +157,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
                     f"--where {condition!r} cannot be used; {key} has numbers, so VALUE must be one"
                 ) from None
         if not found.any():
-            known = [str(v) for (v,) in groups(table, [key])]
+            known = [named(key, v) for (v,) in groups(table, [key])]
             some = ", ".join(known[:20]) + " ..." * (len(known) > 20)
             raise InputError(f"--where {condition!r} selects no sample; {key} is one of {some}{meant(value, known)}")
         chosen &= found
@@ -248,12 +253,13 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
     for part, own in points.items():
         drawn = np.array([[p[name] for name in DRAWN_COLUMNS] for p in own if p["number"]]).reshape(-1, 4)
         asked = sum(point["asked"] for point in own)
-        curves.append(Curve(", ".join(map(str, part)) + f": none of {asked:,} samples" * (not len(drawn)), *drawn.T))
+        label = ", ".join(map(named, request.by, part))
+        curves.append(Curve(label + f": none of {asked:,} samples" * (not len(drawn)), *drawn.T))
     return curves
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points, request: Request) -> Look:
-    """Return labels, legend and title of the figure; the title says over what was averaged.
+    """Return labels, legend and title of the figure; the title says over what was averaged, and what all samples share.
 
     scan : where the samples come from. columns : their table. points : what is drawn, by curve. request : which columns
         are shown.
@@ -266,16 +272,58 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points,
     number = sum(point["number"] for point in every)
     alike = f", {number:,} independent" if number < census.used else ""
     left_out = f"\nleft out: {census.reasons}" if census.left_out else ""
+    alike_in = ", ".join(shared_by_all(scan, columns, request))
     bars = "ratios of means with 95 % intervals" if "/" in request.y else "means with standard errors"
     numbers = all(isinstance(point["x"], (int, float)) for point in every)
     return Look(
         x_label=column_label(request.x),
         y_label=column_label(request.y),
-        title=f"{census.share}{alike}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}",
+        title=f"{census.share}{alike}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}"
+        + f"\n{alike_in}" * bool(alike_in),
         legend=", ".join(request.by),
         log=request.log,
-        ticks=() if numbers else list(dict.fromkeys(point["x"] for point in every)),
+        ticks=() if numbers else list(dict.fromkeys(named(request.x, point["x"]) for point in every)),
     )
+
+
+def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: Request) -> list[str]:
+    """Return in words the settings that all samples of a figure have in common: size, law and distribution, and others
+    that the scan or a condition of the request fixes.
+
+    scan : where the samples come from. columns : their table. request : which columns are shown; these are left out.
+    """
+    try:
+        given = {key: written(value) for key, value in parse_toml(scan.attributes["scan"]).items()}
+    except BearingsError:  # a text that no scan writes
+        given = {}
+    table = settings_table()
+    if not given.keys() & {"coefficients", "packing"} and scan.attributes["scan"]:
+        given = {"distribution": table["distribution"].default} | given
+    shown = {request.x, *request.by} | ({"shape"} if SIZE in (request.x, *request.by) else set())
+    found = []
+    for key in dict.fromkeys([*NAMED_BY_VALUE, *scan.scanned, *given]):
+        values = [value for (value,) in groups(columns, [key])] if key in columns else [given.get(key)]
+        matters = key in table and (key == "method" or not table[key].of_solving)
+        if matters and key not in shown and len(values) == 1 and values[0] not in (None, ""):
+            name = "" if key in NAMED_BY_VALUE else f"{key.replace('_', ' ')} "
+            found.append(name + named(key, values[0]))
+    return found
+
+
+def named(key: str, value: object) -> str:
+    """Return a value of a column as figures and options name it.
+
+    key : name of the column. value : its text or number. Vectors, which tables write with x between their numbers, have
+    commas, and a semicolon before the rate C of a bearing state.
+
+    >>> named("direction", "1x1x0"), named("top", "1x1x0x0.2"), named("shape", "4x4"), named("damping", 3162.27766)
+    ('1,1,0', '1,1,0;0.2', '4x4', '3162.28')
+    """
+    if key in VECTORS and isinstance(value, str):
+        numbers = value.split("x")
+        return ",".join(numbers[:3]) + "".join(f";{rate}" for rate in numbers[3:])
+    text = str(value)
+    return f"{value:g}" if isinstance(value, float) and len(text) > LONGEST_NUMBER else text
 
 
 def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:

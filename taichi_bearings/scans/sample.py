@@ -20,7 +20,7 @@ from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run import Job, prepare, row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.writing import self_contained, write_state
-from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
+from taichi_bearings.scans.engine import LocalEngine, failure, refuse_in_worker, run_samples
 from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key, spheres_of
 from taichi_bearings.scene import Bearing
 
@@ -221,8 +221,10 @@ def solve_tasks(tasks: Sequence[JobTask]) -> list[Json]:
 def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Result]:
     """Yield the results of jobs as they come, each with the very scene that the user gave.
 
-    tasks : the jobs. workers : number of processes. Raises BearingsError for the first job without a result.
+    tasks : the jobs. workers : number of processes. Raises BearingsError for the first job without a result, and
+    InputError in a worker process.
     """
+    refuse_in_worker()
     with closing(LocalEngine(solve_tasks, workers)) as engine:
         for records in run_samples([(task,) for task in tasks], engine):
             for record in records:

@@ -3,6 +3,8 @@
 import contextlib
 import pickle
 import re
+import subprocess
+import sys
 import threading
 from dataclasses import fields
 from pathlib import Path
@@ -246,6 +248,41 @@ def test_many_scenes_come_as_they_are_solved_in_processes_of_their_own():
         assert answer.summary["precision"] == "f32"
         assert answer.gap <= 1e-3
     assert list(tb.solve_many([])) == []
+
+
+OWN_LAW = """
+from taichi_bearings.scene.law import LAWS, Law, Quantity
+import taichi_bearings as tb
+
+class Square(Law):
+    def force(self, of, slip): return of[0] * slip
+    def power(self, of, slip): return of[0] * slip**2
+    def potential(self, of, slip): return of[0] * slip**2 / 2
+    def conjugate(self, of, force): return force**2 / (2 * of[0])
+    def steepest(self, of, slip): return of[0]
+
+LAWS["square"] = Square("square", (Quantity("damping", "force*time/length"),), minimises="potential")
+"""
+MANY = 'list(tb.solve_many([tb.Scene.random((4, 5), law="square")], "gradient-descent", workers=1))'
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ({"study.py": f"{OWN_LAW}\n{MANY}"}, "the law Square is defined in the script itself"),
+        (
+            {"own.py": f"{OWN_LAW}\n{MANY}", "study.py": "import own"},
+            "the module own, which defines the law Square, calls solve_many while it is imported; put the call under "
+            "`if __name__ == '__main__'`",
+        ),
+    ],
+    ids=["in the script", "in a module"],
+)
+def test_a_law_that_workers_cannot_import_is_refused_with_the_cause(files, words, tmp_path):
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    done = subprocess.run([sys.executable, "study.py"], cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert words in done.stderr.splitlines()[-1]
 
 
 def test_a_thread_that_is_not_the_main_one_solves(precision):

@@ -11,6 +11,8 @@ import pytest
 from taichi_bearings_cli.main import COMMANDS, GROUPS
 
 from taichi_bearings.runs.settings import settings_table
+from taichi_bearings.scene.law import LAWS
+from taichi_bearings.solvers.table import METHODS
 from tests.cli.commands import bearings, refused
 
 SMALL = ("--shape", "3,4,5", "--tolerance", "1e-3", "--figures", "none")
@@ -324,3 +326,17 @@ def test_help_leaves_out_what_few_need_and_all_help_has_it():
 
 def test_the_list_of_commands_has_each_once():
     assert sorted(name for names in GROUPS.values() for name in names) == sorted(COMMANDS)
+
+
+@pytest.mark.parametrize(("word", "option"), [("--friction", "--distribution"), ("--size", "--shape")])
+def test_an_option_under_another_name_is_refused_with_the_name_it_has_here(word, option, tmp_path):
+    assert f"Did you mean '{option}'?" in refused("run", word, "1", cwd=tmp_path)
+    (tmp_path / "scene.toml").write_text(f"{word.strip('-')} = 1\n")
+    assert f"did you mean '{option.strip('-')}'?" in refused("run", "scene.toml", cwd=tmp_path)
+
+
+def test_the_help_says_which_laws_a_method_refuses():
+    shown = " ".join(bearings("run", "--help").stdout.split())
+    for name, row in METHODS.items():
+        laws = [law.name for law in LAWS.values() if row.solves(law)]
+        assert (f"{name}: law {' or '.join(laws)}" in shown) == (len(laws) < len(LAWS)), name

@@ -48,3 +48,11 @@ def test_what_stands_is_not_replaced_unasked_and_what_is_no_run_is_said_so(run, 
     assert done.returncode != 0
     assert not done.fault
     assert len(done.sentences) == 1
+
+
+def test_a_film_is_a_gif_where_ffmpeg_is_missing_and_says_so(run, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    done = bearings("movie", run)
+    assert done.returncode == 0, done.stderr
+    assert f"{run / 'movie.gif'}: 2 snapshots" in done.stdout
+    assert "a GIF, because there is no ffmpeg here" in done.stdout

@@ -80,6 +80,8 @@ def test_a_dry_run_writes_nothing(scan_file, tmp_path):
     assert (expected["samples"], expected["missing"], expected["scanned"]) == (500, 500, ["seed"])
     assert 0.5 < expected["seconds"] < 20
     assert "500 samples over seed" in bearings("scan", file, "--dry-run").stdout
+    part = bearings("scan", file, "--dry-run", "--part", "1/4", "--json")
+    assert json.loads(part.stdout)["samples"] == 125, part.stderr
     assert [entry.name for entry in tmp_path.iterdir()] == ["scan.toml"]
 
 

@@ -45,3 +45,24 @@ def test_wrong_words_are_one_sentence(scan, tmp_path):
         (("plot", "power", tmp_path, "--by", "law"), "--by belongs to `bearings plot scan`"),
     ):
         assert sentence in refused(*words, cwd=tmp_path)
+
+
+def test_the_title_says_what_all_samples_share_and_vectors_have_commas(tmp_path):
+    (tmp_path / "s.toml").write_text(
+        "spin_bottom = 0.25\n[scan]\nshape = [[3, 3, 4]]\ndirection = [[1, 0, 0], [0, 1, 0]]\n"
+        "seed = { start = 0, stop = 2 }\n"
+    )
+    done = bearings("scan", "s.toml", "--workers", 1, "--out", "s", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = bearings(
+        "plot", "scan", "s", "--y", "power", "--x", "seed", "--by", "direction", "--out", "f.svg", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    drawn = (tmp_path / "f.svg").read_text()
+    for words in ("3x3x4, coulomb, uniform:0.1,1.0, spin bottom 0.25", ">1,0,0<", ">0,1,0<"):
+        assert words in drawn
+    assert "1x0x0" not in drawn
+    for written in ("0,1,0", "0x1x0"):
+        where = f"direction={written}"
+        words = ("plot", "scan", "s", "--y", "power", "--x", "L", "--where", where, "--out", "g.svg", "--force")
+        assert bearings(*words, cwd=tmp_path).stdout.splitlines()[0] == "all 2 samples"

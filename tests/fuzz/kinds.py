@@ -21,7 +21,7 @@ WORDS = [
     "linear:0,1,1e18", "0.1,0.2", "/", ".", "/dev/zero", "\x00", "\x1b[0m", "é", "a\nb", "0x10", "1_000", "٣", "1e18",
     "4294967296",
 ]  # fmt: skip
-FIGURES = ["spins", "power", "history", "energy", "domains", "network"]
+FIGURES = ["spins", "power", "coefficients", "history", "energy", "domains", "network"]
 
 
 @contextlib.contextmanager

@@ -255,6 +255,10 @@ def test_a_packing_is_shown_as_it_is(packed, opened):
 def test_snapshots_play_in_time(dynamics, opened):
     page = opened(dynamics)
     assert page.ask("document.title").endswith("seed 5")
+    assert page.ask("bearings.choices.time") == 0  # it opens at the first snapshot
+    assert page.tab.locator("#title").inner_text().endswith("t = 0")
+    page.move("time", 3)
+    assert page.tab.locator("#title").inner_text().endswith(page.tab.locator("#time-text").inner_text().split(",")[0])
     end = page.pixels()
     drawn = points_and_lines(read_run(dynamics))
     rows, shape = drawn.moments, drawn.structure.spin.shape

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from matplotlib import colormaps
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
 
@@ -144,3 +145,54 @@ def test_a_logarithmic_axis_names_few_ticks_and_no_line_crosses_an_empty_bin():
     gaps = np.isnan(curve.get_ydata())
     assert gaps.any()
     assert not gaps[[0, -1]].any()
+
+
+def test_every_contact_has_the_colour_of_its_coefficient(solved):
+    figure = draw_figure("coefficients", solved, page=Page(planes=((1, 1), (0, 2))))
+    x, y, z = map(np.squeeze, solved.scene.coefficients)
+    shown = [np.sort(np.concatenate([c.get_array() for c in drawn(axes)])) for axes in figure.axes[:2]]
+    expected = [(x[:, 1], z[:, 1]), (y[2], z[2])]
+    for found, planes in zip(shown, expected, strict=True):
+        np.testing.assert_array_equal(found, np.sort(np.concatenate([plane.ravel() for plane in planes])))
+    assert figure.axes[2].get_xlabel() == r"friction coefficient $\mu$"
+
+
+def test_both_coefficients_of_a_law_with_two_are_drawn_each_with_its_scale():
+    scene = tb.Scene.random((4, 5), seed=1, law="coulomb-viscous", viscosity="lognormal:1,3")
+    figure = draw_figure("coefficients", tb.solve(scene, tolerance=1e-3, threads=1).solution)
+    assert beyond(figure) < 0.01
+    of_friction, of_damping = (np.concatenate([c.get_array() for c in drawn(axes)]) for axes in figure.axes[:2])
+    for found, arrays in ((of_friction, scene.coefficients), (of_damping, scene.viscosity)):
+        np.testing.assert_array_equal(np.sort(found), np.sort(np.concatenate([a.ravel() for a in arrays])))
+    assert [axes.get_xlabel().split()[0] for axes in figure.axes[2:]] == ["friction", "damping"]
+    assert [axes.get_xscale() for axes in figure.axes[2:]] == ["linear", "log"]
+
+
+def test_a_large_lattice_shows_the_mean_coefficient_of_each_disc(monkeypatch):
+    monkeypatch.setattr("taichi_bearings.plots.bearing.MOST_LINES", 20)
+    answer = tb.solve(tb.Scene.random((4, 5), seed=1), threads=1)
+    figure = draw_figure("coefficients", answer.solution)
+    x, y = map(np.squeeze, answer.scene.coefficients)
+    mean = np.zeros((4, 5))
+    number = np.zeros((4, 5))
+    for at, values in (((slice(1, None), slice(None)), x), ((slice(-1), slice(None)), x),
+                       ((slice(None), slice(1, None)), y), ((slice(None), slice(-1)), y)):  # fmt: skip
+        mean[at] += values
+        number[at] += 1
+    (discs,) = [c for c in figure.axes[0].collections if type(c) is not LineCollection]
+    (bar,) = figure.axes[0].figure.axes[1:]
+    colours = discs.get_facecolors()[:, :3]
+    low, high = min(x.min(), y.min()), max(x.max(), y.max())
+    np.testing.assert_allclose(
+        colours, colormaps["viridis"]((mean / number - low) / (high - low)).reshape(-1, 4)[:, :3]
+    )
+    assert bar.get_xlabel().startswith("mean over the contacts of a disc")
+
+
+def test_ticks_have_few_digits_and_sizes_are_whole_numbers():
+    x = np.array([1e3, 10**3.5, 1e4])
+    figure = draw_scan([Curve("", x, x, x, x)], Look("x", "P", log="x"))
+    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["1000", "3160", "10000"]
+    x = np.array([4.0, 5.0, 6.0])
+    figure = draw_scan([Curve("", x, x, x, x)], Look("L", "P"))
+    assert all(tick == round(tick) for tick in figure.axes[0].get_xticks())

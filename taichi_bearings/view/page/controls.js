@@ -83,7 +83,7 @@ class Controls {
     on("time", (value) => { choices.time = Number(value); this.judge(); });
     element("moments").hidden = last === 0;
     element("threshold").disabled = sample.facts.jump_speed === 0;  // nothing to compare slips with
-    Object.assign(element("time"), { max: last, value: last });
+    Object.assign(element("time"), { max: last, value: choices.time });
     element("play").addEventListener("click", () => this.play(!this.playing));
     element("reset").addEventListener("click", () => picture.firstView());
     element("picture").addEventListener("click", () => {
