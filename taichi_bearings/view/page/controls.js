@@ -9,6 +9,8 @@ class Controls {
     this.usePreset(0);
     this.judge();
     element("subtitle").style.minHeight = `${element("subtitle").getBoundingClientRect().height}px`;  // snapshots say less: nothing jumps
+    choices.time = 0;  // the first snapshot; without snapshots the end of the run
+    this.judge();
     this.followLink();
   }
   tick(parent, text, colour, on, act) {
@@ -83,7 +85,7 @@ class Controls {
     on("time", (value) => { choices.time = Number(value); this.judge(); });
     element("moments").hidden = last === 0;
     element("threshold").disabled = sample.facts.jump_speed === 0;  // nothing to compare slips with
-    Object.assign(element("time"), { max: last, value: choices.time });
+    Object.assign(element("time"), { max: last, value: last });
     element("play").addEventListener("click", () => this.play(!this.playing));
     element("reset").addEventListener("click", () => picture.firstView());
     element("picture").addEventListener("click", () => {

@@ -15,7 +15,7 @@ async function start() {
   for (const { name, kind, offset, length } of facts.arrays) arrays[name] = new kinds[kind](bytes, offset, length);
   const sample = new Sample(facts, arrays);
   if (sample.dimension === 2) LOOK.cut = "#1d2733";  // lines on coloured discs
-  const choices = { layers: {}, power: 0, threshold: 0, time: 0,  /* the first snapshot; without snapshots the end of the run */ low: sample.slices.map(() => 0), high: sample.slices.map(({ steps }) => steps) };
+  const choices = { layers: {}, power: 0, threshold: 0, time: facts.times.length, low: sample.slices.map(() => 0), high: sample.slices.map(({ steps }) => steps) };
   let picture;
   try {
     picture = new Picture(sample, choices, element("canvas"));
