@@ -20,8 +20,8 @@ def command(run: Path, replica: int, analyse: bool, opened: bool, out: Path | No
 
     Spheres, slipless network and slipping contacts are layers to switch; of a run that was analysed, or with --analyse,
     so are minimum cut, rigid domains, a path and the bottlenecks. Slice them, move the slip threshold and the least
-    power, point at a sphere or a contact for its numbers. Of a dynamics with snapshots the page opens at the first one and
-    plays them. docs/figures.md says more.
+    power, point at a sphere or a contact for its numbers. Of a dynamics with snapshots the page opens at the first one
+    and plays them. docs/figures.md says more.
 
     \b
     Example:

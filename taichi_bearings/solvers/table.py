@@ -50,10 +50,11 @@ def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[
 def _descends(law: Law) -> bool:
     """Return True if gradient descent solves a law: friction, viscosity or both, or a suitable one of a user.
 
-    A suitable law has a force that grows with the slip, has no force without slip, and defines `steepest`, the slope of
-    its force.
+    A suitable law has one coefficient and a force that grows with the slip and is 0 without slip, and defines
+    `steepest`, the slope of its force.
     """
-    return law.is_sum or (law.flows and not law.holds and type(law).steepest is not Law.steepest)
+    is_steady = law.flows and not law.holds and type(law).steepest is not Law.steepest
+    return law.is_sum or (is_steady and len(law.quantities) == 1)
 
 
 # bytes for each sphere of a lattice of 2 or 3 dimensions while its answer is judged: the answer, and enclosures (16 or
