@@ -44,7 +44,7 @@ REASON = "left out"  # column with the reason why a sample is in no point; empty
 MOST_CURVES = 24
 NAMED_BY_VALUE = ("shape", "law", "distribution")  # settings whose values need no name in a title
 LONGEST_NUMBER = 8  # letters of a number from which on it is rounded to six digits
-VECTORS = ("direction", "top", "bottom")  # settings that are lists of numbers, but no numbers of spheres
+LISTS_OF_NUMBERS = ("direction", "top", "bottom")  # settings that are lists of numbers, but no numbers of spheres
 DRAWN_COLUMNS = ("plot_x", "plot_y", "plot_low", "plot_high")
 Point = Json
 """All samples of equal parameters, as one row of the table beside the figure.
@@ -319,7 +319,7 @@ def named(key: str, value: object) -> str:
     >>> named("direction", "1x1x0"), named("top", "1x1x0x0.2"), named("shape", "4x4"), named("damping", 3162.27766)
     ('1,1,0', '1,1,0;0.2', '4x4', '3162.28')
     """
-    if key in VECTORS and isinstance(value, str):
+    if key in LISTS_OF_NUMBERS and isinstance(value, str):
         numbers = value.split("x")
         return ",".join(numbers[:3]) + "".join(f";{rate}" for rate in numbers[3:])
     text = str(value)
