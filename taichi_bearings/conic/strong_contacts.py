@@ -18,10 +18,12 @@ SPREAD = 1e3  # ratio of largest and smallest friction up to which nothing is ch
 
 
 def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
-    """Return a friction (n,), nowhere above the given one, with which a lattice has the same minima.
+    """Return the friction (n,) of n contacts of a lattice with that of the strongest ones reduced, as far as is proven
+    not to change the minima: a contact that can bear more than all contacts of a cut together rests at every minimum.
 
-    system : the n contacts of a lattice. friction : (n,), all positive. It is returned as it is where it spans few
-        decades (SPREAD), or the top does not turn as one.
+    system : the n contacts of a lattice.
+    friction : (n,), all positive. It is returned as it is where it spans few decades (SPREAD), or the top does not turn
+        as one.
     """
     if friction.max() <= SPREAD * friction.min() or not _is_uniform(system):
         return friction
@@ -40,8 +42,8 @@ def _is_uniform(system: ContactSystem) -> bool:
 
 
 def _cut(low: np.ndarray, high: np.ndarray, friction: np.ndarray, bottom: int, top: int) -> float:
-    """Return the sum of the friction of the links across a cut between the nodes `bottom` and `top`: of a cut whose
-    strongest link is as weak as possible.
+    """Return the sum of the friction of the links across a cut: a set of links whose removal parts the nodes `bottom`
+    and `top`. Of all cuts one is taken whose strongest link is as weak as possible.
 
     low, high : (k,), nodes at the ends of the links, numbered up to `top`. friction : (k,).
     """

@@ -103,17 +103,16 @@ def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti
 
 @ti.func
 def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m, sign: ti.template()):
-    """Return a point (head, tail) of a cone times the scaling W of a contact, or times W^-1: a list that begins with
-    the head.
-
-    W (of Nesterov and Todd) brings the primal point (bound, slip) and the dual point (friction limit, minus force)
-    together: W^-1 primal = W dual.
+    """Return W times a point (head, tail) of the cone of a contact, or W^-1 times it: a list that begins with the head.
+    W is the scaling of Nesterov and Todd, the symmetric matrix that makes the two points of the contact equal: W^-1
+    (bound, slip) = W (friction limit, minus force).
 
     values, at : numbers of all contacts, row by row, flat; and for each row of the iterate the index of its number for
         the first contact of the block. Rows of it hold W as a weight and a rotation.
     head, tail : the point; the tail is a list of one or two numbers.
     m : number of the contact within its block.
-    sign : 1 for W, -1 for W^-1."""
+    sign : 1 for W, -1 for W^-1.
+    """
     weight = values[at[WEIGHT] + m]
     if ti.static(sign < 0):
         weight = 1.0 / weight
@@ -417,11 +416,12 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
 
 
 def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return two tuples: the rows that a pass over the contacts writes, for contacts with one slipping component and
-    for those with two. A row has one number of every contact.
+    """Return two tuples of the rows of memory that a pass over the contacts writes, one for contacts with one slipping
+    component and one for contacts with two. A row has one number of every contact.
 
-    rows : for each quantity a pair: its first row, and the pair of how many rows contacts with one and with two
-        components have of it."""
+    rows : for each quantity that is written a pair: its first row, and how many rows it has, itself a pair of numbers:
+        for contacts with one component, and with two.
+    """
     one, two = (tuple(first + k for first, counts in rows for k in range(counts[kind])) for kind in (0, 1))
     return one, two
 
@@ -497,12 +497,15 @@ def _pass(
 
 
 def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
-    """Return a kernel that applies a law to blocks of contacts of one kind.
+    """Return a kernel that makes a pass over contacts which all have the same number of slipping components: it applies
+    a function, the law, to each of them, and writes what it returns.
 
     law : function of one contact that returns a list of numbers, such as `prepared`.
-    writes : pair of tuples: rows of the iterate, and rows of the step, that the law writes.
-    finds : for each number that the law returns after those, the place of its sum or least number over all contacts.
-    like : a list with as many entries as these contacts have slipping components, 1 or 2."""
+    writes : pair of tuples: rows of the iterate, and rows of the step, into which the first of these numbers go.
+    finds : for each further number that the law returns, the place of its sum, or of its least value, over all
+        contacts.
+    like : a list with as many entries as these contacts have slipping components, 1 or 2.
+    """
 
     @ti.kernel
     def run(

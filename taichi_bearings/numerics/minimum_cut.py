@@ -101,7 +101,8 @@ def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCu
 
 
 def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lightest cut other than `cut` that leaves either side in one piece: sides (R, *N) and weight (R,).
+    """Return for each of R lattices the lightest cut other than `cut`: a mask (R, *N) of the spheres on one side, and
+    the weights (R,). Only cuts count that leave the spheres of either side in one piece.
 
     weight : weights of the contacts of R lattices of shape N, one array (R, *contacts) for each axis.
     cut : lightest cuts for these weights, the answer of :func:`minimum_cut`.

@@ -226,10 +226,10 @@ class Judgement:
 
     @property
     def price(self) -> np.ndarray:
-        """(R,), for each of R samples the part of the relative gap that is due to unbalanced torques on free
-        spheres: what they can cost at spins within what is imposed, over the upper bound. Where components mix,
-        springs take these torques away, and the lower bound is lowered by what is left of them only. Infinite where
-        the upper bound is 0 but the price is not; 0 for samples with a state without any slip."""
+        """(R,), for each of R samples how much of the relative gap is due to unbalanced torques on free spheres: the
+        most that these can cost at spins within what is imposed, over the upper bound on the power. Where components of
+        spins mix, springs take the torques away first, and what is left of them counts. Infinite where the upper bound
+        is 0 but the price is not; 0 for samples with a state without any slip."""
         price, upper = np.where(self.slipless, 0.0, self.bounds.price), self.bounds.upper
         return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
 

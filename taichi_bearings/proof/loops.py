@@ -295,12 +295,13 @@ def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middle and the half length, (m,) each, of an interval for each of m loops that contains the friction c
-    which circulates along it.
+    """Return an interval for each of m loops that contains the friction c which circulates along it at every minimum:
+    the middle and the half length of the intervals, (m,) each.
 
     loops : L, (2 q, m), two tangential components for each of q contacts, by a unit of each c.
     force : (q, 2), friction F at hand along the tangents.
-    limit : (q,), sizes that F + L c does not exceed at each contact."""
+    limit : (q,), sizes that F + L c does not exceed at each contact.
+    """
     size = np.linalg.norm(loops.reshape(len(force), 2, -1), axis=1)
     # As c = L^T f and |f| <= |F*| + |F| at each contact, c is at most the sum of |L| (limit + |F|) over contacts.
     most_c = (size * (limit + np.linalg.norm(force, axis=1))[:, None]).sum(axis=0) * UP

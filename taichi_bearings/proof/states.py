@@ -147,19 +147,22 @@ def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def _can_be_enclosed_together(bounds: Bounds) -> bool:
-    """Return True if minima of several samples may be enclosed together, as those of one network: if the lower bound of
-    each is proven of all spins, and every contact that can dissipate has friction. Then states do not depend on bounds
-    on slips, which would be wider for several samples."""
+    """Return True if the minima of several samples may be enclosed together, as those of one network that falls apart.
+    That is so if the lower bound of each sample is proven of all spins, and every contact that can dissipate has
+    friction. Whether a contact with friction slips does not depend on how closely its slip is bounded; for several
+    samples these bounds are wider, so contacts with damping alone are left to single samples."""
     held = bounds.network.holding.high[bounds.network.counts] > 0
     return bool((bounds.proof == PROVEN).all() and bounds.network.law.holds and held.all())
 
 
 def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """Return the mask (m,) of the contacts of a packing with oblique normals that are proven to rest at every minimum,
-    beside loops that cannot roll as their normals are rounded. The module that does it is loaded for packings alone.
+    """Return the mask (m,) of the contacts of a packing with oblique normals that are proven to rest at every minimum.
+    They lie in parts with loops of contacts that cannot all roll exactly, since their normals are rounded. The module
+    that does it is loaded for packings alone.
 
     bounds : bounds on the power, with m contacts, their friction after springs have balanced it, and these springs.
-    far : (m,), bound on |slip at any minimum - given slip|."""
+    far : (m,), bound on |slip at any minimum - given slip|.
+    """
     from taichi_bearings.proof.borne import at_rest_beside_loops
 
     return at_rest_beside_loops(bounds, far)

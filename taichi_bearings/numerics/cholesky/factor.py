@@ -301,7 +301,8 @@ class CalledFactor(Factor):
         return np.array([np.isfinite(pivots).all()])
 
     def _take_memory(self) -> None:
-        """Take the memory back if another factor had it, and prepare all work in it."""
+        """Take the shared memory, unless this factor still holds it, and prepare in it all calls of elimination and
+        substitution."""
         if self._seen == self._memory.changes:
             return
         layout = self._layout
