@@ -430,8 +430,8 @@ def relax_rigidly(scene: Scene, start: str) -> Run:
 
 
 def _followed(scene: Scene, start: str, method: MethodOptions, rule: StopRule, recording: Recording) -> Run:
-    """Return the relaxation of a scene by a method. start : name of the initial spins. rule : when it stops. recording
-    : at which times the power is recorded.
+    """Return the relaxation of a scene by a method. start : name of the initial spins. rule : when it stops.
+    recording : at which times the power is recorded.
     """
     axes, spin = scene.lattice.all_spin_axes, initial_spin(scene, start)
     solution = uninterrupted(solve(scene, method.build(), spin, rule, recording=recording))

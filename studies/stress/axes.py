@@ -318,8 +318,8 @@ def _sides(case: Case, value: str, row: Row) -> Case:
 
 
 def _option(key: str) -> Change:
-    """Return a function that changes a case (a sample and how it is solved): it sets an option of the method. key
-    : name of the option.
+    """Return a function that changes a case (a sample and how it is solved): it sets an option of the method.
+    key : name of the option.
     """
     return lambda case, value, row: replace(case, options={key: value})
 

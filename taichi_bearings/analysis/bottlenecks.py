@@ -192,8 +192,8 @@ def _between(
     """Return the loads by the shortest paths between two driven bodies.
 
     neighbours : the neighbours of all spheres. passed : (spheres,) mask of those that paths may run through. edges :
-        number of links of the network. starts, targets : numbers of the spheres of the one and of the other body. pairs
-        : number of connected pairs of these.
+        number of links of the network. starts, targets : numbers of the spheres of the one and of the other body.
+        pairs : number of connected pairs of these.
     """
     # all sources are searched, or a random sample of as many as EXACT_WORK allows
     sites = len(passed)

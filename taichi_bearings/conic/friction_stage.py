@@ -163,8 +163,8 @@ class FrictionStage:
         return None
 
     def _trial(self, start: np.ndarray, resistance: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """Return the trial forces (d, n) of the springs, before friction limits them: start + resistance * R * slips
-        over R, with the radius R.
+        """Return the trial forces (d, n) of the springs, before friction limits them: that at no slip, `start`, plus
+        stiffness times slip speed.
 
         start : (d, n), force of each spring at no slip. resistance : (n,), stiffness of each spring, force * time /
             length.

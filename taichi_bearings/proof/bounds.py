@@ -204,8 +204,8 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
 
 @in_cache
 def _taken(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return for each of n spheres what a torque on it may take from the work, if its spin may be anything between
-    `reach` and its negative: |torque| |reach|, (n,).
+    """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
+    anything between `reach` and its negative: |torque| |reach|.
 
     torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for others.
     """
@@ -214,8 +214,9 @@ def _taken(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
 
 @in_cache
 def _taken_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return for each of n spheres what a torque on it may take from the work, (n,), if its spin may be anything
-    between 0 and `reach`: |torque| |reach|, but 0 where spin and torque surely have the same sign.
+    """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
+    anything between 0 and `reach`: |torque| |reach|, but 0 where both surely have the same sign, as the torque then
+    adds to the work.
 
     torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for others.
     """

@@ -174,8 +174,8 @@ class Listed:
         return found
 
     def middle(self, some: np.ndarray) -> np.ndarray:
-        """Return the positions (q, D) in D dimensions of the middles of q contacts: half-way between both centres. some
-        : (q,), their indices."""
+        """Return the positions (q, D) in D dimensions of the middles of q contacts: half-way between both centres.
+        some : (q,), their indices."""
         begin, end = self.place[self.contact[:, some]]
         return np.asarray(begin + (end - begin) / 2)
 

@@ -85,8 +85,8 @@ class Grid(Listed):
     def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
         """Return for each of m contacts what `made` gives for the values of its two spheres, (m,).
 
-        made : a function of two arrays that NumPy applies element by element. values : (n,), one for each sphere. kind
-            : type of the result."""
+        made : a function of two arrays that NumPy applies element by element. values : (n,), one for each sphere.
+            kind : type of the result."""
         found: np.ndarray = np.empty(self.contacts, dtype=kind)
         spheres = self.on_spheres(values)
         by_axis = self.by_axis(found)
@@ -184,8 +184,8 @@ class Grid(Listed):
         return np.broadcast_to(np.False_, self.contacts)  # takes no memory
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
-        """Return the signs of the sublattice by component, C arrays (n,) of +1 and -1: neighbours always differ. feels
-        : not used here."""
+        """Return the signs of the sublattice by component, C arrays (n,) of +1 and -1: neighbours always differ.
+        feels : not used here."""
         return [np.tile(self.samples.sublattice.ravel(), self.samples.count)] * len(self.samples.components)
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:

@@ -38,7 +38,10 @@ class Together:
     """
 
     def __init__(self, methods: Sequence[Method]) -> None:
-        """Join the fields of the methods if their samples have the same contacts and all step by sweeps."""
+        """Join the fields of the methods if their samples have the same contacts and all step by sweeps.
+
+        methods : methods whose `begin` was called, each with one sample.
+        """
         self.going = list(methods)
         self.joined = [
             method for method in methods if isinstance(method, Swept) and isinstance(method.contacts, OnLists)

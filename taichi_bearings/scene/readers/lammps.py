@@ -267,8 +267,9 @@ def _normals(
 ) -> np.ndarray:  # fmt: skip
     """Return the normals (contacts E, dimensions D) of the contacts, along the shortest way around periodic sides.
 
-    rows, frame : timesteps of the dumps of contacts and of atoms. row : (E,), row of each contact in its dump. contact
-        : (E, 2), numbers of its spheres. number : (spheres N,), ids of the atoms. spheres : centres and radii by name.
+    rows, frame : timesteps of the dumps of contacts and of atoms. row : (E,), row of each contact in its dump.
+        contact : (E, 2), numbers of its spheres. number : (spheres N,), ids of the atoms.
+        spheres : centres and radii by name.
     asked : options of the user.
 
     Raises InputError for two atoms that do not touch, touch both ways around a periodic side, or come twice.
