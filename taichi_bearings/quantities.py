@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from taichi_bearings.plain_files import Json
-from taichi_bearings.proof.contact_state import ContactState, Separation, count, separate
+from taichi_bearings.proof.contact_state import ContactState, Separation
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.version import VERSION
 
@@ -53,6 +53,10 @@ class Answer(Protocol):
     @property
     def ended(self) -> list[Status]:
         """How each of the R samples ended, such as certified or interrupted."""
+
+    @property
+    def separation(self) -> Separation:
+        """The largest slip of slipless contacts and the smallest of slipping ones, for each sample."""
 
 
 @dataclass(frozen=True)
@@ -109,11 +113,6 @@ def _contacts(solution: Solution) -> int | np.ndarray:
     return int(found[0]) if (found == found[0]).all() else found
 
 
-def _separation(answer: Answer) -> Separation:
-    """Return the largest slip of slipless contacts and the smallest of slipping ones, for each sample of an answer."""
-    return separate(answer.solution.scene, answer.solution.slip, answer.solution.state)
-
-
 def _decades(answer: Answer) -> np.ndarray:
     """Return the decades (R,) between the largest slip of slipless contacts and the smallest of slipping ones.
 
@@ -121,7 +120,7 @@ def _decades(answer: Answer) -> np.ndarray:
 
     answer : a result of one or several samples.
     """
-    return np.where(answer.solution.gap <= answer.asked.tolerance, _separation(answer).decades, np.nan)
+    return np.where(answer.solution.gap <= answer.asked.tolerance, answer.separation.decades, np.nan)
 
 
 def _normalised(answer: Answer) -> np.ndarray | None:
@@ -241,23 +240,23 @@ SAMPLES = _named(
                  lambda a: _contacts(a.solution), r"N_\mathrm{contacts}"),
         Quantity("slipping", "1", "number of contacts that slip in every state of least power (of a dynamics: at its"
                  " end)",
-                 lambda a: count(a.solution.state, ContactState.SLIPPING), r"N_\mathrm{slipping}"),
+                 lambda a: a.solution.counts[:, ContactState.SLIPPING], r"N_\mathrm{slipping}"),
         Quantity("slipless", "1", "number of contacts that slip in no state of least power (of a dynamics: not at its"
                  " end)",
-                 lambda a: count(a.solution.state, ContactState.SLIPLESS), r"N_\mathrm{slipless}"),
+                 lambda a: a.solution.counts[:, ContactState.SLIPLESS], r"N_\mathrm{slipless}"),
         Quantity("tied", "1", "number of contacts proven to slip in some states of least power and not in others",
-                 lambda a: count(a.solution.state, ContactState.TIED)),
+                 lambda a: a.solution.counts[:, ContactState.TIED]),
         Quantity("undecided", "1", "number of contacts that are undecided: there is no proof whether they slip, and"
                  " slip and force contradict each other",
-                 lambda a: count(a.solution.state, ContactState.UNDECIDED)),
+                 lambda a: a.solution.counts[:, ContactState.UNDECIDED]),
         Quantity("states_proven", "1", "whether it is proven of every contact that it slips, does not slip or is tied",
                  lambda a: a.solution.states_proven),
         Quantity("unproven", "1", "number of contacts of which it is not proven whether they slip",
                  lambda a: a.solution.unproven),
         Quantity("largest_slipless_slip", "length/time", "largest slip speed of a contact that counts as slipless",
-                 _of_unique_slips(lambda a: _separation(a).largest_slipless)),
+                 _of_unique_slips(lambda a: a.separation.largest_slipless)),
         Quantity("smallest_slipping_slip", "length/time", "smallest slip speed of a contact that counts as slipping",
-                 _of_unique_slips(lambda a: _separation(a).smallest_slipping)),
+                 _of_unique_slips(lambda a: a.separation.smallest_slipping)),
         Quantity("separation_decades", "1", "powers of ten between two slip speeds: the smallest of a contact that"
                  " counts as slipping and the largest of one that counts as slipless",
                  _of_unique_slips(_decades)),

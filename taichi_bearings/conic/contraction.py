@@ -42,6 +42,15 @@ class Owners:
         """Return the largest value of each sample, (samples,), from non-negative values (unknowns,)."""
         return _largest(self.samples, self.spins, values)
 
+    def smallest(self, values: np.ndarray) -> np.ndarray:
+        """Return the smallest value of each sample, (samples,), from numbers (n,) on the contacts; infinite for a
+        sample without contacts."""
+        begins, found = np.searchsorted(self.contacts, np.arange(self.samples + 1)), np.full(self.samples, np.inf)
+        some = begins[1:] > begins[:-1]
+        if some.any():
+            found[some] = np.minimum.reduceat(values, begins[:-1][some])
+        return found
+
     def any(self, chosen: np.ndarray) -> np.ndarray:
         """Return a mask (samples,) of the samples that have a contact in the mask `chosen` (n,)."""
         return self.largest(chosen) > 0

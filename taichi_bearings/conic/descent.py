@@ -21,7 +21,7 @@ from taichi_bearings.stages import stage
 # is smaller by the factor
 SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
 # in small samples the gap is SETTLING_GAP_FACTOR / spheres^2, at most FIRST_SETTLING_GAP: their slips are larger
-FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 1e-4
+FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 3e-4
 SETTLING_STEPS = 5.0  # number of steps along the path that take as long as settling the contact states
 DISTANT_GAP = 1e-4  # relative gap above which the price of leftover torques does not matter yet
 
@@ -156,12 +156,19 @@ class Descent:
             sample.before = path.before(place) if accepted else None
 
     def _near(self, sample: Sample) -> float:
-        """Return the relative gap below which the states of a sample are to be settled next; 0 if not again. In small
-        samples that is tried once, and again where the path ends: nothing is gained by trying at a smaller gap, as
-        settling follows the last decades of the path anyhow. In large ones it is tried again when the gap has fallen by
-        RETRY_FACTOR."""
-        again = 0.0 if self.small and np.isfinite(sample.tried) else sample.tried / RETRY_FACTOR
+        """Return the relative gap below which the states of a sample are to be settled next; 0 if not again before the
+        path ends. After a trial that fails the next one comes when the gap has fallen by RETRY_FACTOR. In small samples
+        there are two trials: the second one follows the last decades of the path by itself."""
+        again = sample.tried / RETRY_FACTOR
+        if self.small and np.isfinite(sample.tried):
+            again = 0.0 if self._is_last(sample.tried) else self.settles_at / RETRY_FACTOR
         return min(self.settles_at, again) if self.settles else 0.0
+
+    def _is_last(self, gap: float) -> bool:
+        """Return True if a trial at this relative gap is the last one before the path ends. Those before are made in
+        small samples only, for which a few more steps, side by side with other samples, take less time than following
+        the last decades alone."""
+        return not self.small or gap < self.settles_at / RETRY_FACTOR
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
@@ -194,7 +201,9 @@ class Descent:
         for each so far.
         """
         with stage("settling contact states", SETTLING_STEPS * self.step_seconds):
-            resolved = resolve([s.iterate for s in samples], [s.before for s in samples], self.shared, self.small)
+            last = [sample.done or self._is_last(sample.gap) for sample in samples]
+            points = [s.iterate for s in samples], [s.before for s in samples]
+            resolved = resolve(*points, self.shared, self.small, last)
         for sample, found in zip(samples, resolved, strict=True):
             sample.tried, sample.at_end, sample.before = sample.gap, False, None
             if found is None:

@@ -27,7 +27,9 @@ from taichi_bearings.numerics.double_double import (
     two_sum,
 )
 
-MOST_POLISHING_STEPS, POLISHED_TORQUE = 20, 1e-31  # most Newton steps; torque over the largest friction that ends them
+# most Newton steps; torque over the largest friction that ends them, and the same once more over the smallest slip: a
+# torque moves slips by some multiple of itself, so that slips are then known to more digits than a double has
+MOST_POLISHING_STEPS, POLISHED_TORQUE, POLISHED_PER_SLIP = 20, 1e-31, 1e-17
 MATRIX_CHANGE = 1e-2  # change of a slip by a step over the slip, above which the matrix is made anew
 FREE_STIFFNESS = 1e-20  # stiffness along a slip over that across it, for motions that nothing else resists
 MOST_SLIP_CHANGE = 0.5  # largest change of a slip by a step over the slip; beyond it the sample has failed
@@ -58,33 +60,36 @@ def polished(
     """
     system = _PreciseSystem(tied, top)
     # the small parts of the given spins may be larger than the rounding of the large ones
-    balanced, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen)
-    slips = system.differences(balanced)
+    balanced, slips, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen)
     return system.expanded(balanced), slips[0], -_along(strengths[0], slips)[0], fine
 
 
 def _balanced(
     system: "_PreciseSystem", matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
-) -> tuple[Pair, np.ndarray]:
-    """Return the unknowns after Newton's method has reduced the torques as far as it can, and a mask (samples,) of the
-    samples in which that leads to a point without slips that are 0.
+) -> tuple[Pair, Pair, np.ndarray]:
+    """Return the unknowns after Newton's method has reduced the torques as far as it can, or as far as any slip needs
+    it; the slips (d, n) there; and a mask (samples,) of the samples in which that leads to a point without slips that
+    are 0. Unknowns and slips are sums of two doubles.
 
     system : slips and torques in twice the precision. matrix : Newton matrix. strengths : friction and viscosity (n,).
     unknown : (unknowns,), where to begin, sum of two doubles. going : (samples,) mask of samples to try.
 
-    Letters: n contacts.
+    Letters: n contacts with up to d slip components.
     """
     owners, strongest = system.owners, system.owners.largest(strengths[0])
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
+    slips: Pair | None = None  # those at `best`
     for _ in range(MOST_POLISHING_STEPS):
         precise = system.differences(unknown)
         slip = length(precise[0])
         torques = system.torques(_forces(strengths, precise))
-        size = owners.largest_of_spins(np.abs(torques))
-        going = going & (size < least) & ~owners.any(slip == 0)
+        size, smallest = owners.largest_of_spins(np.abs(torques)), owners.smallest(slip)
+        going = going & (size < least) & (smallest > 0)
         # Keep the best point; go on while torques are more than halved and are not yet negligible.
         best, fine = _chosen(going[owners.spins], unknown, best), fine | going
-        going = going & (size <= least / 2) & (size > POLISHED_TORQUE * strongest)
+        slips = precise if slips is None else _chosen(going[owners.contacts], precise, slips)
+        enough = np.maximum(POLISHED_TORQUE, POLISHED_PER_SLIP * np.minimum(smallest, 1.0)) * strongest
+        going = going & (size <= least / 2) & (size > enough)
         if not going.any():
             break
         least, anew, before = np.where(going, size, least), going & ~factorised, going
@@ -96,7 +101,8 @@ def _balanced(
         going = going & (change <= MOST_SLIP_CHANGE)
         fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
         unknown = _chosen(going[owners.spins], add(unknown, exactly(step)), unknown)
-    return best, fine
+    assert slips is not None
+    return best, slips, fine
 
 
 class _PreciseSystem:

@@ -80,6 +80,9 @@ DECIDED_RATIO = 1e2  # a contact seems to stick if its margin is larger than its
 # A contact seems to stick if a step has left less than this share of its slip and more than this share of its margin. A
 # step leaves about a fifth of the slip of a contact that sticks, and of the margin of one that slips.
 STICKING_TREND = 0.6
+# It sticks whatever its slip does, if that is below the first number, in units of the jump, and its margin above the
+# second: the slip is hardly more than the rounding of the spins then, some 1e-13.
+NOISY_SLIP, WIDE_MARGIN = 1e-11, 0.1
 DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be undecided when the trials on the last decades begin
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
 FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trial, made if minima can be unique
@@ -166,7 +169,11 @@ class Surroundings:
 
 
 def resolve(
-    iterates: Sequence[Iterate], before: Sequence[Iterate | None], shared: Surroundings, small: bool
+    iterates: Sequence[Iterate],
+    before: Sequence[Iterate | None],
+    shared: Surroundings,
+    small: bool,
+    last: Sequence[bool],
 ) -> list[Resolved | None]:
     """Return the minimum of each sample; None where double precision does not reach it. The result for a sample does
     not depend on the other samples, bit by bit.
@@ -176,6 +183,9 @@ def resolve(
     shared : system, order of elimination and Newton matrix of all samples.
     small : True to guess the slipping contacts at first, from how slips and margins changed in the last step of the
         path; that is mostly right in small samples.
+    last : for each sample True to follow its path on (step 4) if the guess does not lead to a sure minimum. False where
+        the caller makes a further trial later; then that is done only where minima may tie, as guesses rarely help
+        there.
     """
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         steps = zip(iterates, before, strict=True)
@@ -187,7 +197,8 @@ def resolve(
         for number, iterate in enumerate(iterates):
             # Step 4, for samples without a sure minimum.
             quickly = found[number]
-            if quickly is None or not quickly.sure:
+            sure = quickly is not None and quickly.sure
+            if not sure and (last[number] or may_tie(iterate.friction, np.zeros(0, dtype=bool))):
                 with suppress(NotPositiveDefinite):
                     found[number] = _minimum_along_path(iterate, before[number], shared) or quickly
         shared.matrix.forget()
@@ -219,10 +230,13 @@ def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resol
 
 def _seem_to_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
     """Return a mask (n,) of contacts that seem to stick: their margin, the share of friction that is left, is far above
-    their slip, and over the last step of the path, from `before` to `iterate`, the slip fell and the margin did not."""
+    their slip, and over the last step of the path, from `before` to `iterate`, the slip fell and the margin did not; or
+    the slip is as small as rounding."""
     slip, slip_before = length(iterate.difference), length(before.difference)
     apart = iterate.margin > DECIDED_RATIO * slip
-    return apart & (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
+    noisy = (slip < NOISY_SLIP) & (iterate.margin > WIDE_MARGIN)
+    parting = (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
+    return apart & (noisy | parting)
 
 
 def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surroundings) -> Resolved | None:

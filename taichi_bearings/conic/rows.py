@@ -101,7 +101,7 @@ class ContactRows:
         self, kernel: tuple[Pass, Pass], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
     ) -> np.ndarray:
         """Run a kernel over all contacts and return what it finds for each of S samples, (found, S): minima over the
-        contacts first, then sums.
+        contacts first, then sums; (0, S) for a kernel that finds nothing.
 
         kernel : two functions, for contacts with one slip component and for those with two.
         slots : memory has rows for two Newton steps; the number (0 or 1) of the one whose rows the kernel reads, and of
@@ -110,7 +110,9 @@ class ContactRows:
         """
         for own, number in zip(self._numbers, numbers, strict=False):
             own[:] = number
-        self._found[: kernels.LEAST_FOUND], self._found[kernels.LEAST_FOUND :] = np.inf, 0.0
+        finds = kernel in kernels.FINDING
+        if finds:
+            self._found[: kernels.LEAST_FOUND], self._found[kernels.LEAST_FOUND :] = np.inf, 0.0
         key = (kernel, slots)
         if key not in self._starts:
             blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
@@ -121,6 +123,8 @@ class ContactRows:
             ]
         for start in self._starts[key]:
             start()
+        if not finds:
+            return np.zeros((0, self.samples))
         by_sample = self._found.transpose(0, 2, 1).copy()  # added up in one order however many samples there are
         return np.concatenate(
             [by_sample[: kernels.LEAST_FOUND].min(axis=2), by_sample[kernels.LEAST_FOUND :].sum(axis=2)]

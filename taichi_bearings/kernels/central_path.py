@@ -535,6 +535,7 @@ expand = _pass(expanded, step=EXTENT, finds=(REACH, DUAL_REACH, PRODUCT, BY_REAC
 correct = _pass(corrected, step=AIM)
 recentre = _pass(recentred, step=AIM)
 take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
+FINDING = (expand, take)  # the passes that find sums or least numbers over the contacts
 
 
 @ti.func

@@ -165,9 +165,3 @@ def counts(state: np.ndarray) -> np.ndarray:
     """Return (R, S), how many contacts of each of R samples are in each of the S states, in the order of
     `ContactState`. state : (R, E), states of E contacts."""
     return np.stack([np.bincount(one, minlength=len(ContactState)) for one in state])
-
-
-def count(state: np.ndarray, which: ContactState) -> np.ndarray:
-    """Return (R,), how many contacts of each of R samples are in the state `which`. state : (R, E contacts), states of
-    E contacts."""
-    return counts(state)[:, which]

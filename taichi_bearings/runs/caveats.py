@@ -11,7 +11,6 @@ import numpy as np
 from taichi_bearings.proof.contact_state import (
     SATURATED,
     ContactState,
-    count,
     separate,
     too_uneven,
     unresolved,
@@ -175,7 +174,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield how many contact states are undecided, by reason. settings : not used."""
-    number = int(count(solution.state, ContactState.UNDECIDED).sum())
+    number = int(solution.counts[:, ContactState.UNDECIDED].sum())
     named = ~solution.proven & (solution.state != ContactState.UNDECIDED)
     uneven = too_uneven(solution) & ~named.any(axis=1)
     if uneven.any():
@@ -222,7 +221,7 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield how many contacts slip at some minima and not at others. settings : not used."""
-    tied = int(count(solution.state, ContactState.TIED).sum())
+    tied = int(solution.counts[:, ContactState.TIED].sum())
     if tied:
         yield f"minima tie exactly: {counted(tied, 'contact')} slip at some of them and not at others"
 

@@ -16,6 +16,7 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.plain_files import Json
+from taichi_bearings.proof.contact_state import Separation, separate
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity, numbers_of
 from taichi_bearings.read_only import read_only
 from taichi_bearings.runs.caveats import caveats
@@ -152,6 +153,12 @@ class Result:
             Status.CERTIFIED if is_certified(status, gap, asked.tolerance, asked.duration is not None) else status
             for status, gap in zip(own, self.solution.gap, strict=True)
         ]
+
+    @cached_property
+    def separation(self) -> Separation:
+        """The largest slip of slipless contacts and the smallest of slipping ones, with the powers of ten between them:
+        arrays (samples R,)."""
+        return separate(self.scene, self.solution.slip, self.solution.state)
 
     @property
     def reached(self) -> bool:

@@ -9,6 +9,7 @@ gap : relative distance of the objective from its lower bound.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum, IntEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -277,6 +278,12 @@ class Solution:
                     f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
                     "is wrong, and this is no result; please report it with the command"
                 )
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """(samples R, states S), how many contacts of each sample are in each of the states, in the order of
+        `ContactState`."""
+        return np.stack([np.bincount(one, minlength=len(ContactState)) for one in self.state])
 
     @property
     def unproven(self) -> np.ndarray:
