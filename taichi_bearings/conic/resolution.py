@@ -198,7 +198,7 @@ def resolve(
             # Step 4, for samples without a sure minimum.
             quickly = found[number]
             sure = quickly is not None and quickly.sure
-            if not sure and (last[number] or may_tie(iterate.friction, np.zeros(0, dtype=bool))):
+            if not sure and (last[number] or may_have_several_minima(iterate.friction, np.zeros(0, dtype=bool))):
                 with suppress(NotPositiveDefinite):
                     found[number] = _minimum_along_path(iterate, before[number], shared) or quickly
         shared.matrix.forget()
