@@ -34,6 +34,8 @@ from taichi_bearings.scene.scene import Scene, vector_length
 
 Forces = np.ndarray  # (C, R, E), along the spin difference of each contact
 SUM_ROUNDING = 32 * np.finfo(np.float64).eps  # relative allowance for the rounding of sums
+# the same for the force on a sphere as a plain sum over its contacts: at most 6 of them, each counted at both its ends
+PLAIN_ROUNDING = 8 * np.finfo(np.float64).eps
 ROUNDED_PULL = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
 CACHED_PULLS = 16_384  # length of arrays of which several fit the second-level cache of a processor
 # relative distance from the bound below which it is worth computing what forces prove with all roundings
@@ -214,8 +216,27 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
     scene : R samples of a lattice with E contacts each, whose law is Coulomb's.
     balanced : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
     ratio = saturation(scene, balanced)
+    return work_and_bound_within(scene, balanced, capped(balanced, ratio), ratio.max(axis=1), spin_axes)
+
+
+def work_and_bound_within(
+    scene: Scene, balanced: Forces, within: Forces, worst: np.ndarray, spin_axes: tuple[int, ...], enough: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the work (R,) of the driven planes against Coulomb forces as they are, and the lower bound (R,) that the
+    forces prove once they are capped at, or scaled to, the friction limits; both energy/time.
+
+    balanced : (C components, R samples, E contacts). within : (C, R, E), the same forces capped at the friction limits.
+    worst : (R,), the largest force of each sample over its friction limit; it only decides whether scaled forces are
+        tried. spin_axes : the axes of the C components.
+    enough : torques are summed in plain doubles, which is quicker, where the allowance for their rounding is at most
+        this share of the distance between work and bound."""
     work = _work_of_planes(scene, balanced, spin_axes)
-    bound, as_a_whole = dual_value(scene, capped(balanced, ratio), spin_axes), work / np.maximum(ratio.max(axis=1), 1.0)
+    bound = dual_value(scene, within, spin_axes, plain=enough > 0)
+    if enough > 0:
+        lost = PLAIN_ROUNDING * scene.lattice.radius * scene.jump * np.abs(within).sum(axis=(0, 2))
+        if not (lost <= enough * (work - bound)).all():
+            bound = np.maximum(bound, dual_value(scene, within, spin_axes))
+    as_a_whole = work / np.maximum(worst, 1.0)
     if (as_a_whole > bound).any():
         proven = dual_value(scene, scaled(scene, balanced), spin_axes)
         bound = np.where(as_a_whole > bound, np.maximum(proven, bound), bound)
@@ -250,15 +271,16 @@ def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int,
     return scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
 
 
-def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
+def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...], plain: bool = False) -> np.ndarray:
     """Return the lower bound (R,) on the objective that forces prove, balanced or not, energy/time: the work of the
     driven planes, less the price of torques left on free spheres, less the potential that is dual to each force, less
     an allowance for rounding.
 
     scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts), within their friction limits. spin_axes : the axes of the C
-        components."""
-    pull = precise_torques(scene, force, spin_axes)
+        components.
+    plain : sum the torques in plain doubles, which is quicker; the allowance then grows with the sum of all forces."""
+    pull = torques(force, scene.lattice, spin_axes) if plain else precise_torques(scene, force, spin_axes)
     work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
     for slot, half_width in enumerate(scene.top_spin(spin_axes) / 2):
         # Work of both planes, and the price of torques that are left over on free spheres.
@@ -268,7 +290,7 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
         work -= planes.sum(axis=1) + left_over
         allowance += SUM_ROUNDING * (np.abs(planes).sum(axis=1) + left_over)
     total = np.abs(force).sum(axis=(0, 2))
-    allowance += SUM_ROUNDING**2 * total * scene.jump
+    allowance += (PLAIN_ROUNDING if plain else SUM_ROUNDING**2) * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
     if scene.law.flows:  # else the conjugate of admissible forces is 0
         cost = scene.law.conjugate(scene.material, vector_length(force)).sum(axis=1)
@@ -291,7 +313,7 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
         for slot in tangential(axis, spin_axes):
             for end, pull in zip(scene.lattice.along(axis), (vectors[slot], -vectors[slot]), strict=True):
                 before, rest = total[slot][end], lost[slot][end]
-                for part in _in_cache(before):  # what the addition rounds away goes to the rest
+                for part in parts_in_cache(before):  # what the addition rounds away goes to the rest
                     old, more = before[part], pull[part]
                     new = old + more
                     added = new - old
@@ -302,7 +324,7 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     return total + lost
 
 
-def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
+def parts_in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
     """Return pairs of slices that cut the first two axes of arrays with the shape of `values`, (R samples, n, ...),
     into parts which fit the caches of a processor."""
     several = max(1, CACHED_PULLS // max(values[0].size, 1))
@@ -334,7 +356,7 @@ def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.
     change : function of a component of forces and of their share, the factor, at most 1, that brings a force back to
         its friction limit (0 for a force of 0); it returns the new component."""
     found = np.empty(force.shape)
-    for part in _in_cache(ratio):
+    for part in parts_in_cache(ratio):
         share = inverse(ratio[part])
         np.minimum(1.0, share, out=share)
         for whole, given in zip(found, force, strict=True):

@@ -45,15 +45,15 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import (
     Forces,
     balance,
-    capped,
     largest_unbalanced_torque,
-    saturation,
+    parts_in_cache,
     work_and_bound,
 )
 from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.on_strides import OnStrides
+from taichi_bearings.solvers.splitting_look import Look
 
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
@@ -204,63 +204,59 @@ class OperatorSplittingMethod(Method):
         """
         scene, axes = self.scene, self.spin_axes
         if self.balance.is_rough and self.iteration:  # balance once more, for the torques that its rounding has left
-            self._step_contacts(0.0)
-            self.balance.solve()
-        potential = self.fields.read("potential")
-        # upper bound: the power of the spins rho Omega / rho
-        staggered = scene.impose_driving(potential / self._along_lattice(self.stiffness), axes)
-        trial = self.stencil.forces_of_contacts(self.fields.read("trial"), self.layout)
-        friction = capped(trial, saturation(scene, trial))
-        slips = scene.slips(staggered, axes)
-        power = scene.law.power(scene.material, slips).sum(axis=1)
-        # lower bound: the spring forces are balanced, and are scaled or capped into the friction limits
-        balanced = self._spring_force(potential, trial, friction)
-        work, bound = work_and_bound(scene, balanced, axes)
-        change = self._stiffness_factors(power, work, bound)
-        if (change != 1).any():  # rho z and rho Omega are scaled; spins and friction f stay
-            self.stiffness = change * self.stiffness
-            self.fields.load("potential", self._along_lattice(change) * potential)
-            limited = self._cut_off(trial)
-            self._load_trial_forces(limited + change[:, None] * (trial - limited))
-        # slips of contacts with z = 0 exactly, which are slipless: how far the two steps still disagree
-        creep = float((slips * ((trial == friction).all(axis=0) & (scene.acting_coefficient > 0))).max())
+            with self.balance.begin():
+                self._step_contacts(0.0)
+                self.balance.solve()
+        stiffness, on_host = self._along_lattice(self.stiffness), not runtime.current().is_gpu
+        potential, trial = (
+            (self.fields.view if on_host else self.fields.read)(name) for name in ("potential", "trial")
+        )
+        staggered = scene.impose_driving(potential / stiffness, axes)
+        look = Look(scene, self.stencil, self.layout, axes, staggered, trial, self.stiffness, self.weights)
+        found = look.look(self.balance.each)
+        balanced, bound = found.balanced, found.bound
+        if self.fields.dtype != np.float64:  # in single precision they are balanced once more
+            balanced = balance(scene, balanced, axes)
+            _, bound = work_and_bound(scene, balanced, axes)
+        self._change_stiffness(self._stiffness_factors(found.power, found.work, bound))
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
             spin_axes=axes,
-            force=friction,
-            objective=power,
+            force=found.friction,
+            objective=found.power,
             lower_bound=bound,
-            resolution=min(creep, RESOLVED_SLIP * scene.lattice.radius * scene.jump),
-            largest_balance_residual=largest_unbalanced_torque(scene, friction, axes),
+            resolution=min(found.creep, RESOLVED_SLIP * scene.lattice.radius * scene.jump),
+            largest_balance_residual=largest_unbalanced_torque(scene, found.friction, axes),
             proof=balanced,
             falls_as=GAP_FALLS_AS,
         )
 
-    def _cut_off(self, trial: Forces) -> Forces:
-        """Return trial forces (C components, R samples, E contacts) cut off at the friction limit, with the same bits
-        as in the pass over the contacts.
+    def _change_stiffness(self, change: np.ndarray) -> None:
+        """Multiply the stiffness of each sample by a factor; spins and friction f stay, so that rho z and rho Omega are
+        scaled.
+
+        f has the same bits as in the pass over the contacts, so that a contact that sticks stays so.
+
+        change : (R samples,), the factors; where all are 1 nothing is done.
         """
-        scene, alone = self.scene, self.scene.lattice.tangential_mask(self.spin_axes).sum(axis=0) == 1
-        limit, size = scene.strength * scene.acting_coefficient, np.sqrt((trial**2).sum(axis=0))
-        share = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
-        return np.where(alone, np.clip(trial, -limit, limit), trial * share)
-
-    def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
-        """Return the forces (C components, R samples, E contacts) of the springs of stiffness rho that tie each
-        contact's slip to the difference D Omega of the spins: rho D Omega - (v - 2 f), balanced to double precision.
-
-        After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction limits. In
-        single precision they are balanced once more.
-
-        potential : (C, R, *N spheres), rho Omega, stiffness times spins.
-        trial : (C, R, E), trial forces v.
-        friction : (C, R, E), f, the trial forces cut off at the friction limit.
-        """
-        differences = self.differences(potential)
-        force = self.weight * differences - (trial - 2 * friction)
-        exact = self.fields.dtype == np.float64
-        return force if exact else balance(self.scene, force, self.spin_axes)
+        if (change == 1).all():
+            return
+        self.stiffness = change * self.stiffness
+        of_sites, on_host = self._along_lattice(change), not runtime.current().is_gpu
+        names = ("potential", "trial", "friction")
+        potential, trial, friction = ((self.fields.view if on_host else self.fields.read)(name) for name in names)
+        potential *= of_sites
+        pieces = [
+            ([trial[row][part] for row in rows], friction[axis][part], of_sites[part[0]])
+            for axis, rows in enumerate(self.stencil.force_rows(0))
+            for part in parts_in_cache(friction[axis])
+            if rows
+        ]
+        list(self.balance.each(lambda piece: _rescale(piece[0], piece[1], piece[2]), pieces))
+        if not on_host:
+            self.fields.load("potential", potential)
+            self.fields.load("trial", trial)
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
         """Return the usual stiffness (R samples,): USUAL_STIFFNESS times the force of a column of spheres over the
@@ -437,3 +433,23 @@ def _from_modes(planes: Planes, sines: np.ndarray) -> None:
     """
     for potential, modes in planes:
         potential += np.matmul(modes, sines)
+
+
+def _rescale(force: list[np.ndarray], friction: np.ndarray, change: np.ndarray) -> None:
+    """Multiply what friction leaves of trial forces by a factor, in place, for a piece of the contacts along an axis.
+
+    force : a list of one or two components of trial forces, arrays (R samples, *N sites) each.
+    friction : (R, *N), their friction limits, negative where there is no contact.
+    change : (R, 1, ..., 1), the factor of each sample.
+    """
+    limit = np.maximum(friction, 0.0)
+    if len(force) == 1:
+        limited = [np.clip(force[0], -limit, limit)]
+    else:
+        size = np.sqrt(force[0] * force[0] + force[1] * force[1])
+        share = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
+        limited = [of * share for of in force]
+    for of, cut in zip(force, limited, strict=True):
+        of -= cut
+        of *= change
+        of += cut

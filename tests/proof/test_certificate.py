@@ -8,6 +8,7 @@ import pytest
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.certificate import (
     balance,
+    dual_value,
     lower_bound,
     precise_torques,
     relative_gap,
@@ -63,6 +64,19 @@ def test_the_quick_bound_is_safe_and_loses_nothing_on_balanced_forces():
         work, bound = work_and_bound(scene, even, axes)
         assert (work > 0).all()
         assert bound == pytest.approx(lower_bound(scene, even, axes), rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(4, 6), (3, 4, 6)])
+def test_torques_in_plain_doubles_never_prove_more(shape):
+    """Forces of 1e9 that nearly balance: the allowance pays for the rounding of their sums, and for little else."""
+    scene, rng = make_scene(shape, normal_force=1e10), np.random.default_rng(31)
+    axes = scene.minimum_spin_axes
+    for _ in range(20):
+        force = balance(scene, random_force(scene, axes, rng, 0.05), axes)
+        exact, plain = dual_value(scene, force, axes), dual_value(scene, force, axes, plain=True)
+        total = np.abs(force).sum(axis=(0, 2)) * scene.jump
+        assert plain < exact
+        assert plain > exact - 1e-14 * total
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf])

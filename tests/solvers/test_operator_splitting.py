@@ -1,16 +1,19 @@
 """Operator splitting against stored exact minima; its forces and its bits; which of its forces and bounds are kept."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from taichi_bearings.lattice.incidence import torques
-from taichi_bearings.proof.certificate import dual_value
+from taichi_bearings.proof.certificate import dual_value, work_and_bound
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.solvers import OperatorSplitting
 from taichi_bearings.solvers.drive import _Best, solve
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.splitting_look import Look
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, scene_of
 
@@ -46,6 +49,104 @@ def test_spring_forces_are_balanced_and_friction_is_admissible():
         friction = np.sqrt((progress.force**2).sum(axis=0))
         assert (friction <= scene.normal_force * scene.coefficient * (1 + 1e-14)).all()
         assert (progress.lower_bound <= np.minimum(work, progress.objective)).all()
+
+
+def by_contact(scene, axes):
+    """For each sample, contact and spin component: the indices, and the two spheres with the sign of its force."""
+    lattice = scene.lattice
+    for sample, contact in np.ndindex(scene.replicas, lattice.all_contacts):
+        low, high = (np.unravel_index(end, lattice.shape) for end in lattice.ends[:, contact])
+        felt = [slot for slot, axis in enumerate(axes) if axis != lattice.axis[contact]]
+        yield sample, contact, felt, (sample, *low), (sample, *high)
+
+
+@pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize("noise", [1.0, 1e-3])
+@pytest.mark.parametrize(
+    ("shape", "direction", "periodic", "strength"),
+    [
+        ((3, 4, 5), (1, 1, 0), "", 50.0),
+        ((4, 6), (1, 1, 0), "x", 50.0),
+        ((4, 2, 4), (0, 1, 0), "xy", 1e-140),
+    ],
+)
+def test_a_look_equals_sums_over_contacts_one_by_one(shape, direction, periodic, strength, noise):
+    """Friction, spring forces, power, work and the bound, whose torques `fsum` adds exactly."""
+    scene = make_scene(
+        shape, direction=direction, periodic=tuple(periodic), seeds=(3, 4), normal_force=strength, spin_bottom=0.25
+    )
+    method, rng = OperatorSplitting().build(), np.random.default_rng(6)
+    method.begin(scene, initial_spin(scene, "random"))
+    axes, lattice, radius = method.spin_axes, scene.lattice, scene.radius
+    spin = scene.staggered_spin(initial_spin(scene, "linear"), axes)
+    spin = scene.impose_driving(spin + noise * rng.standard_normal(spin.shape), axes)
+    size = (len(axes), 2, lattice.all_contacts)
+    trial = (
+        strength
+        * noise
+        * rng.standard_normal(size)
+        * lattice.tangential_mask(axes)[:, None]
+        * (scene.acting_coefficient > 0)
+    )
+    stored, stiffness = method.stencil.forces_at_lower_sphere(trial, method.layout), strength * np.array([0.07, 0.19])
+    weights = (1.0,) * lattice.height_axis + (0.25,)
+    look = Look(scene, method.stencil, method.layout, axes, spin, stored, stiffness, weights)
+    found = look.look(map)
+    power, friction, springs = np.zeros(2), np.zeros(size), np.zeros(size)
+    pulls = {}
+    for sample, contact, felt, low, high in by_contact(scene, axes):
+        limit = strength * scene.acting_coefficient[sample, contact]
+        step = [spin[slot][high] - spin[slot][low] for slot in felt]
+        power[sample] += strength * scene.acting_coefficient[sample, contact] * radius * math.hypot(*step)
+        given = [trial[slot, sample, contact] for slot in felt]
+        kept = min(1.0, limit / (math.hypot(*given) or 1e-300))
+        spring = [
+            weights[lattice.axis[contact]] * stiffness[sample] * d - (v - 2 * kept * v)
+            for d, v in zip(step, given, strict=True)
+        ]
+        share = min(1.0, limit / (math.hypot(*spring) or 1e-300))
+        for slot, v, b in zip(felt, given, spring, strict=True):
+            friction[slot, sample, contact], springs[slot, sample, contact] = kept * v, b
+            pulls.setdefault((slot, *low), []).append(share * b)
+            pulls.setdefault((slot, *high), []).append(-share * b)
+    half = scene.top_spin(axes) / 2
+    bound = np.zeros(2)
+    for (slot, sample, *place), forces in pulls.items():
+        width = np.broadcast_to(half[slot], (2, *shape[:-1]))[(sample, *place[:-1])] * math.fsum(forces)
+        bound[sample] += radius * {0: width, shape[-1] - 1: -width}.get(place[-1], -abs(width))
+    assert (bound > 0).all() or noise == 1.0
+    near = {"rel": 1e-12, "abs": 0.0}
+    assert found.power == pytest.approx(power, **near)
+    assert np.abs(found.friction - friction).max() <= 1e-14 * strength
+    assert np.abs(found.balanced - springs).max() <= 1e-14 * strength
+    assert found.bound == pytest.approx(np.maximum(bound, 0.0), rel=1e-10, abs=1e-12 * strength)
+    whole = work_and_bound(scene, found.balanced, axes)
+    assert found.work == pytest.approx(whole[0], **near)
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_another_stiffness_changes_neither_spins_nor_friction():
+    """v - f and rho Omega grow by the factor; a contact that sticks keeps its trial force bit by bit."""
+    scene = make_scene((4, 3, 6), direction=(1, 2, 3), seeds=(8, 9))
+    method = OperatorSplitting().build()
+    method.begin(scene, initial_spin(scene, "random"))
+    method.advance(30)
+    trial, potential, before = method.fields.read("trial"), method.fields.read("potential"), method.stiffness
+    friction = method.fields.read("friction")
+    change = np.array([1.7, 0.6])
+    method._change_stiffness(change)
+    assert (method.stiffness == change * before).all()
+    factor = change[:, None, None, None]
+    assert (method.fields.read("potential") == factor * potential).all()
+    for axis, rows in enumerate(method.stencil.force_rows(0)):
+        v, limit = trial[list(rows)], np.maximum(friction[axis], 0.0)
+        length = np.sqrt((v**2).sum(axis=0))
+        f = v * np.where(length > limit, limit / np.maximum(length, 1e-300), 1.0)
+        new = method.fields.read("trial")[list(rows)]
+        assert np.abs(new - (f + factor * (v - f))).max() <= 1e-12 * np.abs(v).max()
+        sticks = length <= limit
+        assert sticks.any()
+        assert (new[:, sticks] == v[:, sticks]).all()
 
 
 @pytest.mark.usefixtures("needs_f64")

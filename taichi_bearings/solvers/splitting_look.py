@@ -1,0 +1,190 @@
+"""What the iterates of operator splitting are worth, in one pass over the contacts: friction, power, lower bound.
+
+Each array of contacts is as large as the caches of a processor many times over, so that every operation on whole arrays
+costs a passage through memory. Here all operations are made on one piece of some thousand contacts after the other, and
+the pieces are shared among threads. How the contacts are divided into pieces does not depend on the number of threads,
+and the sums of the pieces are added in their order, so that any number of threads gives the same bits.
+
+Letters: R samples, N spheres (shape of the lattice), E contacts, C carried spin components, V force components of a
+site, one for each axis and each spin component that makes the contacts along it slip.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.proof.certificate import Forces, parts_in_cache, work_and_bound_within
+from taichi_bearings.scene import Scene
+from taichi_bearings.scene.bearing import inverse
+
+PLAIN_SHARE = 1e-3  # of the gap, which roundings in a quick bound may take
+ROUNDED_UP = 1 + 4 * np.finfo(np.float64).eps  # factor that a computed length exceeds the exact one by, with its errors
+# limits of friction between which squares of forces neither overflow nor lose digits
+LEAST_LIMIT, GREATEST_LIMIT = 1e-100, 1e100
+
+Part = tuple[slice, slice]
+"""Slices of the samples and of the first axis of the lattice: a piece of an array (R, n, ...)."""
+
+
+class Looked(NamedTuple):
+    """What a look at an iterate finds."""
+
+    friction: Forces  # (C, R, E), the trial forces, each cut off at its friction limit
+    balanced: Forces  # (C, R, E), the forces of the springs
+    power: np.ndarray  # (R,), of the spins, energy/time
+    work: np.ndarray  # (R,), of the driven planes against the forces of the springs, energy/time
+    bound: np.ndarray  # (R,), lower bound on the least power that the forces of the springs prove, energy/time
+    creep: float  # length/time, the fastest slip of a contact that bears its trial force
+
+
+class Sums(NamedTuple):
+    """Sums over one piece of the contacts."""
+
+    samples: slice  # which of the R samples the piece is of
+    power: np.ndarray  # (samples,), energy/time
+    saturation: np.ndarray  # (samples,), the largest force of a spring over its friction limit
+    creep: float  # see `Looked`
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """An iterate of operator splitting, to be looked at.
+
+    scene : R samples of a lattice with friction.
+    stencil, layout : which components make contacts slip, and where the forces of contacts stand in `trial`.
+    spin_axes : axes of the C spin components.
+    staggered : (C, R, *N), the spins of the iterate, 1/time.
+    trial : (V, R, *N), the trial force of each contact at its lower sphere.
+    stiffness : (R,), of springs sideways, force * time.
+    weights : stiffness of the springs along each axis of the lattice over `stiffness`.
+    """
+
+    scene: Scene
+    stencil: Stencil
+    layout: Layout
+    spin_axes: tuple[int, ...]
+    staggered: np.ndarray
+    trial: np.ndarray
+    stiffness: np.ndarray
+    weights: tuple[float, ...]
+
+    def look(self, share: Callable[..., Iterable[Any]]) -> Looked:
+        """Return what the spins and forces of the iterate are worth.
+
+        share : a function like `map`, which may share the calls among threads.
+        """
+        tasks = [task for axis in self.stencil.slipping_axes for task in self._tasks(axis)]
+        power, worst = np.zeros((2, self.scene.replicas))
+        creep = 0.0
+        for sums in share(lambda task: task(), tasks):
+            power[sums.samples] += sums.power
+            worst[sums.samples] = np.maximum(worst[sums.samples], sums.saturation)
+            creep = max(creep, sums.creep)
+        work, bound = work_and_bound_within(self.scene, self.balanced, self.capped, worst, self.spin_axes, PLAIN_SHARE)
+        return Looked(self.friction, self.balanced, power, work, bound, creep)
+
+    @cached_property
+    def friction(self) -> Forces:
+        """(C, R, E), for the trial forces, each cut off at its friction limit; 0 before the look."""
+        return np.zeros((len(self.spin_axes), self.scene.replicas, self.scene.lattice.all_contacts))
+
+    @cached_property
+    def balanced(self) -> Forces:
+        """(C, R, E), for the forces of the springs; 0 before the look."""
+        return np.zeros_like(self.friction)
+
+    @cached_property
+    def capped(self) -> Forces:
+        """(C, R, E), for the forces of the springs, each cut off at its friction limit; 0 before the look."""
+        return np.zeros_like(self.friction)
+
+    @cached_property
+    def _length(self) -> Callable[[list[np.ndarray]], np.ndarray]:
+        """Function that returns the lengths of vectors, given by a list of one or two arrays, a component each."""
+        largest = float(self.scene.inverse_limit.max(initial=0.0))
+        least = float(inverse(self.scene.inverse_limit).max(initial=0.0))
+        return _length if largest < 1 / LEAST_LIMIT and least < GREATEST_LIMIT else _safe_length
+
+    def _tasks(self, axis: int) -> list[Callable[[], Sums]]:
+        """Return functions without arguments, each of which looks at one piece of the contacts along an axis."""
+        lattice, slots = self.scene.lattice, self.stencil.slip_components[axis]
+        low, high = ([self.staggered[slot][end] for slot in slots] for end in lattice.along(axis))
+        trial = [self.layout.from_lower_sphere(self.trial[row], axis) for row in self.stencil.force_rows(0)[axis]]
+        found = [
+            [lattice.by_axis(of[slot])[axis] for slot in slots] for of in (self.friction, self.balanced, self.capped)
+        ]
+        limit = lattice.by_axis(self.scene.acting_coefficient)[axis], lattice.by_axis(self.scene.inverse_limit)[axis]
+
+        def task(part: Part) -> Callable[[], Sums]:
+            """Return the function that looks at one piece."""
+            spins = [[of[part] for of in end] for end in (low, high)]
+            forces = [[of[part] for of in arrays] for arrays in found]
+            given = [of[part] for of in trial]
+            return lambda: self._piece(
+                part[0], self.weights[axis], spins, given, forces, (limit[0][part], limit[1][part])
+            )
+
+        return [task(part) for part in parts_in_cache(limit[0])]
+
+    def _piece(
+        self, samples: slice, weight: float, spins: list[list[np.ndarray]], trial: list[np.ndarray],
+        found: list[list[np.ndarray]], limit: tuple[np.ndarray, np.ndarray],
+    ) -> Sums:  # fmt: skip
+        """Look at a piece of the contacts along one axis: write its forces, and return its sums.
+
+        samples : which of the R samples it is of, r in number. Arrays have the shape (r, n, ...) of the piece; lists
+            have one for each component that makes these contacts slip.
+        weight : stiffness of these springs over `stiffness`.
+        spins : the components of the lower and of the upper spheres. trial : those of the trial forces.
+        found : where the components of friction, of spring forces, and of capped spring forces are written.
+        limit : coefficient of each contact, 0 where it takes no part, and the inverse of its friction limit, likewise.
+        """
+        scene, (friction, balanced, capped), (coefficient, inverse_limit) = self.scene, found, limit
+        radius, by_sample = scene.lattice.radius, (-1, *(1,) * (inverse_limit.ndim - 1))
+        # friction: the trial forces cut off at their limits
+        trial = [np.array(of, dtype=np.float64) for of in trial]
+        share = np.minimum(inverse(self._length(trial) * ROUNDED_UP * inverse_limit), 1.0)
+        bears = coefficient > 0
+        for force, of in zip(friction, trial, strict=True):
+            np.multiply(of, share, out=force)
+            bears &= force == of
+        # slips, and the power of the spins
+        difference = [high - low for low, high in zip(*spins, strict=True)]
+        slip = self._length(difference)
+        slip *= radius
+        creep = float(np.max(slip, where=bears, initial=0.0))
+        slip *= coefficient
+        power = scene.strength * slip.reshape(len(slip), -1).sum(axis=1)
+        # forces of the springs, and the same cut off
+        stiffness = (weight * self.stiffness[samples]).reshape(by_sample)
+        for force, of, cut, step in zip(balanced, trial, friction, difference, strict=True):
+            np.multiply(step, stiffness, out=step)
+            of -= 2.0 * cut
+            np.subtract(step, of, out=force)
+        ratio = self._length(balanced)
+        ratio *= ROUNDED_UP
+        ratio *= inverse_limit
+        worst = ratio.reshape(len(ratio), -1).max(axis=1, initial=0.0)
+        share = np.minimum(inverse(ratio), 1.0)
+        for force, of in zip(capped, balanced, strict=True):
+            np.multiply(of, share, out=force)
+        return Sums(samples, power, worst, creep)
+
+
+def _length(components: list[np.ndarray]) -> np.ndarray:
+    """Return the lengths of vectors of one or two components, arrays of one shape; their squares must not overflow."""
+    if len(components) == 1:
+        return np.abs(components[0])
+    found = components[0] * components[0]
+    found += components[1] * components[1]
+    return np.sqrt(found, out=found)
+
+
+def _safe_length(components: list[np.ndarray]) -> np.ndarray:
+    """Return the lengths of vectors of one or two components, arrays of one shape, of any size."""
+    return np.abs(components[0]) if len(components) == 1 else np.hypot(*components)
