@@ -517,7 +517,10 @@ class _Best:
         better = new.lower_bound >= self.bound
         if new.states_believed is not None:  # forces that prove states are worth more than the last digit of the bound
             better |= new.states_believed & (new.lower_bound >= self.bound * (1 - 1e-11))
-        self.proof = np.where(better[:, None], proof, self.proof)
+        if better.all():
+            self.proof = proof  # whole arrays of forces are not copied
+        elif better.any():
+            self.proof = np.where(better[:, None], proof, self.proof)
         self.bound = np.where(better, new.lower_bound, self.bound)  # what these forces prove, and no more
         if "progress" not in vars(self) or not self.keeps_best:
             self.progress = new

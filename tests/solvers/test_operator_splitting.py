@@ -12,7 +12,6 @@ from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.solvers import OperatorSplitting
 from taichi_bearings.solvers.drive import _Best, solve
-from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.splitting_look import Look
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, scene_of
