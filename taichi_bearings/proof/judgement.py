@@ -137,16 +137,16 @@ class Judgement:
         return self._by_sample(np.linalg.norm(self.network.graph.friction, axis=1)) * self.force_unit[:, None]
 
     @cached_property
-    def slipless(self) -> np.ndarray:
+    def can_all_rest(self) -> np.ndarray:
         """(R,) mask of the samples for which it is proven that a state without any slip exists, so that their least
         objective (power, or potential with viscosity) is 0."""
         return exists_without_slip(self.network)
 
     @cached_property
-    def at_rest(self) -> np.ndarray:
+    def spins_are_at_rest(self) -> np.ndarray:
         """(R,) mask of the samples for which a state without any slip is proven to exist, and whose stored spins are
         one as far as doubles can tell."""
-        found = self.slipless.copy()
+        found = self.can_all_rest.copy()
         if found.any():
             network = self.network
             fastest = float(network.box.max(initial=0.0)) or 1.0
@@ -157,19 +157,21 @@ class Judgement:
     @cached_property
     def slip(self) -> np.ndarray:
         """(R, E), slip speed of each of E contacts of R samples in the stored spins, to the nearest doubles,
-        length/time; 0 for samples at rest (`at_rest`)."""
+        length/time; 0 for samples at rest (`spins_are_at_rest`)."""
         slip = self._by_sample(self.network.slip.value * self.network.speed_unit)
-        return np.where(self.at_rest[:, None] & self.acts, 0.0, slip) if self.at_rest.any() else slip
+        return (
+            np.where(self.spins_are_at_rest[:, None] & self.acts, 0.0, slip) if self.spins_are_at_rest.any() else slip
+        )
 
     @cached_property
     def states(self) -> list[States]:
         """Contact states at every minimum, a list with an object for each of R samples; SLIPLESS for all contacts of
         samples for which a state without any slip is proven to exist."""
         nothing_slips = States(np.full(self.acts.shape[1], SLIPLESS), self.network.graph.layered or None)
-        if self.slipless.all():
+        if self.can_all_rest.all():
             return [nothing_slips] * self.network.count
         found = proven_states(self.bounds)
-        return [nothing_slips if rests else states for rests, states in zip(self.slipless, found, strict=True)]
+        return [nothing_slips if rests else states for rests, states in zip(self.can_all_rest, found, strict=True)]
 
     @property
     def known(self) -> np.ndarray:
@@ -193,18 +195,18 @@ class Judgement:
         upper, objective = self.upper_bound, self.objective
         share = np.divide(objective, upper, out=np.ones_like(upper), where=np.isfinite(upper) & (upper > objective))
         lowered = np.where(share < 1, np.nextafter(lower * np.nextafter(share, 0.0), 0.0), lower)
-        return np.where(self.slipless, 0.0, lowered)
+        return np.where(self.can_all_rest, 0.0, lowered)
 
     @property
     def upper_bound(self) -> np.ndarray:
         """(R,), for each of R samples a number not below the least objective, energy/time: the objective of the stored
-        spins, rounded up; 0 for samples at rest (`at_rest`)."""
-        return np.where(self.at_rest, 0.0, self._reported(self.bounds.upper, np.inf))
+        spins, rounded up; 0 for samples at rest (`spins_are_at_rest`)."""
+        return np.where(self.spins_are_at_rest, 0.0, self._reported(self.bounds.upper, np.inf))
 
     @property
     def power(self) -> np.ndarray:
         """(R,), the power that the stored spins of each of R samples dissipate, to the nearest doubles, energy/time; 0
-        for samples at rest (`at_rest`)."""
+        for samples at rest (`spins_are_at_rest`)."""
         return self._of_spins(1.0, self.network.power_unit)
 
     @property
@@ -216,13 +218,13 @@ class Judgement:
     def _of_spins(self, of_slope: float, unit: np.ndarray) -> np.ndarray:
         """Return for each of R samples, (R,), the power or the potential at the stored spins, energy/time: the sum over
         contacts of mu F_n |slip| + `of_slope` eta slip^2, times `unit`. It is infinite for spins that no motion can
-        have, and 0 for samples of which a state at rest is known (`at_rest`).
+        have, and 0 for samples of which a state at rest is known (`spins_are_at_rest`).
 
         of_slope : factor of the viscous term, 1 for the power and 1/2 for the potential.
         unit : (R,), energy/time, of a unit of power of the network.
         """
         taken = np.where(np.isinf(self.bounds.upper), np.inf, self.network.dissipated(of_slope).value * unit)
-        return np.where(self.at_rest, 0.0, taken)
+        return np.where(self.spins_are_at_rest, 0.0, taken)
 
     @property
     def price(self) -> np.ndarray:
@@ -230,13 +232,13 @@ class Judgement:
         most that these can cost at spins within what is imposed, over the upper bound on the power. Where components of
         spins mix, springs take the torques away first, and what is left of them counts. Infinite where the upper bound
         is 0 but the price is not; 0 for samples with a state without any slip."""
-        price, upper = np.where(self.slipless, 0.0, self.bounds.price), self.bounds.upper
+        price, upper = np.where(self.can_all_rest, 0.0, self.bounds.price), self.bounds.upper
         return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
 
     @property
     def gap(self) -> np.ndarray:
         """(R,), for each of R samples (objective - lower bound) / objective of the reported numbers; 0 for samples at
-        rest (`at_rest`), NaN for stored spins that no motion can have."""
+        rest (`spins_are_at_rest`), NaN for stored spins that no motion can have."""
         objective = self.objective
         gap = np.where(np.isfinite(objective), 0.0, np.nan)
         some = np.isfinite(objective) & (objective > 0)
@@ -247,7 +249,7 @@ class Judgement:
     def proof(self) -> np.ndarray:
         """(R,), for each of R samples words that say for which spins its lower bound is proven: of all, or of those up
         to some speed."""
-        return np.where(self.slipless, PROVEN, PROVEN if self.slipless.all() else self.bounds.proof)
+        return np.where(self.can_all_rest, PROVEN, PROVEN if self.can_all_rest.all() else self.bounds.proof)
 
     @property
     def largest_torque(self) -> np.ndarray:

@@ -49,7 +49,7 @@ class PackingBounds:
             system, self.packing, exactly(np.zeros(system.unknowns)), np.ones(len(system.numbers), dtype=bool)
         )
         judgement = judgement_of(system, [self.packing], [Found(spins, np.zeros_like(system.offset), "", rest=rest)])
-        return np.zeros(1, dtype=bool) if judgement is None else judgement.slipless
+        return np.zeros(1, dtype=bool) if judgement is None else judgement.can_all_rest
 
     def of(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
         """Return a proven lower bound on the objective, 0 if none follows, and the forces (d, 1, E contacts) that prove

@@ -119,9 +119,9 @@ def _as_minima(
     found : spins and forces of each sample.
     """
     judgement = judgement_of(system, samples, found)
-    if judgement is not None and judgement.slipless.any():
+    if judgement is not None and judgement.can_all_rest.any():
         slips = (judgement.network.slip.most > 0).reshape(len(samples), -1).any(axis=1)
-        if (replaced := judgement.slipless & slips).any():
+        if (replaced := judgement.can_all_rest & slips).any():
             pairs = zip(samples, found, replaced.tolist(), strict=True)
             found = [_without_slip(system, one, of) if rests else of for one, of, rests in pairs]
             judgement = judgement_of(system, samples, found)
