@@ -93,8 +93,8 @@ class _Kept:
 
     def materialize(self) -> Callable[..., None]:
         """Return the function that takes the place of Taichi's method `Kernel.materialize`, which translates a kernel
-        into intermediate code. It repeats a stored walk (the calls of the compiler's core that make up this
-        translation) instead, if there is one, and otherwise lets Taichi translate and stores its calls."""
+        into intermediate code. If a walk is stored (the calls of the compiler's core that make up this translation), it
+        is repeated; otherwise Taichi translates the kernel, and its calls are stored."""
 
         def materialized(kernel: Any, key: Any = None, args: Any = None, arg_features: Any = None) -> None:
             """Make the intermediate code of a kernel for some arguments, unless it was made before: from the file of an

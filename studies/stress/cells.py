@@ -157,14 +157,16 @@ def _error(truth: Truth, objective: float | None) -> float | None:
 
 
 def _fault(truth: Truth, answer: Mapping[str, Any], row: dict[str, Any]) -> str:
-    """Return what is wrong with an answer that does not say so itself, in words; "" if nothing is.
+    """Return what is wrong with an answer that does not say so itself, in words; "" if nothing is. An answer is at
+    fault in one of these cases:
+
+    * its bound is above the least value, or its objective is below it;
+    * it calls contact states proven that are not true;
+    * it claims to have reached the minimum, and its error is too large.
 
     truth : bounds of the least objective.
     answer : what the solve claims: objective and lower bound, energy/time, gap, status, and whether states are proven.
     row : row of the report with `status`, `error` and `states_wrong`.
-
-    An answer is at fault if its bound is above the least value, its objective is below it, states that are said to be
-    proven are not true, or it claims to have reached the minimum and its error is too large.
     """
     slack, value, bound, error = Decimal(1 + ROUNDING), answer["objective"], answer["lower_bound"], row["error"]
     if bound is not None and Decimal(bound) > truth.upper * slack:

@@ -299,12 +299,14 @@ class Path:
         return np.minimum(1.0, remaining**2) * product / count / 4
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
-        """Return a step of S samples by one of Gondzio's correctors. Contacts whose product, friction * bound - slip .
-        force, would after a longer step lie more than a factor PRODUCT_SPREAD from the target are brought closer to it.
+        """Return a step of S samples by one of Gondzio's correctors. It looks at the products, friction * bound - slip
+        . force, after a step that is longer than the present one. Contacts whose product would then be more than a
+        factor PRODUCT_SPREAD away from the target are brought closer to it.
 
-        step : the present step. target : (S,), product to aim at. going : (S,) mask of the samples to correct; the
-            others keep the step or, where it was `rejected` (S,), the better one before it, which is in the rows of
-            the other of the two steps in memory.
+        step : the present step. target : (S,), product to aim at.
+        going : (S,) mask of the samples to correct; the others keep their step.
+        rejected : (S,) mask of samples, among these others, whose present step is worse than the one before, which is
+            in the rows of the other of the two steps in memory. They keep that one.
         """
         lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
@@ -314,9 +316,9 @@ class Path:
         return self._solved(1 - step.slot)
 
     def _refined(self, step: _Step) -> _Step:
-        """Return the step of all samples, solved again for the torques that rounding has left, as long as that at least
-        halves them and they are above STEP_TORQUE (in units of the mean friction); at most STEP_REFINEMENTS times.
-        """
+        """Return the step of all samples after iterative refinement: rounding leaves torques, for which the system is
+        solved again. This is repeated, at most STEP_REFINEMENTS times, while it at least halves the torques and they
+        are above STEP_TORQUE, in units of the mean friction."""
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(STEP_REFINEMENTS):
             force = rows.two(kernels.FORCE)
@@ -350,12 +352,12 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """Compute the torque that is left on each unknown spin: that of the contact forces in two rows of the contacts'
-        memory, less what accelerates the spheres, if they have inertia, to the spins `spins` (unknowns or more, S) of S
-        samples. It is written into the array `spins` (unknowns or more, S) of that memory, as right-hand side of the
-        next solve.
+        """Compute the torque that is left on each unknown spin, and write it into the array `spins` (unknowns or more,
+        S samples) of the contacts' memory, as right-hand side of the next solve. It is the torque of the contact forces
+        in two rows of that memory; if spheres have inertia, less what accelerates them to the argument `spins`.
 
         row : row of the first force component; that of the second follows.
+        spins : (unknowns or more, S), spins at the end of the step in time.
         """
         rows = self._rows
         rows.torques(row)

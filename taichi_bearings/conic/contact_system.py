@@ -304,9 +304,12 @@ class ContactSystem:
         return values[self.slot, replica, self.contact]
 
     def scatter_vectors(self, vectors: np.ndarray, values: np.ndarray, replica: int | slice) -> None:
-        """Write vectors (d, n) on the n contacts of the system, with up to d slip components, of sample number
-        `replica`, or (R samples, d, n) of a slice of samples, into values (C, R, E contacts) by spin component, sample
-        and contact of the whole network, in place."""
+        """Write vectors on the n contacts of the system into an array over all contacts of the network, in place.
+
+        vectors : (d, n), with up to d slip components, of one sample; or (R samples, d, n) of several.
+        values : (C, R, E contacts), the array, by spin component, sample and contact of the whole network.
+        replica : number of the sample, or slice of the samples, to which the vectors belong.
+        """
         np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:

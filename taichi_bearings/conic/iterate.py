@@ -81,8 +81,8 @@ class Iterate:
         return cls(system, spins, friction, bound, difference, np.zeros_like(difference), viscosity=viscosity)
 
     def let_slip(self, slips: np.ndarray) -> "Iterate":
-        """Return the point at which the contacts of the mask `slips` (n,) are outside their cones and obey the law of
-        friction exactly (`smooth`), and all others are in their cones.
+        """Return the point with another choice of the contacts that obey the law of friction exactly (`smooth`),
+        outside their cones: those of the mask `slips` (n,). All others are in their cones.
 
         Contacts that come back into their cones are put on the path: they get the force along their slip and the bound
         at which their product is the mean one.

@@ -67,14 +67,12 @@ def polished(
 def _balanced(
     system: "_PreciseSystem", matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, Pair, np.ndarray]:
-    """Return the unknowns after Newton's method has reduced the torques as far as it can, or as far as any slip needs
-    it; the slips (d, n) there; and a mask (samples,) of the samples in which that leads to a point without slips that
-    are 0. Unknowns and slips are sums of two doubles.
+    """Reduce the torques by Newton's method as far as that goes. Return the unknowns then, and a mask (samples,) of the
+    samples in which a point was reached at which no slip is 0.
 
-    system : slips and torques in twice the precision. matrix : Newton matrix. strengths : friction and viscosity (n,).
+    system : slips and torques in twice the precision. matrix : Newton matrix. strengths : friction and viscosity (n,)
+        of n contacts.
     unknown : (unknowns,), where to begin, sum of two doubles. going : (samples,) mask of samples to try.
-
-    Letters: n contacts with up to d slip components.
     """
     owners, strongest = system.owners, system.owners.largest(strengths[0])
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)

@@ -131,8 +131,11 @@ class ContactRows:
         )
 
     def change(self, row: int) -> None:
-        """Compute the change K x of the slips from the change x of the spins in `self.spins`, where K is the matrix
-        from spins to slips, and write its two components to rows `row` and `row + 1` of the contacts' numbers."""
+        """Compute the change K x of the slips, and write its two components into two rows of the contacts' numbers. K
+        is the matrix from spins to slips, and x the change of the spins that stands in `self.spins`.
+
+        row : number of the first of these rows; the second follows.
+        """
         self._add_up(self._changes, self.spins, self._flat, 0, row * self._contacts)
 
     def torques(self, row: int) -> None:

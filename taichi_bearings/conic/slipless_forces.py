@@ -106,9 +106,9 @@ def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarr
 
 
 def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return the dual, minus the forces (d, n, samples), without noise at contacts that bear all their friction: if
-    their force is nearly along one component, the other one is set to 0, as it is noise that falls like the root of the
-    friction that is left.
+    """Return minus the forces, `dual` (d, n, samples), without noise at contacts that bear all their friction: if their
+    force is nearly along one component, the other one is set to 0. It is noise: as the force approaches its limit, the
+    other component falls only like the root of the friction that is left.
 
     limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
 

@@ -334,8 +334,8 @@ class DescentLists(ListSweeps):
         pull : force on each sphere by its contacts, this component.
         first : number of the block's first sphere.
         size : lengths of the rows of numbers of spheres and of contacts.
-        numbers : constants of the sweep: the step at place 0, 1 at place 8 to add the spins to their sums, and at place
-            9 how many sweeps were made before this launch since the momentum was last set to zero.
+        numbers : constants of the sweep. Place 0: the step. Place 8: 1 if spins are to be added to their sums. Place 9:
+            sweeps that were made, before this launch, since the momentum was last set to zero.
         sweep : number of the sweep within the launch.
         """
         at = places([self.rows["point"][c], self.rows["inverse_weight"][c]], size[0], first)

@@ -83,13 +83,12 @@ class Stencil:
         return tuple(tuple(range(begin, end)) for begin, end in pairwise(ends))
 
     def forces_of_contacts(self, stored: np.ndarray, layout: Layout) -> np.ndarray:
-        """Return forces by contact, (C components, R samples, E contacts), from forces by site.
+        """Return forces by contact, (C components, R samples, E contacts), from forces by site. Components that do not
+        make a contact slip are 0.
 
-        stored : (V force components, R, *N spheres), at each site the forces of the contacts to its upper neighbours,
-            one entry for each axis and component that makes its contacts slip.
+        stored : (V, R, *N spheres), at each site the forces of the contacts to its upper neighbours; V counts, axis by
+            axis, the components that make contacts slip.
         layout : the order of the sites in memory.
-
-        Components that do not make a contact slip are 0.
         """
         force = np.zeros((self.components, stored.shape[1], layout.lattice.all_contacts))
         for axis, (values, rows) in enumerate(zip(layout.lattice.by_axis(force), self.force_rows(0), strict=True)):

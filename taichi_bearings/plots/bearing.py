@@ -195,10 +195,11 @@ def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
 
 
 def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, dict[str, Any]]:
-    """Return a figure with one panel for a flat lattice or a packing, and what is needed to draw on it.
+    """Return a figure with one panel for a flat lattice or a packing, and what is needed to draw on it: the figure, its
+    axes, the discs on paper, the distance between two discs in points, and arguments that place a colour bar where it
+    fits.
 
-    The result is the figure, its axes, the discs as they lie on it, the distance of two discs in points, and arguments
-    that place a colour bar where it fits.
+    network : spheres and contacts. page : how the figure is printed.
     """
     lattice = network.lattice
     sheet = Sheet.of_network(network, page.view or VIEW) if lattice is None else Sheet.of_lattice(lattice)

@@ -64,14 +64,14 @@ YIELDING, CARRYING_STEPS = -1e-13, 3  # minus what is added to the diagonal, to 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """Return the mask (E,) of the contacts that are proven to rest at every minimum, in a packing with E contacts whose
-    normals have any direction.
-
-    A contact rests if a bound on its optimal friction is below its limit mu F_n (contacts in loops), or if friction
-    below all limits can replace the optimal one on all contacts that can roll exactly at once.
+    normals have any direction. There are two ways to it. A contact of a loop rests if a bound on its friction at every
+    minimum is below its limit mu F_n. Contacts that can all roll exactly at once rest if friction below all their
+    limits can take the place of that at the minimum.
 
     bounds : the network, its friction after springs have balanced it, and the mask of the spin components that these
         springs hold. Nothing is proven without springs.
-    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known."""
+    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known.
+    """
     network, unknown = bounds.network, bounds.unknown
     found = np.zeros(len(network.acts), dtype=bool)
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # normals are taken for units

@@ -206,15 +206,17 @@ def _finite(scene: Scene, force: Forces) -> Forces:
 
 
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the work (R,) of the driven planes against Coulomb forces as they are, and the lower bound (R,) that the
-    forces prove once they are capped at, or scaled to, the friction limits; both energy/time.
+    """Return two arrays (R,), energy/time: the work of the driven planes against given Coulomb forces; and the lower
+    bound that these prove after each is capped at its friction limit, or all are scaled to their limits, whichever
+    proves more.
 
     This is for methods that check often, with forces that leave practically no torque: unlike :func:`lower_bound` it
     does not balance them by a Poisson solve. Roundings are allowed for in the bound alone, which holds for any finite
     forces.
 
     scene : R samples of a lattice with E contacts each, whose law is Coulomb's.
-    balanced : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
+    balanced : (C components, R samples, E contacts), the forces. spin_axes : the axes of the C components.
+    """
     ratio = saturation(scene, balanced)
     return work_and_bound_within(scene, balanced, capped(balanced, ratio), ratio.max(axis=1), spin_axes)
 
@@ -343,8 +345,11 @@ def capped(force: Forces, ratio: np.ndarray) -> Forces:
 
 
 def _over_relaxed(force: Forces, ratio: np.ndarray) -> Forces:
-    """Return the forces (C components, R samples, E contacts), with each that is longer than its friction limit changed
-    by one and a half times what would shorten it to the limit. ratio : (R, E), |force| over friction limit."""
+    """Return the forces (C components, R samples, E contacts), those above their friction limit shortened by one and a
+    half times what would bring them to the limit.
+
+    force : (C, R, E). ratio : (R, E), |force| over friction limit.
+    """
     return _changed(force, ratio, lambda f, share: f + 1.5 * (f * share - f))
 
 
@@ -353,8 +358,9 @@ def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.
     caches.
 
     force : (C, R, E). ratio : (R, E), |force| over friction limit.
-    change : function of a component of forces and of their share, the factor, at most 1, that brings a force back to
-        its friction limit (0 for a force of 0); it returns the new component."""
+    change : function that returns the new value of a component of forces. It takes the component, and for each force
+        the factor, at most 1, that brings it back to its friction limit (0 for a force of 0).
+    """
     found = np.empty(force.shape)
     for part in parts_in_cache(ratio):
         share = inverse(ratio[part])

@@ -125,11 +125,11 @@ def unresolved(solution: Solution, times: float = 1.0) -> np.ndarray:
 def too_uneven(solution: Solution) -> np.ndarray:
     """Return the mask (R,) of those of R samples whose contacts are so uneven that their slips cannot be trusted.
 
-    A contact is lost if the power that it could dissipate is too small to fix its slip, which then is whatever rounding
-    makes it. That power is taken at a slip as fast as the smallest component of the imposed jump. The contact is lost
-    if it is at most LOST_POWER of the power of its sample, or if it is, times smallest component / whole jump, within
-    the gap between objective and lower bound. A sample is too uneven if more than LOST_CONTACTS of its contacts are
-    lost.
+    A contact is lost if it could dissipate so little power that its slip is whatever rounding makes it. The power p
+    that it could dissipate is taken at a slip as fast as the smallest component of the imposed jump. The contact is
+    lost in either of two cases: p is at most LOST_POWER of the power of its sample; or p * smallest component / whole
+    jump is at most the gap between objective and lower bound. A sample is too uneven if more than LOST_CONTACTS of its
+    contacts are lost.
 
     solution : the R samples, solved.
     """

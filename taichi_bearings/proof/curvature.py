@@ -99,12 +99,13 @@ class Slipping:
 
     @classmethod
     def of(cls, motion: Motion, domain: dict[int, np.ndarray] | None = None) -> Slipping:
-        """Collect the contacts that can dissipate and do not rest in a motion, and number the domains (spheres that
-        resting contacts join, so that they turn as one) that can change their slips.
+        """Collect the contacts that can dissipate and do not rest in a motion. Number the domains that can change their
+        slips; a domain is a group of spheres that turn as one, since resting contacts join them.
 
         motion : the network, and which contacts rest.
         domain : by component, the label (N,) of the domain of each sphere; spheres that shall not move have the label
-            of a driven sphere. If None, the domains that the resting contacts of `motion` make."""
+            of a driven sphere. If None, the domains that the resting contacts of `motion` make.
+        """
         network, unknowns, number = motion.network, 0, {}
         some = np.flatnonzero(network.counts & ~motion.rests)
         ends, felt = network.graph.contact[:, some], _slipping_components(network, some)
@@ -251,13 +252,15 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
     """Return a bound (n,) on |slip at the minimum - slip| / |slip| for each of n slipping contacts; None if it is not
     proven, or if there might be several minima within it.
 
-    Let h be the diagonal of the curvature, and tau a number such that the curvature is at least tau h. Then a slope g
-    of the power, measured by 1 / h, can be undone within the radius rho = |g| / (0.72 tau), in which a slip resists by
-    at least 0.72 of its curvature as long as it changes by no more than a quarter.
+    Let h be the diagonal of the curvature, tau a number such that the curvature is at least tau h, and g the slope of
+    the power, measured by 1 / h. As long as a slip changes by no more than a quarter, it resists by at least 0.72 of
+    its curvature. So the minimum is within the radius rho = |g| / (0.72 tau), if slips change by no more than a quarter
+    there.
 
     contacts : slips at the spins that are tried. curvature : of the power at these spins.
     last : True if no further trial follows. If False, tau is computed, which costs an elimination, only where the bound
-        would be small enough with the usual tau."""
+        would be small enough with the usual tau.
+    """
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
@@ -399,23 +402,25 @@ class Form:
         return 1 / np.sqrt(self.squares)
 
     def floor(self, sharp: bool = False) -> np.ndarray:
-        """Return for each of R samples a number tau (R,) that is proven to be no larger than any eigenvalue of A^T A,
-        where A is the scaled matrix `rows` or any other that differs from it by no more than `doubt`; 0 where none is
-        found, and infinite for a sample without unknowns.
+        """Return for each of R samples a number tau, (R,): all eigenvalues of A^T A are proven to be tau or more. A is
+        the scaled matrix `rows`, or any other that differs from it by `doubt` at most. It is 0 where nothing is proven,
+        and infinite for a sample without unknowns.
 
         sharp : True to spend more time on a bound that is as large as possible; False to try CURVATURE_SHARE first,
-            which is enough for most networks."""
+            which is enough for most networks.
+        """
         return proven_floor(self.rows, self.doubt, self.elimination, sharp)
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """The curvature of the power at given slips, a quadratic form in variables v, and tau, for which it is proven that
-    the form is at least tau times its diagonal h: sum of tau h v^2.
+    """The curvature of the power at given slips: a quadratic form in variables v with the diagonal h. For a number tau
+    it is proven that the form is at least the sum of tau h v^2.
 
     clusters : (unknowns, unknowns), entries 0 and 1: u = clusters @ v are the changes of the spins of domains.
     form : the curvature in unknowns that are scaled to a diagonal of 1; its `squares` are h.
-    changes : two matrices (contacts, unknowns): either component of the changes of slips = changes[slot] @ v."""
+    changes : two matrices (contacts, unknowns): either component of the changes of slips = changes[slot] @ v.
+    """
 
     clusters: sparse.csr_array
     form: Form
@@ -474,14 +479,15 @@ class Curvature:
 
 
 def _clusters(contacts: Slipping) -> sparse.csr_array:
-    """Return a matrix B (unknowns, unknowns) of 0 and 1, by which the unknowns, changes of the spins of free domains,
-    follow from other variables v: changes = B @ v. Any regular B is valid; with this one the smallest eigenvalue of the
-    curvature in the variables v is not tiny, although some contacts are very stiff.
+    """Return a matrix B (unknowns, unknowns) of 0 and 1 that changes variables: changes of the spins of free domains =
+    B @ v. Any regular B is valid. This one is chosen so that the curvature in the variables v has no tiny eigenvalue,
+    although some contacts are very stiff.
 
-    Domains joined by contacts with tiny slips, which resist changes most, form a cluster. The new variables are the
-    change of one domain of a cluster, its head, and for every other one the change from its neighbour on the way to the
-    head, along a tree of the stiffest contacts. Then a motion of the whole cluster is one variable, and strains no
-    stiff contact."""
+    Domains joined by contacts with tiny slips, which resist changes most, form a cluster. One domain of a cluster is
+    its head, and its change is a variable. For every other domain the variable is its change less that of its neighbour
+    on the way to the head, along a tree of the stiffest contacts. Then a motion of the whole cluster is one variable,
+    and strains no stiff contact.
+    """
     # Graph of the stiff contacts between unknowns, all driven domains being one node and a source another.
     driven, source = contacts.unknowns, contacts.unknowns + 1
     stiffness = contacts.stiffness.value
@@ -570,17 +576,19 @@ def _curvature_rows(
 def proven_floor(
     rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination, sharp: bool = False
 ) -> np.ndarray:
-    """Return for each of the R samples a number tau, (R,), such that all eigenvalues of A^T A are tau or more, for
-    every matrix A whose entries differ from those of `rows` by no more than those of `doubt`. 0 where none is found,
-    and infinite for samples without unknowns.
+    """Return for each of R samples a number tau, (R,): all eigenvalues of A^T A are proven to be tau or more. This
+    holds for every matrix A whose entries differ from those of `rows` by `doubt` at most. It is 0 where nothing is
+    proven, and infinite for samples without unknowns.
 
     rows, doubt : (m, n) for n unknowns.
     elimination : how to eliminate the matrix rows^T rows, as doubles have formed it.
     sharp : True to estimate the least eigenvalue at once, for a tau that is as large as possible. False to try
         CURVATURE_SHARE first, which needs no estimate.
 
-    A guess is subtracted from the diagonal and the rest eliminated. If all pivots are positive, the rest is positive
-    but for the errors that are bounded here, and half of the guess is proven if these take less than the other half."""
+    A guess of tau is subtracted from the diagonal, and the rest is eliminated. If all pivots are positive, the rest has
+    no eigenvalue below minus the errors that are bounded here. If these are less than half of the guess, the other half
+    is proven.
+    """
     samples, found = elimination.samples, np.zeros(elimination.samples.count)
     found[np.bincount(samples.of, minlength=samples.count) == 0] = np.inf
     terms = samples.largest(np.bincount(rows.indices, minlength=rows.shape[1])) + 4

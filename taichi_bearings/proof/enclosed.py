@@ -116,12 +116,15 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
 
 
 def _equalise_imposed_speeds(u: Enclosure, driven: np.ndarray) -> None:
-    """Change one component u of spin times radius of N spheres, an enclosure (N,), in place: driven spheres whose sizes
-    of u differ by no more than ONE_SPEED units in the last place all get the smallest of these sizes, as a double, with
-    their own signs.
+    """Change one component u of spin times radius of N spheres, an enclosure (N,), in place, so that driven spheres
+    with nearly the same size of u have exactly the same.
 
-    A spin that was computed as speed over radius is rounded, so that one driving appears as several. Sizes that are
-    close to no other one keep all their digits. driven : indices of the driven spheres."""
+    A spin that was computed as speed over radius is rounded, so that one driving appears as several. Sizes that differ
+    by no more than ONE_SPEED units in the last place are all replaced by the smallest of them, as a double; signs stay.
+    Sizes that are close to no other one keep all their digits.
+
+    driven : indices of the driven spheres.
+    """
     own = driven[u.high[driven] != 0]
     sign = np.sign(u.high[own])
     (size, _), place = np.unique(np.stack([sign * u.high[own], sign * u.low[own]]), axis=1, return_inverse=True)

@@ -298,9 +298,10 @@ class _Motions:
         return cls(parts, choices, motion, unit), no_fraction
 
     def slipping_contacts(self) -> np.ndarray:
-        """Return the indices, among the A contacts, of those that are not proven to roll exactly for all values of the
-        q numbers (chosen spin components and imposed spins) from which the other spins follow; all A contacts if
-        integers are too large for exact sums."""
+        """Return the indices, among the A contacts, of those that may slip in these motions. A motion is fixed by q
+        numbers, chosen spin components and imposed spins, from which all other spins follow. A contact is left out if
+        it is proven to roll exactly for all values of these numbers. All A contacts are returned if integers are too
+        large for exact sums."""
         count, chosen = len(self.parts.normal), len(self.choices.chosen)
         if not (np.abs(self.motion.data) < LARGEST).all():
             return np.arange(count)

@@ -138,8 +138,8 @@ class Judgement:
 
     @cached_property
     def can_all_rest(self) -> np.ndarray:
-        """(R,) mask of the samples for which it is proven that a state without any slip exists, so that their least
-        objective (power, or potential with viscosity) is 0."""
+        """(R,) mask of the samples in which no contact has to slip: a state without any slip is proven to exist, so
+        that the least objective (power, or potential with viscosity) is 0."""
         return exists_without_slip(self.network)
 
     @cached_property

@@ -191,16 +191,17 @@ class Piece:
 
     @classmethod
     def of(cls, bounds: FrictionBounds, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
-        """Bound the friction of the q contacts of one piece.
+        """Bound the friction of the q contacts of one piece at every minimum.
 
-        The change f of their friction, from the one at hand to an optimal one, is split into friction L c along m
-        loops, which exerts no torque, and the rest, which follows from the torques of f. These are minus what the other
-        contacts of the spheres change, and so have bounds. Limits of friction then confine each number of c to an
-        interval.
+        Let f be the change of their friction from the one at hand to that at a minimum. It is split into friction L c
+        along m loops, which exerts no torque, and a rest, which follows from the torques of f. These torques cancel
+        what the other contacts of the spheres change, so they have bounds. The limits of friction then confine each
+        number of c to an interval.
 
         bounds : what is known of friction of all contacts before.
         contacts : (q,), indices of the contacts of the piece. unknowns : (n,), numbers of the unknown spin components
-            of its spheres."""
+            of its spheres.
+        """
         rows, most_change = bounds.rows[tangent_rows(contacts)][:, unknowns].toarray(), bounds.most_change
         touches = np.zeros(len(bounds.network.free), dtype=bool)
         touches[bounds.sphere[unknowns]] = True

@@ -112,12 +112,13 @@ class CutGraph:
         """Return a directed graph of the nodes, a matrix (nodes, nodes): an edge leads from i to j if every lightest
         cut that has i above it is known to have j above it, too.
 
-        That is known of the two ends of an edge of the cut graph, in one or the other direction, if the friction f of
-        the edge leaves more of its limit mu F_n unused than it can on a lightest cut.
+        This is known of the two ends of an edge of the cut graph, in a direction in which its friction f leaves more of
+        its limit mu F_n unused than the edge could on a lightest cut.
 
         margin : (q,), for each edge the most of mu F_n that may stay unused if the edge crosses a lightest cut: (power
             less its proven lower bound) / (difference of the two imposed spins that the cut separates). Both belong to
-            the sample and the connected part in which the edge lies, so they differ between edges."""
+            the sample and the connected part in which the edge lies, so they differ between edges.
+        """
         size, rises, falls = len(self.label), self.up > margin, self.down > margin
         tail, head = np.append(self.high[rises], self.low[falls]), np.append(self.low[rises], self.high[falls])
         return sparse.csr_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(size, size))

@@ -317,9 +317,13 @@ class Centre:
 
     def proven_distance(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a pair: for each of the S slipping contacts a bound (S,) on |slip at the minimum - slip at these
-        spins|; and the mask (R,) of the samples for which it is proven that among spins at which the resting contacts
-        do not slip there is one minimum, so close, and that the resting contacts can bear what the others leave to them
-        there. Then it is a minimum over all spins, and all minima have its slips."""
+        spins|; and the mask (R,) of the samples in which two things are proven:
+
+        * among spins at which no resting contact slips there is one minimum, and it is within this bound;
+        * the resting contacts can bear what the others leave to them there.
+
+        Then it is a minimum over all spins, and all minima have its slips.
+        """
         distance, proven = self._distance_of_minimum()
         return distance, proven & self._resting_contacts_can_bear(distance) if proven.any() else proven
 
@@ -365,22 +369,24 @@ class Centre:
         return found
 
     def _largest_torques(self, unsure: np.ndarray) -> np.ndarray:
-        """Return bounds (N spheres, 3) on the size of each component of the torque over radius that friction leaves
-        over on each sphere, if that of slipping contacts may differ from the one in use; 0 for components that are no
-        unknowns.
+        """Return bounds (N spheres, 3) on the size of each component of the torque over radius that all friction leaves
+        over on each sphere. The friction of slipping contacts may differ from the one in use. The bound is 0 for
+        components that are no unknowns.
 
-        unsure : (S,), how far the friction of each of the S slipping contacts may be from the one in use."""
+        unsure : (S,), bound on that difference for each of the S slipping contacts.
+        """
         found = np.stack([part.most for part in self.torques], axis=1)
         for end in self.network.graph.contact[:, self.slipping]:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
 
     def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray]:
-        """Prove that among spins at which resting contacts do not slip there is one minimum, close to these spins: the
-        potential has a floor tau of its curvature along them, and a small slope.
+        """Prove that among spins at which no resting contact slips there is one minimum, and that it is close to these
+        spins: the curvature of the potential along such spins is at least some tau, and its slope is small.
 
-        Returns for each of the S slipping contacts a bound (S,) on |slip there - slip at these spins|, and the mask
-        (R,) of the samples for which that is proven."""
+        Returns for each of the S slipping contacts a bound (S,) on |slip at that minimum - slip at these spins|, and
+        the mask (R,) of the samples for which this is proven.
+        """
         size, damping, sample = self.size.most, self.damping.most, self._sample
         slips = self._of_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
         curvature = self.curvature() if slips.any() else None
@@ -442,9 +448,12 @@ class Centre:
         return angle, size_error, size_by_law.most
 
     def _resting_contacts_can_bear(self, distance: np.ndarray) -> np.ndarray:
-        """Return the mask (R,) of the samples in which it is proven that the T resting contacts can bear, below all
-        their friction limits, what the S slipping contacts leave to them at the minimum among spins at which the
-        resting ones do not slip. distance : (S,), bound on |slip there - slip at these spins|."""
+        """Return the mask (R,) of the samples in which the T resting contacts are proven to bear, below all their
+        friction limits, the torques that the S slipping contacts leave to them. This is meant at the minimum among
+        spins at which no resting contact slips.
+
+        distance : (S,), bound on |slip at that minimum - slip at these spins|.
+        """
         network, exact = self.network, self.exact
         torque = self._largest_torques(
             self._distance_from_law

@@ -179,11 +179,12 @@ class OnLattice:
         return values
 
     def anchor(self, component: int) -> np.ndarray:
-        """Return (R * N,), for R samples of N spheres: for each sphere the index of the first sphere that is bound to
-        have the same spin component, whatever the contacts do.
+        """Return (R * N,), for R samples of N spheres: for each sphere the index of the first sphere that has to have
+        the same spin component, whatever the contacts do. For a free sphere that is the sphere itself.
 
-        For a driven sphere that is the first one of its driven plane with the same coordinate along the component (of
-        the whole plane where all these layers are driven alike); for a free sphere it is the sphere itself."""
+        For a driven sphere it is the first sphere of its driven plane with the same coordinate along the component, or
+        the first one of the whole plane if all of it is driven alike.
+        """
         return self.as_led(np.arange(self.count * self.sublattice.size), component)
 
     @cached_property

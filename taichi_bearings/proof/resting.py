@@ -115,15 +115,17 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.ndarray) -> np.ndarray:
     """Return a bound (E,) on how much the friction of each contact that is tried as resting has to change, along spin
-    component k, to bear given torques; infinite in parts of them that cannot rest, and 0 for other contacts.
+    component k, to bear given torques. It is infinite in parts that cannot rest, and 0 for other contacts.
 
-    A part, joined by these contacts through free spheres, takes torques along a tree of its contacts, and in loops of
-    an odd number half of it each way: no force changes by more than 3/2 of their sum. It can rest if all driven spheres
-    that it touches ask for one spin, up to the signs by which neighbours differ, and for none if it has an odd loop.
+    A part is what these contacts join through free spheres. It takes torques along a tree of its contacts, and in loops
+    of an odd number half of them each way: no force changes by more than 3/2 of their sum. It can rest if all driven
+    spheres that it touches ask for one spin, up to the signs by which neighbours differ; with an odd loop it can rest
+    only if they ask for none.
 
     network : a packing with N spheres and E contacts, whose slips do not mix the components of the spins.
     rests : (E,) mask of the contacts that are tried. torque : (N,), bound on the torque on each sphere that they have
-        to take up."""
+        to take up.
+    """
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
     ends, imposed = network.graph.contact[:, own], network.imposed[k]
     # Parts of X: each contact with a driven end gets a node of its own there, so that parts do not join through it.

@@ -155,8 +155,9 @@ class Elimination:
         follows is then worthless for the sample of that front.
 
         shift : a number, or one for each sample, (R,).
-        least, held : if a mask `held` (n,) is given, unknowns that would leave a pivot of `least` or less are taken out
-            of the matrix, as if held at 0, and marked there in the order of elimination. None: no unknown is taken out.
+        least, held : if a mask `held` (n,) is given, an unknown whose pivot would be `least` or less is taken out of
+            the matrix, as if held at 0, and marked in this mask, which is in the order of elimination. None: no unknown
+            is taken out.
         """
         shifts = np.broadcast_to(shift, self.samples.count)[self.samples.of[self.order]]
         updates: dict[int, np.ndarray] = {}
@@ -207,16 +208,18 @@ class Elimination:
         return pivots, below, rest
 
     def distance_from_positive(self, shift: float | np.ndarray) -> np.ndarray:
-        """Return for each of R samples a bound (R,) on the distance, in the spectral norm, between its matrix less
-        `shift` times the identity and the positive matrix L L^T with the computed Cholesky factor L; infinite if a
-        pivot is not positive. So no eigenvalue of the matrix is below the shift less this distance.
+        """Return for each of R samples a bound (R,) on the distance, in the spectral norm, of two matrices: the matrix
+        of the sample less `shift` times the identity, and L L^T with the Cholesky factor L that is computed of it. It
+        is infinite if a pivot is not positive. As L L^T has no negative eigenvalue, no eigenvalue of the matrix is
+        below the shift less this distance.
 
         shift : a number, or one for each sample, (R,).
 
         The two differ by at most gamma |L| |L|^T, entry by entry, with gamma = t EPS / (1 - t EPS) for sums of t terms
         in any order (Higham, Accuracy and Stability of Numerical Algorithms, 2002, theorem 10.3). The norm of W W^T,
         for a matrix W without negative entries, is at most its largest row sum. Here W is |L| with each row times the
-        root of its gamma."""
+        root of its gamma.
+        """
         # t of each row: the number of its entries in L, and two more.
         terms = np.full(self.size, 2)
         for front in self.fronts:
@@ -279,9 +282,9 @@ class Elimination:
 
 
 def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
-    """Raise RuntimeError unless each unknown is eliminated once, and the update of each front (what it changes in the
-    matrix of later unknowns, its border) goes into one later front that contains these. Nothing else about the order
-    matters for the proof.
+    """Raise RuntimeError if the order of elimination is no order at all. Each unknown has to be eliminated once. The
+    update of each front, which is what its elimination changes in the matrix of its border (later unknowns), has to go
+    into one later front that contains the whole border. Nothing else about the order matters for the proof.
 
     order : (n,), the unknown at each place of the order of elimination. fronts : all fronts, children before parents.
     """

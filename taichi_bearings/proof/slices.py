@@ -189,11 +189,12 @@ class Grid(Listed):
         return [np.tile(self.samples.sublattice.ravel(), self.samples.count)] * len(self.samples.components)
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
-        """Return by component a bound (n,), C enclosures: at some minimum the signed spin (times radius) of each sphere
-        lies between 0, that of the bottom, and the jump, that of the top in the layer of the sphere. The bound is the
-        jump times `sign`.
+        """Return by component the other end of an interval that begins at 0, C enclosures (n,): some minimum has the
+        spin (times radius) of each sphere in it. The spin of the bottom is 0; the other end is the jump, the spin of
+        the top in the layer of the sphere, times the sphere's `sign`.
 
-        box : not used here. sign : signs by component, C arrays (n,)."""
+        box : not used here. sign : signs by component, C arrays (n,).
+        """
         return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, sign, strict=True)]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:

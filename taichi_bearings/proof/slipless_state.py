@@ -32,8 +32,8 @@ IMPOSED = -1  # the key for the constant term of an equation, from imposed spins
 
 
 def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
-    """Return the mask (R,) of the samples for which it is proven that some spins of the free spheres leave all contacts
-    without slip, so that the least power is 0. False means that nothing is proven.
+    """Return the mask (R,) of the samples in which no contact has to slip: spins of the free spheres without any slip
+    are proven to exist, so that the least power is 0. False means that nothing is proven.
 
     network : the R samples, of a lattice or a packing.
     """

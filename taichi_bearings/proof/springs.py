@@ -167,8 +167,8 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
 
 
 def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
-    """Return the mask (R,) of the samples for which it is proven that spins of some spheres can give any slips whatever
-    to all contacts of these spheres that can dissipate.
+    """Return the mask (R,) of the samples in which the slips at some spheres are proven to be independent: the spins of
+    these spheres can give any slips to all of their contacts that can dissipate.
 
     network : R samples of a packing, with N spheres in all. some : (N,) mask of the spheres.
     """

@@ -304,11 +304,13 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
 
 
 def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> list[States]:
-    """Return the states `told` of R samples of a packing, with contacts added that are proven to rest since they can
-    bear what others leave to them (resting.py, or borne.py for oblique normals). far : (m,), bound on |slip at any
-    minimum - given slip|.
+    """Return the states of R samples of a packing with further contacts that are proven to rest, since they can bear
+    what others leave to them (resting.py, or borne.py for oblique normals).
 
-    bounds : the samples, and bounds on power and friction."""
+    bounds : the samples, and bounds on power and friction.
+    far : (m,), bound on |slip at any minimum - given slip|.
+    told : the states that are known before.
+    """
     network, known = bounds.network, np.concatenate([states.known for states in told])
     if not network.law.holds or not (network.counts & (known == UNDECIDED)).any():
         return told
@@ -345,8 +347,11 @@ def _as_stored(motion: Motion) -> np.ndarray:
 
 
 def _repeats(network: JudgedNetwork) -> bool:
-    """Return True if two contacts of the same sample of a lattice that slip in the stored spins have the same friction
-    limit, so that frictions may cancel and minima tie."""
+    """Return True if friction limits repeat: if two contacts of one sample that slip in the stored spins have the same
+    limit. Then sums of friction may cancel, and there may be several minima.
+
+    network : samples of a lattice.
+    """
     own = np.flatnonzero(network.counts & ~network.motion.rests)
     values, sample = network.holding.high[own], network.sample_of(own)
     order = np.lexsort((values, sample))

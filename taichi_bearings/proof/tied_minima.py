@@ -133,8 +133,8 @@ class Pulls:
 
     @cached_property
     def turned_by(self) -> np.ndarray:
-        """(2, n) masks by component, True for a *turning* contact: its slip changes its direction if one of its spheres
-        moves in this component, since it slips in the other component, too."""
+        """(2, n) masks by component, True for a *turning* contact: if one of its spheres moves in this component, its
+        slip changes its direction, since the contact slips in the other component, too."""
         both = self.felt.all(axis=0)
         return np.array([both & self.apart(self.slipless_domain, 1), both & self.apart(self.slipless_domain, 0)])
 
@@ -142,11 +142,11 @@ class Pulls:
         """Return the number (spheres,) of the welded domain of each sphere in component `slot` (0 or 1): 0 for those
         that contain a driven plane, then 1, 2, ...
 
-        A welded domain is a set of domains (groups of spheres that turn as one) that move together from one minimum to
-        another, since the slips of the contacts between them would change their directions otherwise.
+        A domain is a group of spheres that turn as one. Domains are welded if they have to move together from one
+        minimum to another: otherwise the slip of a contact between them would change its direction.
 
-        label : (2, spheres), labels of the domains of which welded ones are made: `slipless_domain` or
-            `locked_domain`."""
+        label : (2, spheres), labels of the domains of which welded ones are made: `slipless_domain` or `locked_domain`.
+        """
         domain = label[slot]
         joins = self.turned_by[slot] & self.apart(label, slot)
         first, second = domain[self.lower[joins]], domain[self.upper[joins]]
@@ -160,8 +160,9 @@ class Pulls:
 
     @cached_property
     def same_in_both(self) -> np.ndarray:
-        """(spheres,), a label of each sphere: two spheres have equal ones if in both spin components contacts that do
-        not slip join them, directly or through others, so that they turn as one (have equal `slipless_domain`)."""
+        """(spheres,), a label of each sphere. Two spheres have equal labels if they turn as one in both spin
+        components: if they have equal `slipless_domain`, since contacts that do not slip join them, directly or through
+        others."""
         return np.unique(self.slipless_domain, axis=1, return_inverse=True)[1].reshape(-1)
 
     def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
@@ -404,12 +405,13 @@ class Saturated:
 
     @classmethod
     def of(cls, motion: Motion) -> Saturated | None:
-        """Return the contacts of a motion that rest although they carry at least the share 1 - MISSED_LIMIT of their
-        friction limit mu F_n, each with the component along which it carries more. Return None if at one of these
-        contacts both components of the friction exceed MISSED_DIRECTION times the limit: then no single direction in
-        which it would begin to slip can be chosen.
+        """Return the resting contacts of a motion that carry nearly all their friction, at least the share 1 -
+        MISSED_LIMIT of mu F_n, each with the component along which it carries more. Return None if at one of these
+        contacts both components of the friction exceed MISSED_DIRECTION times the limit: then it is not clear in which
+        direction it would begin to slip.
 
-        motion : stored spins of one sample, with the contacts that rest and the friction of all."""
+        motion : stored spins of one sample, with the contacts that rest and the friction of all.
+        """
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
@@ -419,8 +421,8 @@ class Saturated:
 
     def friction(self, slot: int) -> Enclosure:
         """Return for each saturated contact the moment n x F, in units of force, that it has to exert along component
-        `slot` (0 or 1): an enclosure with an entry for each of these contacts, plus or minus mu F_n with the sign of
-        the moment that is stored, or 0 for contacts that bear their friction along the other component."""
+        `slot` (0 or 1). That is mu F_n with the sign of the stored moment, or 0 if the contact bears its friction along
+        the other component. The result is an enclosure with an entry for each of these contacts."""
         own = np.flatnonzero(self.mask)
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
         return self.network.holding.at(own).signed(sign * (self.along[own] == slot))
@@ -433,8 +435,9 @@ class Saturated:
         return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
 
     def missing_friction(self) -> dict[int, np.ndarray]:
-        """Return by component k a bound (spheres,), in units of force, on how far the stored moments of saturated
-        contacts on each sphere are from those that these contacts have to exert: mu F_n along one component each."""
+        """Return by component k a bound (spheres,), in units of force, on what is missing on each sphere: the sum over
+        its saturated contacts of how far the stored moment is from the one that the contact has to exert, mu F_n along
+        one component."""
         own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
@@ -446,11 +449,12 @@ class Saturated:
 
 
 def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
-    """Return the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
-    one) that they and the resting contacts make.
+    """Return the contacts of one sample that bear all their friction, and the domains that these and the resting
+    contacts make. A domain is a group of spheres that turn as one.
 
     motion : which contacts rest. contacts : those that slip. saturated : those that do not slip and yet bear all their
-        friction."""
+        friction.
+    """
     network, in_c = motion.network, np.flatnonzero(saturated.mask)
     components = len(network.needed)
     own = np.append(contacts.own, in_c)

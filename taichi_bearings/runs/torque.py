@@ -161,15 +161,16 @@ def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.
 
 
 def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> float:
-    """Return the strength a (imposed motion of the top times a) of the motion that a torque keeps going; NaN if a solve
-    misses its tolerance.
+    """Return the strength a of the motion that a torque keeps going: the top moves with a times the imposed motion. NaN
+    if a solve misses its tolerance.
 
     scene : one sample. torque : its size, force*length, above what friction holds. least : a strength that is smaller
-        than a. solve : function that solves another scene the same way.
+        than a.
+    solve : function that solves another scene the same way.
 
-    With P_f the least power of friction alone, and Q the power that viscosity adds in that motion, the torque P(a) / a
-    is at most P_f + 2 a Q, as the potential is convex and at most a P_f + a^2 Q / 2. Callers take `least` from this
-    bound.
+    Callers take `least` from a bound on the torque P(a) / a. Let P_f be the least power of friction alone, and Q the
+    power that viscosity adds in that motion. The potential is convex, and at most a P_f + a^2 Q / 2; so the torque is
+    at most P_f + 2 a Q.
     """
     from scipy.optimize import brentq  # a third of a second that other runs do not need
 

@@ -150,8 +150,10 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, object]]) -> d
 
 
 def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
-    """Return numbers and texts of a sample by name: those of its record, and those of its settings that the record of a
-    failed sample lacks.
+    """Return numbers and texts of a sample by name: those of its record, and those of its settings that the record
+    lacks, as that of a failed sample does.
+
+    sample : the sample with its settings. record : its record in the journal.
     """
     found, settings = dict(record["scalars"]), sample.settings
     known = set(SETTING_COLUMNS if settings.packing is None else ("law", "seed")) - found.keys()

@@ -34,8 +34,11 @@ def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
     length/time. The first state is that of the first driven body, continued to all spheres; the second that of the
     second body.
 
-    None if the network has odd loops (closed chains of an odd number of contacts), or another number of driven bodies,
-    or if a body is in no bearing state, or if a contact slips in one of the states, as some do across a periodic side.
+    Return None in one of these cases:
+
+    * the network has odd loops (closed chains of an odd number of contacts), or the number of driven bodies is not two;
+    * a body is in no bearing state;
+    * a contact slips in one of the states, as some do across a periodic side.
     """
     (odd, sign), bodies = bearing.network.sublattices, bearing.network.bodies
     if odd.any() or len(bodies) != 2:
@@ -108,10 +111,11 @@ class Interface:
 
     @classmethod
     def of(cls, bearing: Bearing) -> "Interface | None":
-        """Return the lightest interface of a packing with one sample.
+        """Return the lightest interface of a packing with one sample, between domains that rotate with either driven
+        body.
 
-        None if there are not two driven bodies in bearing states (spins at which no contact would slip), or if no
-        contact between them has a weight (what it adds to the objective if it slips between the domains).
+        None if there are not two driven bodies in bearing states (spins at which no contact would slip), or if every
+        contact between the domains has the weight 0. The weight is what a contact adds to the objective if it slips.
         """
         states = bearing_states(bearing)
         if states is None:
@@ -245,9 +249,9 @@ def _cut_speed(scene: Scene) -> float:
 
 
 def cut_weights(scene: Scene) -> np.ndarray:
-    """Return the weight (samples R, contacts E) of each contact of a lattice: what it adds to the objective if it is on
-    the interface between a domain that rolls with the bottom and one that rolls with the top, in units of
-    :func:`cut_unit`, energy/time.
+    """Return the weight (samples R, contacts E) of each contact of a lattice, in units of :func:`cut_unit`,
+    energy/time. The weight is what the contact adds to the objective if one of its spheres rolls with the bottom and
+    the other with the top.
 
     Such a contact slips by r |J x n|, with r the radius, n its axis, and J the difference of the two imposed states at
     its place. J is taken without the component along the height, which can change from bottom to top layer by layer

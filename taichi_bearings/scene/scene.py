@@ -394,11 +394,14 @@ class Scene(Bearing):
         return replace(self, law=COULOMB, viscosity=())
 
     def top_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the imposed spin of the top plane, (C, nx, ny), in 2D (C, nx), 1/time, in the form that solvers store.
+        """Return the imposed spin of the top plane, (C, nx, ny), in 2D (C, nx), 1/time, in the form that solvers store:
+        staggered, and measured from the bottom.
 
-        That is the *staggered* spin, times +1 or -1 so that it has one sign for neighbours that roll on each other,
-        measured from the bearing state of the bottom, in which no contact slips (docs/equations.md, 1). So slips keep
-        their digits even if bottom and top are driven nearly alike. spin_axes : numbers of the C components.
+        *Staggered* spins are multiplied by +1 or -1 in turn, so that neighbours that roll on each other have the same
+        sign. From them the bearing state of the bottom, in which no contact slips, is subtracted (docs/equations.md,
+        1). So slips keep their digits even if bottom and top are driven nearly alike.
+
+        spin_axes : numbers of the C components.
         """
         return self.driving.imposed_on_top(spin_axes)[0]
 

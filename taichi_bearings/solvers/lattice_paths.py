@@ -39,9 +39,11 @@ KEPT_SITES = 10_000  # spheres up to which the parts that all samples of a latti
 def _states(sample: Sample) -> np.ndarray:
     """Return the contact states (n,) of a sample; n contacts have a free sphere.
 
-    If the method has settled them, these are returned. Else a contact slips if its slip is above DECIDED_RATIO times
-    its friction margin (friction limit minus force), is slipless if the margin is as much greater than the slip, and is
-    undecided otherwise; both are in the units of the path, in which they are about 1.
+    If the method has settled them, these are returned. Else slip and friction margin (friction limit minus force) are
+    compared, in the units of the path, in which both are about 1. A contact slips if its slip is above DECIDED_RATIO
+    times its margin, is slipless if its margin is above DECIDED_RATIO times its slip, and is undecided otherwise.
+
+    sample : the end of its path.
     """
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     if (of := sample.resolved) is not None:

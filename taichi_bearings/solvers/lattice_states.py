@@ -222,17 +222,17 @@ def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, a
 
 
 def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
-    """Return the states (R samples, E contacts) of an answer with UNDECIDED where slip and friction are too small to
-    tell them.
+    """Return the states (R samples, E contacts) of an answer, UNDECIDED where slip and friction are too small to tell
+    them.
 
     known : (R, E), the states that are proven; a contact that has one keeps its state.
 
-    Another contact becomes undecided
+    Another contact becomes undecided in one of these cases:
 
-    * if it seems to slip, but the gap between power and lower bound could explain its slip, or its friction is off the
-      limit by more than its slip allows (MISSING_SLIP);
-    * if it seems slipless, but bears all the friction that it can;
-    * in samples whose coefficients are too uneven for floating-point numbers, unless an exact cut has solved them.
+    * it seems to slip, but the gap between power and lower bound could explain its slip;
+    * it seems to slip, but its friction is off the limit by more than its slip allows (MISSING_SLIP);
+    * it seems slipless, but bears all the friction that it can;
+    * the coefficients of its sample are too uneven for floating-point numbers, and no exact cut has solved it.
     """
     scene, slips = answer.scene, answer.state == ContactState.SLIPPING
     limit = scene.strength * scene.coefficient

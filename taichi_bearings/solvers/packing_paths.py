@@ -146,8 +146,10 @@ class PackingPaths(Paths):
         return self.samples[list(self.strengths).index(number)]
 
     def _end(self, number: int) -> Found:
-        """Return the spins and forces that the path of a sample leads to, or those at which its viscous forces balance
-        if it has no path. number : of the sample.
+        """Return the spins and forces to which the path of a sample leads. A sample without friction has no path; then
+        its viscous forces balance at the spins that are returned.
+
+        number : of the sample.
         """
         if number not in self.strengths:
             return self.contacts.flowing(number)

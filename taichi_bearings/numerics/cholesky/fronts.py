@@ -113,8 +113,9 @@ class Pattern(SparsePattern):
         return float((own**3 / 3 + own**2 * width + own * width**2).sum())
 
     def within(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
-        """Return the row (n,) of each of n unknowns within a front, a dense matrix: first the rows of the unknowns that
-        are eliminated in it, then those of its border, the later unknowns that these are coupled to.
+        """Return the row (n,) of each of n unknowns within a front, a dense matrix. It has the rows of its own
+        unknowns, which are eliminated in it, and then those of its border, the later unknowns that are coupled to its
+        own.
 
         front : (n,) index of the front. unknown : (n,) place of the unknown in the order of elimination.
         """

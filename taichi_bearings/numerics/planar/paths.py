@@ -45,11 +45,11 @@ def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
     inner : lengths (B, w - 1, h - 2) of contacts along rows, without the end rows, whole numbers.
     upward : lengths (B, w, h - 1) of contacts between rows, whole numbers.
 
-    Dijkstra's method finds the distances. The other path leaves the first one at some node and joins it again later on.
-    Let the block of a node be the last node of the path on the way to it in the tree of shortest paths. Then the
-    shortest other path uses one contact that is off the path and leads from u to v of a later block, and its length is
-    (left to u) + weight + (v to right), least over all those contacts (Malik, Mittal and Gupta, Oper. Res. Lett. 8,
-    1989).
+    Dijkstra's method finds the distances, and a tree of shortest paths from the left. The block of a node is the last
+    node of the shortest path that one passes on the way to it in this tree. The shortest other path leaves the shortest
+    one and joins it again. It uses one contact off the path that leads from a node u to a node v of a later block, and
+    has the length (left to u) + weight + (v to right): the least over all such contacts (Malik, Mittal and Gupta, Oper.
+    Res. Lett. 8, 1989).
     """
     batch, columns, gaps = upward.shape
     shape = (batch, columns - 1, gaps)
