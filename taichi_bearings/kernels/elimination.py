@@ -30,9 +30,10 @@ NUMBERS = ti.types.ndarray(dtype=ti.f64, ndim=1)
 VECTORS = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
 
 # Positions in the header of the tables, the array of integers: the number of fronts; where the other tables begin
-# (PLACES of entries within their fronts; MAPS, the rows of each border in the front of the parent; SLOTS, where they
-# are in vectors; ITEMS of work for `assemble`; BRANCHES for substitutions); columns of a panel of an update; and a 1
-FRONTS, PLACES, MAPS, SLOTS, ITEMS, BRANCHES, SHEET, STEP, HEADER = 0, 1, 2, 3, 4, 5, 6, 7, 8
+# (PLACES of entries within their fronts; MAPS, the rows of each border in the front of the parent; RUNS, how many rows
+# of a border, from each one on, are neighbours there as well; SLOTS, where they are in vectors; ITEMS of work for
+# `assemble`; BRANCHES for substitutions); columns of a panel of an update; and a 1
+FRONTS, PLACES, MAPS, RUNS, SLOTS, ITEMS, BRANCHES, SHEET, STEP, HEADER = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 # Positions in a row of the table of fronts: number of own unknowns and of the border; where columns and update begin;
 # first and last entry; its first child, and the next child of its parent, or -1; where its part of maps and slots
 # begins; first own unknown; distance from one own column, and from one column of the update, to the next; the row at
@@ -92,9 +93,51 @@ def column_of(tables: ti.template(), at, column):
 
 
 @ti.func
+def add_vectors(vectors: ti.template(), to, end, source, shift: ti.template()):
+    """Add to the vectors of LANES numbers from `to` to `end`-1 the same count of numbers that stand in a row elsewhere.
+
+    vectors : numbers, as vectors of LANES.
+    source, shift : the first number to add is number `shift` of the vector `source`; known to the compiler, so that
+        each vector to add is put together from two of memory in one instruction."""
+    left = vectors[source]
+    while to < end:
+        source += 1
+        right, added = vectors[source], ti.Vector.zero(ti.f64, LANES)
+        for k in ti.static(range(LANES)):
+            if ti.static(k + shift < LANES):
+                added[k] = left[k + shift]
+            else:
+                added[k] = right[k + shift - LANES]
+        vectors[to] = vectors[to] + added
+        left = right
+        to += 1
+
+
+@ti.func
+def add_run(numbers: ti.template(), vectors: ti.template(), to, source, length, step):
+    """Add `length` numbers in a row, from number `source` on, to those from number `to` on.
+
+    numbers, vectors : the same memory, number by number and as vectors of LANES numbers.
+    step : 1, from memory: if the compiler knew it, it would unroll the loops, which takes long and gains nothing."""
+    end = to + length
+    first, last = (to + LANES - 1) // LANES, end // LANES
+    if last > first:
+        while to < first * LANES:
+            numbers[to] = numbers[to] + numbers[source]
+            to, source = to + step, source + step
+        for shift in ti.static(range(LANES)):
+            if source % LANES == shift:
+                add_vectors(vectors, first, last, source // LANES, shift)
+        to, source = last * LANES, source + (last - first) * LANES
+    while to < end:
+        numbers[to] = numbers[to] + numbers[source]
+        to, source = to + step, source + step
+
+
+@ti.func
 def gather(
     alone: ti.template(), unit: ti.template(), tables: ti.template(), at, first, end, entries: ti.template(),
-    numbers: ti.template(),
+    numbers: ti.template(), vectors: ti.template(),
 ):  # fmt: skip
     """Fill some columns of a front with the entries of the matrix, and add the updates that its children leave.
 
@@ -106,13 +149,13 @@ def gather(
     tables, at : integers that say where all entries stand, and the position among them of those of this front.
     first, end : the columns first ... end-1 are filled.
     entries : entries of the matrix.
-    numbers : entries of all fronts, which are read and written."""
+    numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows, which are read and written."""
     # set the columns to zero, from the diagonal down
     columns, height, step = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP]
     column = first
     while column < end:
         begin = column_of(tables, at, column)
-        clear(alone, numbers, begin + column - column % unit, begin + height, step)
+        clear(False, vectors, (begin + column) // unit, (begin + height) // unit, step)
         column += step
     # put the entries of the matrix where the table of places says
     entry, entries_end = tables[at + ENTRIES], tables[at + ENTRIES_END]
@@ -126,16 +169,21 @@ def gather(
     while next_child >= 0:
         child = HEADER + next_child * WIDTH
         own, length, places = tables[child + OWN], tables[child + BORDER], tables[MAPS] + tables[child + BATCH_SHARE]
-        j = 0
+        runs, j = tables[RUNS] + tables[child + BATCH_SHARE], 0
         while j < length and tables[places + j] < first:
             j += step
         while j < length and tables[places + j] < end:
             start, source = column_of(tables, at, tables[places + j]), column_of(tables, child, own + j) + own
             i = j
             while i < length:
-                to = start + tables[places + i]
-                numbers[to] = numbers[to] + numbers[source + i]
-                i += step
+                if ti.static(alone):
+                    run = tables[runs + i]
+                    add_run(numbers, vectors, start + tables[places + i], source + i, run, step)
+                    i += run
+                else:
+                    to = start + tables[places + i]
+                    numbers[to] = numbers[to] + numbers[source + i]
+                    i += step
             j += step
         next_child = tables[child + SIBLING]
 
@@ -277,7 +325,7 @@ def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
-        gather(False, 1, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers)
+        gather(False, 1, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers, numbers)
         reduce(tables, at, numbers, numbers, 1)
 
 
@@ -292,8 +340,32 @@ def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vector
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
-        gather(True, LANES, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers)
+        gather(True, LANES, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers, vectors)
         reduce(tables, at, numbers, vectors, LANES)
+
+
+@ti.kernel
+def eliminate_branches(
+    tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS, begin: int, end: int
+):  # fmt: skip
+    """Eliminate all fronts of some branches of the elimination tree of one matrix, each branch on a thread.
+
+    A branch is a subtree: a sequence of fronts (dense matrices of unknowns that are eliminated together).
+
+    tables : integers that say where all entries stand; the table of branches holds for each the first front and the
+        end.
+    entries : entries of the matrix, in the order of these tables.
+    numbers, vectors : entries of all fronts, overwritten by the factor: one by one, and as vectors of LANES rows in the
+        same memory.
+    begin, end : the branches begin ... end-1 are worked on.
+    """
+    for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):
+        if item % LEAST_CHUNK == 0:
+            branch = tables[BRANCHES] + 2 * (item // LEAST_CHUNK)
+            for n in range(tables[branch], tables[branch + 1]):
+                at = HEADER + n * WIDTH
+                gather(True, LANES, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers, vectors)
+                reduce(tables, at, numbers, vectors, LANES)
 
 
 def _assembly(serial: bool) -> Callable:
@@ -304,13 +376,14 @@ def _assembly(serial: bool) -> Callable:
     chunk = 1 if serial else LEAST_CHUNK
 
     @ti.kernel
-    def run(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, begin: int, end: int):
+    def run(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS, begin: int, end: int):
         """Fill columns of fronts with entries of the matrix and with what their children leave.
 
         tables : integers that say where all entries stand. A table in it has items of work: front, first column, end of
             columns.
         entries : entries of the matrix.
-        numbers : entries of all fronts, which are written.
+        numbers, vectors : entries of all fronts, which are written: one by one, and as vectors of LANES rows in the
+            same memory.
         begin, end : the items begin ... end-1 are done.
         """
         if ti.static(serial):
@@ -319,7 +392,7 @@ def _assembly(serial: bool) -> Callable:
             if turn % chunk == 0:
                 item = tables[ITEMS] + 3 * (turn // chunk)
                 at = HEADER + tables[item] * WIDTH
-                gather(True, 1, tables, at, tables[item + 1], tables[item + 2], entries, numbers)
+                gather(True, LANES, tables, at, tables[item + 1], tables[item + 2], entries, numbers, vectors)
 
     return run
 

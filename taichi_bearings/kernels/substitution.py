@@ -111,10 +111,7 @@ def backward(numbers: ti.template(), vector: ti.template(), where: ti.template()
 
 
 @ti.func
-def down(
-    alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template(),
-    wide: ti.template(),
-):  # fmt: skip
+def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
     """Solve forward for one front, once its children in the elimination tree are done.
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
@@ -123,8 +120,7 @@ def down(
     alone : True for one matrix, False for LANES of them.
     tables, at : integers that say where all entries stand, and the position among them of those of this front.
     numbers : the Cholesky factor, flat.
-    vector : right-hand sides, replaced by the solution.
-    wide : unknowns that are solved for at a time, which changes no bit of the result."""
+    vector : right-hand sides, replaced by the solution."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step = tables[at + HEIGHT], tables[STEP]
     # begin with nothing for the border, and take what the children have left for theirs
@@ -142,9 +138,9 @@ def down(
     k = 0
     while k < own:
         start = tables[at + OWN_COLUMNS] + k * (height + 1)
-        if k + wide <= own:
-            forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], wide)
-            k += wide
+        if k + PANEL <= own:
+            forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], PANEL)
+            k += PANEL
         else:
             forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], 1)
             k += 1
@@ -198,7 +194,7 @@ def _substitution(together: bool) -> Callable:
         ti.loop_config(serialize=True)
         for turn in range(2 * tables[FRONTS]):
             if turn < tables[FRONTS]:
-                down(not together, tables, HEADER + turn * WIDTH, numbers, vector, PANEL)
+                down(not together, tables, HEADER + turn * WIDTH, numbers, vector)
             else:
                 up(tables, HEADER + (2 * tables[FRONTS] - 1 - turn) * WIDTH, numbers, vector)
 
@@ -208,8 +204,169 @@ def _substitution(together: bool) -> Callable:
 substitute, substitute_alone = _substitution(True), _substitution(False)
 
 
+@ti.func
+def forward_vectors(
+    memory: ti.template(), vector: ti.template(), vectors: ti.template(), where: ti.template(), wide: ti.template()
+):
+    """Solve for `wide` own unknowns of a front, and subtract their contribution from all rows of the front below them.
+
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to.
+
+    memory : list of two, the Cholesky factor number by number and as vectors of LANES rows.
+    vector, vectors : right-hand sides of the rows of all fronts, in the same two ways.
+    where : list of five integers: in the factor, the index of the first pivot, and the distance from one column to the
+        next; in `vector`, the index of the first of these unknowns, and the end of the front; and 1, hidden from the
+        compiler so that it does not unroll the loops."""
+    numbers, blocks = ti.static(memory)
+    start, height, row, end, step = where
+    # the triangle at the diagonal, with inverse pivots
+    value = [vector[row + c] for c in ti.static(range(wide))]
+    for c in ti.static(range(wide)):
+        for p in ti.static(range(c)):
+            value[c] = value[c] - numbers[start + p * height + c] * value[p]
+        value[c] = value[c] * numbers[start + c * height + c]
+        vector[row + c] = value[c]
+    # rows up to the next whole vector, then vectors of rows
+    i, whole = wide, (row + wide + LANES - 1) // LANES
+    while i < whole * LANES - row:
+        left = vector[row + i]
+        for c in ti.static(range(wide)):
+            left = left - numbers[start + c * height + i] * value[c]
+        vector[row + i] = left
+        i += step
+    below, last, pitch = (start + whole * LANES - row) // LANES, end // LANES, height // LANES
+    while whole < last:
+        rows = vectors[whole]
+        for c in ti.static(range(wide)):
+            rows = rows - blocks[below + c * pitch] * value[c]
+        vectors[whole] = rows
+        whole += step
+        below += step
+
+
+@ti.func
+def backward_vectors(
+    memory: ti.template(), vector: ti.template(), vectors: ti.template(), where: ti.template(), wide: ti.template()
+):
+    """Solve for `wide` own unknowns of a front, once all rows of the front below them are known.
+
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to.
+
+    memory : list of two, the Cholesky factor number by number and as vectors of LANES rows.
+    vector, vectors : what the forward solve has left in the rows of all fronts, in the same two ways, replaced by the
+        solution.
+    where : list of five integers: in the factor, the index of the first pivot, and the distance from one column to the
+        next; in `vector`, the index of the first of these unknowns, and the end of the front; and 1, hidden from the
+        compiler so that it does not unroll the loops."""
+    numbers, blocks = ti.static(memory)
+    start, height, row, end, step = where
+    whole = (row + wide + LANES - 1) // LANES
+    below, last, pitch = (start + whole * LANES - row) // LANES, end // LANES, height // LANES
+    # what vectors of rows contribute, lane by lane, then the rows between
+    sums = [ti.Vector.zero(ti.f64, LANES) for c in ti.static(range(wide))]
+    turn = whole
+    while turn < last:
+        known = vectors[turn]
+        for c in ti.static(range(wide)):
+            sums[c] = sums[c] + blocks[below + c * pitch] * known
+        turn += step
+        below += step
+    left = [vector[row + c] - sums[c].sum() for c in ti.static(range(wide))]
+    i = wide
+    while i < whole * LANES - row:
+        for c in ti.static(range(wide)):
+            left[c] = left[c] - numbers[start + c * height + i] * vector[row + i]
+        i += step
+    # the triangle at the diagonal, from its last row up
+    for back in ti.static(range(wide)):
+        c = ti.static(wide - 1 - back)
+        for p in ti.static(range(c + 1, wide)):
+            left[c] = left[c] - numbers[start + c * height + p] * left[p]
+        left[c] = left[c] * numbers[start + c * height + c]
+        vector[row + c] = left[c]
+
+
+@ti.func
+def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.template(), vectors: ti.template()):
+    """Solve forward for one front, once its children in the elimination tree are done.
+
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
+    border; its children are the fronts that leave it something.
+
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    memory : list of two, the Cholesky factor number by number and as vectors of LANES rows.
+    vector, vectors : right-hand sides, and after them the rows of each front, in the same two ways."""
+    own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
+    step, begin, i = tables[STEP], tables[at + OWN_COLUMNS], 0
+    # begin with the right-hand sides and nothing for the border, and take what the children have left for theirs
+    while i < own:
+        vector[rest + i] = vector[first + i]
+        i += step
+    clear(True, vector, rest + own, rest + height, step)
+    next_child = tables[at + CHILD]
+    while next_child >= 0:
+        child = HEADER + next_child * WIDTH
+        slots, left, i = (
+            tables[SLOTS] + tables[child + BATCH_SHARE],
+            tables[child + REST_HEIGHT] + tables[child + OWN],
+            0,
+        )
+        while i < tables[child + BORDER]:
+            to = tables[slots + i]
+            vector[to] = vector[to] + vector[left + i]
+            i += step
+        next_child = tables[child + SIBLING]
+    # eliminate the own unknowns
+    k = 0
+    while k < own:
+        where = [begin + k * (height + 1), height, rest + k, rest + height, step]
+        if k + LANES <= own:
+            forward_vectors(memory, vector, vectors, where, LANES)
+            k += LANES
+        else:
+            forward_vectors(memory, vector, vectors, where, 1)
+            k += 1
+
+
+@ti.func
+def up_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.template(), vectors: ti.template()):
+    """Solve backward for one front, once its parent in the elimination tree is done.
+
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
+    border; its parent is the front to which it leaves something.
+
+    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    memory : list of two, the Cholesky factor number by number and as vectors of LANES rows.
+    vector, vectors : right-hand sides, replaced by the solution, and after them the rows of each front as the forward
+        solve has left them, in the same two ways."""
+    own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
+    step, begin, slots, i = tables[STEP], tables[at + OWN_COLUMNS], tables[SLOTS] + tables[at + BATCH_SHARE], 0
+    # copy the border, which the parent has solved
+    while i < tables[at + BORDER]:
+        vector[rest + own + i] = vector[tables[slots + i]]
+        i += step
+    # solve for the own unknowns from the last to the first
+    k = own
+    while k > 0:
+        if k % LANES == 0:
+            k -= LANES
+            where = [begin + k * (height + 1), height, rest + k, rest + height, step]
+            backward_vectors(memory, vector, vectors, where, LANES)
+        else:
+            k -= 1
+            where = [begin + k * (height + 1), height, rest + k, rest + height, step]
+            backward_vectors(memory, vector, vectors, where, 1)
+    i = 0
+    while i < own:
+        vector[first + i] = vector[rest + i]
+        i += step
+
+
 @ti.kernel
-def substitute_branches(tables: INTEGERS, numbers: NUMBERS, vector: NUMBERS, forth: int, begin: int, end: int):
+def substitute_branches(
+    tables: INTEGERS, numbers: NUMBERS, blocks: VECTORS, vector: NUMBERS, vectors: VECTORS,
+    forth: int, begin: int, end: int,
+):  # fmt: skip
     """Solve forward (`forth` is 1) or backward (0) for one matrix, in some branches of the elimination tree, each on a
     thread.
 
@@ -218,8 +375,9 @@ def substitute_branches(tables: INTEGERS, numbers: NUMBERS, vector: NUMBERS, for
 
     tables : integers that say where all entries stand; its table of branches holds for each the first front and the
         end.
-    numbers : the Cholesky factor.
-    vector : right-hand sides, replaced by the solution.
+    numbers, blocks : the Cholesky factor, number by number and as vectors of LANES rows in the same memory.
+    vector, vectors : right-hand sides, replaced by the solution, and after them the rows of each front, in these two
+        ways.
     begin, end : the branches begin ... end-1 are solved.
     """
     for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):
@@ -228,6 +386,6 @@ def substitute_branches(tables: INTEGERS, numbers: NUMBERS, vector: NUMBERS, for
             first, last = tables[branch], tables[branch + 1]
             for n in range(first, last):
                 if forth:
-                    down(True, tables, HEADER + n * WIDTH, numbers, vector, LANES)
+                    down_vectors(tables, HEADER + n * WIDTH, [numbers, blocks], vector, vectors)
                 else:
-                    up(tables, HEADER + (first + last - 1 - n) * WIDTH, numbers, vector)
+                    up_vectors(tables, HEADER + (first + last - 1 - n) * WIDTH, [numbers, blocks], vector, vectors)

@@ -50,6 +50,7 @@ def narrow_panels(monkeypatch, threads=1):
         "SHARED_ASSEMBLY_NUMBERS": 0,
         "ASSEMBLY_NUMBERS": 100,
         "GROVE_NUMBERS": 2000,
+        "BRANCH_OPERATIONS": 3000,
     }.items():
         monkeypatch.setattr(tuning, name, value)
     monkeypatch.setattr(factor.runtime, "current", lambda: Runtime("cpu", "f64", threads))

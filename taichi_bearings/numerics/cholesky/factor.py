@@ -81,7 +81,7 @@ class Memory:
         if len(self._numbers) < size:
             self._numbers = np.zeros(0)
             refuse_beyond(8 * size, what)
-            self._numbers = np.zeros(size)
+            self._numbers = aligned_zeros(size, LANES)
         return self._numbers
 
 
@@ -280,8 +280,8 @@ class CalledFactor(Factor):
         pattern : the fronts (dense blocks of the sparse matrix) and the order of elimination. memory : memory that this
             factor shares with others.
         """
-        self._layout, self._memory, self._size = Layout(pattern, apart=True), memory, pattern.size
-        self.entries, self._vector = np.zeros((pattern.entries, 1)), np.zeros((self._layout.vector, 1))
+        self._layout, self._memory, self._size = Layout(pattern, LANES, apart=True), memory, pattern.size
+        self.entries, self._vector = np.zeros((pattern.entries, 1)), _vectors(self._layout.vector, 1)
         self.solution = self._vector[: pattern.size]
         # the factor's doubles; by batch, the work of elimination; calls of both halves of substitution, in turn
         self._numbers, self._work, self._halves = np.zeros(0), list[_BatchWork](), list[Callable[[], None]]()
@@ -296,9 +296,9 @@ class CalledFactor(Factor):
             work.assemble()
             if not work.eliminate():
                 return np.zeros(1, dtype=bool)
-        pivots = self._numbers[self._layout.pivots]
-        self._numbers[self._layout.pivots] = 1 / pivots  # as all substitutions want them
-        return np.array([np.isfinite(pivots).all()])
+        called = self._layout.called_pivots
+        self._numbers[called] = 1 / self._numbers[called]  # as kernels leave them, and substitutions want them
+        return np.array([np.isfinite(self._numbers[self._layout.pivots]).all()])
 
     def _take_memory(self) -> None:
         """Take the shared memory, unless this factor still holds it, and prepare in it all calls of elimination and
@@ -310,16 +310,23 @@ class CalledFactor(Factor):
         self._seen = self._memory.changes
         if numbers is self._numbers:
             return
-        self._numbers, arrays = numbers, (layout.tables, self.entries.ravel(), numbers)
-        places = (numbers.ctypes.data + DOUBLE_BYTES * of for of in (layout.columns, layout.update))
+        self._numbers, arrays = numbers, (layout.tables, self.entries.ravel(), numbers, numbers.reshape(-1, LANES))
+        places = tuple(numbers.ctypes.data + DOUBLE_BYTES * of for of in (layout.columns, layout.diagonal))
         of_fronts = layout.own, layout.border, layout.height, layout.update_height, *places
-        fronts = [DenseFront(*front) for front in zip(*(of.tolist() for of in of_fronts), strict=True)]
+        called = np.concatenate([batch.fronts for batch in layout.batches if not batch.whole] or [layout.own[:0]])
+        fronts = {
+            n: DenseFront(*front)
+            for n, *front in zip(called.tolist(), *(of[called].tolist() for of in of_fronts), strict=True)
+        }
         prepared(elimination.assemble, *arrays, 0, 0)  # compiles it, before large batches want it
-        self._work = [_BatchWork(batch, [fronts[n] for n in batch.fronts], arrays) for batch in layout.batches]
+        self._work = [
+            _BatchWork(batch, [] if batch.whole else [fronts[n] for n in batch.fronts], arrays)
+            for batch in layout.batches
+        ]
+        memory = numbers, numbers.reshape(-1, LANES), self._vector.ravel(), self._vector.reshape(-1, LANES)
         halves = [(1, stage) for stage in layout.stages] + [(0, stage) for stage in reversed(layout.stages)]
         self._halves = [
-            prepared(substitution.substitute_branches, layout.tables, numbers, self._vector.ravel(), forth, *stage)
-            for forth, stage in halves
+            prepared(substitution.substitute_branches, layout.tables, *memory, forth, *stage) for forth, stage in halves
         ]
 
     def forget(self) -> None:
@@ -359,7 +366,7 @@ class _BatchWork:
         """
         alone = batch.numbers < tuning.SHARED_ASSEMBLY_NUMBERS
         kernel = elimination.assemble_serially if alone else elimination.assemble
-        self.assemble = prepared(kernel, *arrays, *batch.items)
+        self.assemble = prepared(elimination.eliminate_branches if batch.whole else kernel, *arrays, *batch.items)
         self._fronts, self._cost = fronts, sum(front.cost for front in fronts)
         tasks = [task for front in fronts for task in front.tasks()]
         self._tasks = [task.work for task in sorted(tasks, key=lambda task: (task.urgency, task.position))]
@@ -369,7 +376,7 @@ class _BatchWork:
         for front in self._fronts:
             front.get_ready()
         threads = min(runtime.current().threads, len(self._tasks))
-        if threads == 1 or self._cost < tuning.SHARED_BATCH_OPERATIONS:
+        if threads <= 1 or self._cost < tuning.SHARED_BATCH_OPERATIONS:
             return _do_tasks(self._tasks)
         queue = iter(self._tasks)  # shared
         others = [_pool().submit(_do_tasks, queue) for _ in range(threads - 1)]

@@ -107,10 +107,15 @@ class Pattern(SparsePattern):
         return int((self.own * (self.own + self.width)).sum())
 
     @property
+    def operations_of_fronts(self) -> np.ndarray:
+        """(fronts,) floating-point multiplications and additions of each front in one factorisation."""
+        own, width = self.own.astype(float), self.width
+        return own**3 / 3 + own**2 * width + own * width**2
+
+    @property
     def operations(self) -> float:
         """Floating-point multiplications and additions of one factorisation."""
-        own, width = self.own.astype(float), self.width
-        return float((own**3 / 3 + own**2 * width + own * width**2).sum())
+        return float(self.operations_of_fronts.sum())
 
     def within(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
         """Return the row (n,) of each of n unknowns within a front, a dense matrix. It has the rows of its own

@@ -2,7 +2,8 @@
 
 A *grove* is a subtree with few numbers in its updates. It is worked on depth by depth, all its fronts of a depth at
 once: threads share those best. Above the groves fronts are worked on one by one, children before parents, so that few
-updates wait at a time.
+updates wait at a time. Subtrees with so little work that their numbers stay in the cache of a processor, *branches*,
+come first in their grove: a kernel works on each, front after front, and threads share the branches.
 """
 
 from dataclasses import dataclass
@@ -26,12 +27,15 @@ class Batch:
     fronts : (fronts of the batch,), the index of each among all fronts.
     numbers : memory that they need, in doubles.
     items : (begin, end) of the work items that assemble these fronts, in the list of all items. An item is some
-        columns of one front, which one thread fills with matrix entries and with what earlier fronts leave.
+        columns of one front, which one thread fills with matrix entries and with what earlier fronts leave. Of
+        branches, subtrees that a kernel works on as a whole: their begin and end in the table of branches.
+    whole : True for branches.
     """
 
     fronts: np.ndarray
     numbers: int
     items: tuple[int, int]
+    whole: bool = False
 
 
 class Layout:
@@ -46,7 +50,9 @@ class Layout:
     update : (fronts,) where the update of its border begins. It is stored in panels of SHEET_COLUMNS columns from the
         diagonal down, of update_height rows and less; the first one begins at row `skip` of the front. Only lower
         triangles are used.
+    diagonal : (fronts,) where the first diagonal entry of the update is.
     pivots : (unknowns,) where the diagonal entries are.
+    called_pivots : those of them that calls of LAPACK compute, in no branch.
     tables : int32, flat, for kernels: a header with where each table begins; 14 integers of each front; where each
         entry of the matrix goes; where each row of an update goes in the front above, and each number of a solution;
         work items; and the branches of each stage.
@@ -69,26 +75,28 @@ class Layout:
         ends, share = np.cumsum(self.own * self.height), pattern.share[:-1]
         self.columns = ends - self.own * self.height
         updates = update_size(self.border, self.update_height)
-        batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1)
-        places, peak = _places(pattern.parent, updates, batches)
-        self.update, self.size = ends[-1] + places, int(ends[-1]) + peak
+        branches = _branches(pattern) if apart else np.zeros((0, 2), dtype=np.int64)
+        batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1, branches)
+        places, peak = _places_with_branches(pattern.parent, updates, batches, branches)
+        self.update, self.size = ends[-1] + places, int(ends[-1]) + peak + unit  # kernels read up to a vector more
         if self.size > tuning.MOST_FACTOR_NUMBERS:
             raise MemoryError(
                 f"the sample is too large: its matrix factorisation needs {self.size} numbers, "
                 f"of which at most {tuning.MOST_FACTOR_NUMBERS} can be indexed"
             )
-        self.vector = pattern.size + int(self.border.sum())
+        self.diagonal = self.update + self.own - self.skip
+        # in vectors: after the unknowns what each front leaves for its border; if threads share, all rows of each front
+        kept = self.height if apart else self.border
+        rest = whole(np.array(pattern.size), unit) + np.cumsum(kept) - kept
+        self.vector = int(rest[-1] + kept[-1])
         first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
         self.pivots = self.columns[front] + (np.arange(pattern.size) - first[front]) * (self.height[front] + 1)
+        self.called_pivots = self.pivots[_branch_of(len(self.own), branches)[front] < 0]
         start = np.searchsorted(pattern.column, np.append(first, pattern.size))
-        child, sibling = np.full((2, len(self.own)), -1)  # the first child, and the next one of the same parent
-        for n, above in reversed(list(enumerate(pattern.parent.tolist()))):
-            if above >= 0:
-                sibling[n], child[above] = child[above], n
         table = np.stack(
             [
-                *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], child, sibling),
-                *(share, first, self.height, self.update_height, self.skip, pattern.size + share),
+                *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], *_relatives(pattern.parent)),
+                *(share, first, self.height, self.update_height, self.skip, rest),
             ],
             axis=1,
         )
@@ -96,38 +104,52 @@ class Layout:
         place = (pattern.column - first[of_entry]) * self.height[of_entry] + pattern.within(of_entry, pattern.row)
         parents = np.repeat(pattern.parent, self.border)
         rows, of_parent = pattern.within(parents, pattern.border), self.own[parents]
-        slots = np.where(rows < of_parent, pattern.border, pattern.size + share[parents] + rows - of_parent)
-        items, self.batches = self._work(batches, updates) if apart else (np.zeros((0, 3), dtype=np.int64), [])
-        stages = _stages(pattern, self.own * self.height) if apart else []
+        is_own = (rows < of_parent) & (not apart)
+        slots = np.where(is_own, pattern.border, rest[parents] + rows - (0 if apart else of_parent))
+        items, stages, self.batches = np.zeros((0, 3), dtype=np.int64), list[np.ndarray](), list[Batch]()
+        if apart:
+            stages = _stages(pattern, self.own * self.height)
+            items, branches, self.batches = self._work(batches, updates, branches, sum(map(len, stages)))
         ends_at = np.cumsum([len(stage) for stage in stages]).tolist()
         self.stages = list(zip([0, *ends_at[:-1]], ends_at, strict=True)) if apart else []
-        parts = [table, place, rows, slots, items, *stages]
-        ends_at = np.cumsum([part.size for part in parts[:5]])
+        parts = [table, place, rows, _runs(rows, self.border), slots, items, *stages, branches]
+        ends_at = np.cumsum([part.size for part in parts[:6]])
         header = np.array([len(self.own), *(HEADER + ends_at), tuning.SHEET_COLUMNS, 1])
         self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
 
-    def _work(self, batches: list[np.ndarray], updates: np.ndarray) -> tuple[np.ndarray, list[Batch]]:
+    def _work(
+        self, batches: list[np.ndarray], updates: np.ndarray, branches: np.ndarray, begin_branches: int
+    ) -> tuple[np.ndarray, np.ndarray, list[Batch]]:
         """Split the assembly of the fronts into items of at least ASSEMBLY_NUMBERS doubles, which threads share.
-        Returns the items, (n, 3): index of a front, first column and end of the columns; and the batches with their
-        items.
+        Returns the items, (n, 3): index of a front, first column and end of the columns; the branches, (n, 2), in the
+        order of the batches; and the batches with their items.
 
         A front is a dense symmetric matrix; assembly fills it with matrix entries and what the fronts below it leave.
 
         batches : for each batch the indices of its fronts, which are worked on at once.
         updates : (fronts,) doubles of the update of each front, the matrix that its elimination leaves for later ones.
+        branches : (n, 2), first front and end of each branch, a subtree that a kernel works on as a whole.
+        begin_branches : number of rows that come before these in the table of branches.
         """
         columns = self.own + self.border
         least = np.maximum(1, tuning.ASSEMBLY_NUMBERS // np.maximum(columns, 1))  # columns of an item
-        items, found, begin = [], [], 0
+        items, in_order, found, begin = [np.zeros((0, 3), dtype=np.int64)], [branches[:0]], [], 0
+        of_branch = _branch_of(len(columns), branches)
         for fronts in batches:
+            numbers = int((self.own * self.height + updates)[fronts].sum())
+            if of_branch[fronts[0]] >= 0:
+                own = np.unique(of_branch[fronts])  # the largest come first
+                place = begin_branches + sum(map(len, in_order))
+                in_order.append(branches[own])
+                found.append(Batch(fronts, numbers, (place, place + len(own)), True))
+                continue
             for n in fronts.tolist():
                 first = np.arange(0, columns[n], least[n])
                 items.append(np.stack([np.full_like(first, n), first, np.minimum(first + least[n], columns[n])], 1))
             end = begin + sum(len(of) for of in items[-len(fronts) :])
-            numbers = int((self.own * self.height + updates)[fronts].sum())
             found.append(Batch(fronts, numbers, (begin, end)))
             begin = end
-        return np.concatenate(items), found
+        return np.concatenate(items), np.concatenate(in_order), found
 
 
 def whole(count: np.ndarray, unit: int) -> np.ndarray:
@@ -148,6 +170,28 @@ def update_size(border: Integers, height: Integers) -> Integers:
     return before * height - before * (before - width) // 2 + (border - before) * (height - before)
 
 
+def _relatives(parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first child of each front in the elimination tree, and the next child of the same parent, (fronts,)
+    each, -1 for none. parent : (fronts,) index of the front above each, or -1; children come before parents."""
+    child, sibling = np.full((2, len(parent)), -1)
+    for n, above in reversed(list(enumerate(parent.tolist()))):
+        if above >= 0:
+            sibling[n], child[above] = child[above], n
+    return child, sibling
+
+
+def _runs(rows: np.ndarray, border: np.ndarray) -> np.ndarray:
+    """Return for each row of a border how many rows from it on, itself included, also stand one below the other in the
+    front of the parent: (rows,).
+
+    rows : row in the front of the parent of each row of all borders, one border after the other. border : (fronts,)
+        number of rows of each.
+    """
+    front, number = np.repeat(np.arange(len(border)), border), np.arange(len(rows))
+    ends = np.flatnonzero(np.append((np.diff(rows) != 1) | (np.diff(front) != 0), True)[: len(rows)]) + 1
+    return ends[np.searchsorted(ends, number, side="right")] - number
+
+
 def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return (fronts,) the sum of the values of each front and of all fronts below it in the elimination tree.
 
@@ -161,50 +205,122 @@ def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.array(total)
 
 
-def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
+def _branches(pattern: Pattern) -> np.ndarray:
+    """Return the branches of the elimination tree that a kernel works on as wholes, the one with most work first: (n,
+    2), the first front of each and the end. They are the largest subtrees that take at most BRANCH_OPERATIONS.
+
+    pattern : the fronts, sets of unknowns that are eliminated together.
+    """
+    work = _sums_of_branches(pattern.parent, pattern.operations_of_fronts)
+    small = work <= tuning.BRANCH_OPERATIONS
+    roots = np.flatnonzero(small & ~((pattern.parent >= 0) & small[pattern.parent]))
+    roots = roots[np.argsort(-work[roots], kind="stable")]
+    size = _sums_of_branches(pattern.parent, np.ones(len(work), dtype=np.int64))
+    return np.stack([roots + 1 - size[roots], roots + 1], axis=1)
+
+
+def _branch_of(fronts: int, branches: np.ndarray) -> np.ndarray:
+    """Return for each of the fronts (their number) the index of the branch that it is in, (fronts,), -1 for none.
+
+    branches : (n, 2), first front and end of each branch, a subtree.
+    """
+    found = np.full(fronts, -1)
+    for number, (first, end) in enumerate(branches.tolist()):
+        found[first:end] = number
+    return found
+
+
+def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray) -> list[np.ndarray]:
     """Return the fronts that are worked on at once, as arrays of their numbers, children first.
 
     A front is a set of unknowns that are eliminated together; its update is what that adds to the matrix of later
     unknowns, and waits in memory until the front above takes it.
 
     pattern : the fronts. size : (fronts,) doubles of the update of each front.
-    most : largest number of doubles in all updates of a subtree that is worked on depth by depth; above such subtrees
-        fronts are worked on one by one.
+    most : largest number of doubles in all updates of a subtree that is worked on depth by depth, without those inside
+        branches; above such subtrees fronts are worked on one by one.
+    branches : (n, 2), first front and end of each subtree that a kernel works on as a whole. Those of a subtree that is
+        worked on depth by depth are its first batch.
     """
-    small, grove = (_sums_of_branches(pattern.parent, size) <= most).tolist(), list(range(len(size)))
+    of_branch, lasting = _branch_of(len(size), branches), size.copy()
+    for first, end in branches.tolist():
+        lasting[first : end - 1] = 0
+    small, grove = (_sums_of_branches(pattern.parent, lasting) <= most).tolist(), list(range(len(size)))
     for n, above in reversed(list(enumerate(pattern.parent.tolist()))):
-        if above >= 0 and small[above]:
+        if above >= 0 and (small[above] or of_branch[above] >= 0):
             grove[n] = grove[above]
-    of_front = np.array(grove)
-    order = np.lexsort((-pattern.depth, of_front))
-    ends = np.diff(of_front[order]) | np.diff(pattern.depth[order])
+    of_front, level = np.array(grove), np.where(of_branch >= 0, -len(size), -pattern.depth)
+    order = np.lexsort((level, of_front))
+    ends = np.diff(of_front[order]) | np.diff(level[order])
     return np.split(order, np.flatnonzero(ends) + 1)
 
 
-def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> tuple[np.ndarray, int]:
+def _places_with_branches(
+    parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray], branches: np.ndarray
+) -> tuple[np.ndarray, int]:
     """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; and
     the most doubles of it that are in use at one time.
+
+    parent : (fronts,) index of the front above each, or -1. size : (fronts,) doubles of each update.
+    batches : for each batch the indices of its fronts, which are worked on at once; children come first.
+    branches : (n, 2), first front and end of each subtree whose fronts are worked on one after the other, while other
+        branches of its batch are worked on as well. Only the update of its last front outlasts the batch.
+    """
+    lasting, inside, scratch = size.copy(), np.zeros_like(size), np.zeros(len(branches), dtype=np.int64)
+    for number, (first, end) in enumerate(branches.tolist()):
+        lasting[first : end - 1] = 0
+        above, short = parent[first : end - 1] - first, size[first : end - 1]
+        above[above == end - 1 - first] = -1
+        alone = [np.array([n]) for n in range(end - 1 - first)]
+        # updates that the last front takes stay until it does
+        inside[first : end - 1], scratch[number], _ = _places(above, short, alone, np.zeros(len(alone), dtype=np.int64))
+    of_branch = _branch_of(len(size), branches)
+    within = [np.unique(of_branch[members]) if of_branch[members[0]] >= 0 else branches[:0, 0] for members in batches]
+    lengths = np.array([scratch[own].sum() for own in within])
+    places, peak, starts = _places(parent, lasting, batches, lengths)
+    for start, own in zip(starts.tolist(), within, strict=True):
+        for number, begin in zip(own.tolist(), (start + np.cumsum(scratch[own]) - scratch[own]).tolist(), strict=True):
+            first, end = branches[number]
+            places[first : end - 1] = begin + inside[first : end - 1]
+    return places, peak
+
+
+def _places(
+    parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray], scratch: np.ndarray
+) -> tuple[np.ndarray, int, np.ndarray]:
+    """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; the
+    most doubles of it that are in use at one time; and where each batch has its scratch memory, (batches,).
 
     The update of a front is the matrix that its elimination adds to that of the later unknowns it is coupled to. It
     lies there until the front above has taken it. Memory is taken at the first free stretch that is long enough.
 
     parent : (fronts,) index of the front above each, or -1. size : (fronts,) doubles of each update.
     batches : for each batch the indices of its fronts, which are worked on at once; children come first.
+    scratch : (batches,) doubles that each batch needs besides, while it is worked on.
     """
     places, free, peak = np.empty(len(size), dtype=np.int64), [(0, ENDLESS)], 0  # starts and lengths, never touching
-    batch, waiting = np.empty(len(size), dtype=np.int64), [list[tuple[int, int]]() for _ in batches]
+    batch, waiting = np.full(len(size) + 1, len(batches)), [list[tuple[int, int]]() for _ in range(len(batches) + 1)]
+    starts = np.empty(len(batches), dtype=np.int64)
     for number, members in enumerate(batches):
         batch[members] = number
     for number, members in enumerate(batches):
         # take the first free stretch that holds all updates of the batch
         ends = np.cumsum(size[members])
-        length = int(ends[-1])
+        length = int(ends[-1] + scratch[number])
         which = next(i for i, (_, stretch) in enumerate(free) if stretch >= length)
         start, whole_length = free[which]
         free[which : which + 1] = [(start + length, whole_length - length)] if whole_length > length else []
-        peak, places[members] = max(peak, start + length), start + ends - size[members]
-        if parent[members[0]] >= 0:  # all of a batch is used by one other
-            waiting[batch[parent[members[0]]]].append((start, length))
+        peak, places[members], starts[number] = (
+            max(peak, start + length),
+            start + ends - size[members],
+            start + ends[-1],
+        )
+        waiting[number].append((int(starts[number]), int(scratch[number])))
+        taken_by = batch[parent[members]]  # where there is no parent, no batch takes it
+        cuts = np.flatnonzero(np.diff(taken_by)) + 1
+        for first, end in zip([0, *cuts.tolist()], [*cuts.tolist(), len(members)], strict=True):
+            begin = int(places[members[first]])
+            waiting[taken_by[first]].append((begin, start + int(ends[end - 1]) - begin))
         # give back the updates of the children, and join free stretches that touch
         for stretch in waiting[number]:
             stretches, free = sorted([*free, stretch] if stretch[1] else free), []
@@ -212,7 +328,7 @@ def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> 
                 if free and sum(free[-1]) == start:
                     start, length = free[-1][0], free.pop()[1] + length
                 free.append((start, length))
-    return places, peak
+    return places, peak, starts
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:

@@ -24,14 +24,15 @@ LEAF_UNKNOWNS = 20  # a region of the lattice with no more unknowns is not divid
 BLOCK_UNKNOWNS = 400  # with no more unknowns an elimination tree costs more calls than it saves arithmetic
 LAUNCH_UNKNOWNS = 8_000  # with fewer unknowns calls of libraries, and threads, take longer than they save
 LAUNCH_PRICE = Price(part=4000, column=20, update=20)
-CALLS_PRICE = Price(part=1e5, column=40, update=80)  # a call costs as much as a thousand numbers that are copied
+CALLS_PRICE = Price(part=1e4, column=20, update=20)  # most fronts are small ones, in branches
 # Memory
 MOST_FACTOR_NUMBERS = 2**31 - 1  # most numbers of a factorisation: kernels count in 32 bits
 GROVE_NUMBERS = (
     40_000_000  # most in all updates of a subtree that is worked on depth by depth: the whole lattice at 32^3
 )
 LARGE_FACTOR_NUMBERS = 10_000_000  # a factor of more numbers gives its memory back when it is not needed
-# Fronts by BLAS
+# Fronts by BLAS, and below them branches by a kernel
+BRANCH_OPERATIONS = 1e7  # most of a subtree that a kernel works on as a whole
 SHEET_COLUMNS = 256  # columns of an update that are stored and worked on together; a multiple of LANES
 PANEL_COLUMNS = 64  # own columns of a front that are worked on together
 SHARED_FRONT_OPERATIONS = 1e7  # threads share a front that takes more operations
