@@ -218,8 +218,8 @@ def _recording(core: Any, reader: Any) -> Iterator["_Record"]:
 
 
 class _Record:
-    """The recorded calls of the compiler's core during one walk through a kernel's source, and how they become a walk
-    that can be stored and repeated without reading the source.
+    """The calls of the compiler's core that are recorded during one walk through a kernel's source, and how they become
+    a walk that can be stored, and repeated without reading the source.
 
     calls : name, arguments, keyword arguments and result of each call, in their order. All objects are held here, so
         that no two have the same `id`.

@@ -182,9 +182,11 @@ def spins_of(solution: Solution, shown: int) -> Table:
 
 
 def viscous_numbers(solution: Solution) -> dict[str, Any]:
-    """Return numbers of viscous samples: how many there are, the least and the largest slip of a contact that can
-    slip, in units of radius times jump, and the least rise of the spin from layer to layer (see
-    :func:`least_rise`).
+    """Return numbers of viscous samples, by name:
+
+    samples : how many there are.
+    least_slip, largest_slip : of the contacts that can slip, in units of radius times jump.
+    least_rise : of the spin from layer to layer (see :func:`least_rise`).
     """
     scene = of_lattice(solution.scene)
     slips = solution.slip[:, ~scene.lattice.between_driven] / (scene.lattice.radius * scene.jump)

@@ -227,12 +227,12 @@ def refined(labels: np.ndarray) -> np.ndarray:
 
 
 def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each sphere the number (spheres,) of its domain of one spin component, and the driven planes to which
-    that is locked (spheres,), as `Lock`.
+    """Return two arrays (spheres,): the number of the domain of each sphere in one spin component, and the driven
+    planes to which that domain is locked, as `Lock`.
 
-    network : the slipless contacts. component : number of the component. uneven : True if the imposed spins vary along
-        a driven plane, so that each layer across the component's axis counts as having a bottom and a top body of its
-        own.
+    network : the slipless contacts. component : number of the component.
+    uneven : True if the imposed spins vary along a driven plane. Each layer across the component's axis then counts as
+        having a bottom and a top body of its own.
     """
     # contacts along the axis of the component do not slip by it and join nothing
     chosen = network.axis != component

@@ -299,8 +299,12 @@ class ContactSystem:
         return self.transposed @ forces.reshape(-1, *forces.shape[2:])
 
     def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
-        """Return vectors (d, n) on the n contacts of the system, with up to d slip components, of sample number
-        `replica`, read from values (C, R samples, E) by spin component, sample and contact of the whole network."""
+        """Return vectors (d, n) on the n contacts of the system, with up to d slip components, from an array over all
+        contacts of the network.
+
+        values : (C, R samples, E), the array, by spin component, sample and contact of the whole network.
+        replica : number of the sample that is read.
+        """
         return values[self.slot, replica, self.contact]
 
     def scatter_vectors(self, vectors: np.ndarray, values: np.ndarray, replica: int | slice) -> None:

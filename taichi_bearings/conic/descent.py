@@ -87,8 +87,8 @@ class Descent:
         self.step_seconds = 0.0  # duration of the last step
 
     def advance(self, steps: int) -> None:
-        """Take up to `steps` further Newton steps of every sample that is not done, and settle contact states (find
-        which contacts slip at the minimum) of samples near the end of their paths.
+        """Take up to `steps` further Newton steps of every sample that is not done. Near the end of its path settle the
+        contact states of a sample: find out which contacts slip at the minimum.
 
         Several small samples are stepped side by side; where one leaves, another takes its place. Samples near the end
         of their paths wait for others, as settling their states together takes half the time.

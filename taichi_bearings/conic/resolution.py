@@ -229,9 +229,12 @@ def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resol
 
 
 def _seem_to_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
-    """Return a mask (n,) of contacts that seem to stick: their margin, the share of friction that is left, is far above
-    their slip, and over the last step of the path, from `before` to `iterate`, the slip fell and the margin did not; or
-    the slip is as small as rounding."""
+    """Return a mask (n,) of contacts that seem to stick. Either their slip is as small as rounding; or their margin,
+    the share of friction that is left, is far above their slip, and in the last step of the path the slip fell while
+    the margin did not.
+
+    iterate, before : the point of the path after this step, and before it.
+    """
     slip, slip_before = length(iterate.difference), length(before.difference)
     apart = iterate.margin > DECIDED_RATIO * slip
     noisy = (slip < NOISY_SLIP) & (iterate.margin > WIDE_MARGIN)

@@ -139,8 +139,11 @@ class ContactRows:
         self._add_up(self._changes, self.spins, self._flat, 0, row * self._contacts)
 
     def torques(self, row: int) -> None:
-        """Compute the torques K^T f of the forces f in rows `row` and `row + 1` of the contacts' numbers (one row for
-        each component), and write them into `self.spins`, which is overwritten. K is the matrix from spins to slips."""
+        """Compute the torques K^T f of contact forces f, and write them into `self.spins`, which is overwritten. K is
+        the matrix from spins to slips.
+
+        row : number of the row of the contacts' numbers with the first component of f; the second is in the next row.
+        """
         self._add_up(self._torques, self._flat, self.spins, row * self._contacts, 0)
 
     def add_stiffnesses(self, entries: np.ndarray) -> None:

@@ -130,8 +130,8 @@ class Lattice:
         return int(self.spans[-1].stop)
 
     def by_axis(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return values (..., E) on all E contacts, first those along x, then y (then z), as a tuple of arrays (...,
-        *contacts), one for each axis, each with the shape of the contacts along it; these are views."""
+        """Return values (..., E) on all E contacts as a tuple of views, one for each axis: (..., *contacts) in the
+        shape of the contacts along it. In `values` contacts along x come first, then those along y (then z)."""
         head = values.shape[:-1]
         return tuple(values[..., span].reshape(*head, *self.contact_shape(a)) for a, span in enumerate(self.spans))
 
@@ -266,8 +266,8 @@ def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray
 
 
 def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return forces (C, R, E) along the difference of staggered spins from friction in the laboratory frame: with n the
-    direction of a contact and s = +1 or -1 the sign of its lower sphere, the f for which -s f x n is the friction.
+    """Return the forces f (C, R, E) along the difference of staggered spins, from friction in the laboratory frame. The
+    friction is -s f x n, with n the direction of a contact and s = +1 or -1 the sign of its lower sphere.
 
     friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact. spin_axes : the C spin components that are
         wanted.

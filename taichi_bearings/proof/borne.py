@@ -160,9 +160,10 @@ class ExactlyRolling:
         """Return the torques on the n unknowns of the exactly rolling contacts by a unit of what the other contacts may
         change, as two matrices.
 
-        The first, (n, 2 k), is for either tangential component of friction on each of the k contacts `others`, together
-        with the change of friction on loops that it brings about. The second, (n, m), is for friction that circulates
-        along each of the m loops."""
+        The first, (n, 2 k), has a column for either tangential component of friction on each of the k contacts
+        `others`. A unit of it also changes friction on loops, and the torques of that are in the column, too. The
+        second, (n, m), is for friction that circulates along each of the m loops.
+        """
         rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.others)
         place = np.full(rows.shape[0], -1)
         place[own] = np.arange(len(own))

@@ -66,11 +66,13 @@ SATURATED = 1 - 1e-6  # friction over mu F_n from which a contact counts as bear
 
 
 def classify(scene: Bearing, slip: np.ndarray, force: np.ndarray, threshold: float) -> np.ndarray:
-    """Return the state of every contact, (R samples, E contacts) uint8, by its slip and its friction.
+    """Return the state of every contact, (R samples, E contacts) uint8, by its slip and its friction:
 
-    A contact is SLIPPING if its slip exceeds `threshold` and its friction is at its limit (|f| > 0.999999 mu F_n),
-    SLIPLESS if neither holds, UNDECIDED if the two disagree, and DRIVEN if it takes no part. Viscous contacts have no
-    friction limit: their slip alone decides.
+    * SLIPPING if its slip exceeds `threshold` and its friction is at its limit (|f| > 0.999999 mu F_n);
+    * SLIPLESS if neither is so, and UNDECIDED if only one is;
+    * DRIVEN if it takes no part.
+
+    Viscous contacts have no friction limit: their slip alone decides.
 
     scene : the R samples, with coefficients and law of their contacts.
     slip : (R, E), slip speeds, length/time.

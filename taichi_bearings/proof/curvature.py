@@ -166,9 +166,11 @@ class Slipping:
         return found[0], found[1]
 
     def change(self, slot: int) -> sparse.csr_array:
-        """Return the matrix (n, unknowns) with entries 1, -1 and 0 that gives one component of the change of each of n
-        slips from changes of the unknowns, spins of free domains. slot : 0 or 1, for the first or the second component
-        in `felt`."""
+        """Return the matrix (n, unknowns) that gives one component of the change of each of n slips from the changes of
+        the unknowns, the spins of free domains. Its entries are 1, -1 and 0.
+
+        slot : 0 or 1, for the first or the second component in `felt`.
+        """
         ends = np.stack([self.upper[slot], self.lower[slot]], axis=1)
         kept = (ends >= 0) & (ends[:, :1] != ends[:, 1:])  # a contact within one domain has no difference
         begin = np.append(0, np.cumsum(kept[:, 0].astype(np.int8) + kept[:, 1]))
@@ -329,8 +331,9 @@ def bearable(
 
 
 def _change_of_friction(motion: Motion, contacts: Slipping, relative_change: np.ndarray) -> np.ndarray:
-    """Return a bound (2, n) on how far the stored friction of each of n slipping contacts may be from its friction at
-    the minimum, along the one or two spin components that make it slip (`contacts.felt`; 0 for none).
+    """Return a bound (2, n) on how far the stored friction of each of n slipping contacts may be from that at the
+    minimum. It has an entry for either spin component that makes the contact slip (`contacts.felt`), 0 if there is only
+    one.
 
     motion : the network, whose friction is stored as moments.
     contacts : the slipping contacts close to the minimum.
@@ -449,8 +452,8 @@ class Curvature:
         return [_with_values(change, np.abs(change.data)) for change in self.changes]
 
     def is_positive_within(self, contacts: Slipping, relative_change: np.ndarray) -> bool:
-        """Return True if it is proven that the curvature of the power is positive along every motion, and so that there
-        is at most one minimum, wherever slips are near those of `contacts`.
+        """Return True if the power is proven to have a positive curvature along every motion, wherever slips are near
+        those of `contacts`. Then there is at most one minimum there.
 
         contacts : the n slipping contacts. relative_change : (n,), most that |slip - slip of `contacts`| may be, over
             the size of the latter; the answer is False if it is above a quarter anywhere.
@@ -460,7 +463,8 @@ class Curvature:
         by 2 c at most, so the part of w across the slip of `contacts` is at most 2 c |w|. The curvature of this motion
         is at most the sum of (mu F_n / slip) (2 c |w|)^2, computed here as a diagonal form. It has to be below half of
         tau h, with h the diagonal of the curvature and tau h a proven lower bound of it; below all of it would be
-        enough."""
+        enough.
+        """
         # For either component of w, a row of `changes` with entries of sizes e (0 or 1), Cauchy and Schwarz give
         # w^2 <= (sum of e) (sum of e v^2).
         loss = np.zeros_like(relative_change)

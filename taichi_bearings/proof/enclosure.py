@@ -39,9 +39,9 @@ Made = TypeVar("Made", bound=Callable[..., Any])
 
 
 def in_cache(made: Made) -> Made:
-    """Decorate a function of enclosures, arrays and numbers that works element by element, so that it handles large
-    arrays in parts of about IN_CACHE numbers, which fit the caches of a processor. Only arguments and result then pass
-    through memory; the results are the same bits."""
+    """Decorate a function of enclosures, arrays and numbers that works element by element. It then handles large arrays
+    in parts of about IN_CACHE numbers, which fit the caches of a processor, so that only arguments and result pass
+    through memory. The results are the same bits."""
 
     @wraps(made)
     def in_parts(*given: Any) -> Any:

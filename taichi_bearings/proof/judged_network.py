@@ -133,10 +133,10 @@ class JudgedNetwork:
 
     @property
     def reach(self) -> list[Enclosure]:
-        """For each of C spin components a bound on its size at some minimum, enclosures (n,) for n spheres, if each
-        component of a slip depends on one component of the spins. On lattices the spin of a free sphere (times radius,
-        with the sign of its sublattice, measured from the bottom) is there between 0 and this bound; else between the
-        bound and its negative."""
+        """For each of C spin components a bound (n,) for n spheres, an enclosure: some minimum has the spin (times
+        radius) of each sphere between the bound and its negative. On lattices it is between the bound and 0, if
+        multiplied by the sign of the sublattice and measured from the bottom. The bounds are known if each component of
+        a slip depends on one component of the spins."""
         return self.graph.reach(self.box, self.sign)
 
     @cached_property

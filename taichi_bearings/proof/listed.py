@@ -112,10 +112,11 @@ class Listed:
         return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
-        """Return signs by component, C arrays (n,) of +1 and -1, which differ between neighbours, except in parts with
-        a loop of an odd number of contacts, where that cannot be.
+        """Return signs by component, C arrays (n,) of +1 and -1. They differ between neighbours; in parts with a loop
+        of an odd number of contacts that cannot be, and signs mean nothing.
 
-        feels : (C, m) mask, for each of C components which of m contacts make their spheres neighbours."""
+        feels : (C, m) mask, for each of C components which of m contacts make their spheres neighbours.
+        """
         return [signs(self.contact[:, own], len(self.place))[2] for own in feels]
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:

@@ -250,11 +250,12 @@ def weighted_lengths(vectors: np.ndarray, weight: np.ndarray | float = 1.0, numb
 
 
 def block_norms(matrix: np.ndarray, numbers: int = 2) -> np.ndarray:
-    """Return the Frobenius norm of each block (p, 2) of a matrix (p q, 2 k): an array (q, k). If the matrix gives the
-    force on q contacts from forces on k others, this bounds by how much a unit on one of the others changes the force
-    on one of the q.
+    """Return the Frobenius norm of each block (p, 2) of a matrix (p q, 2 k): an array (q, k). Say the matrix gives the
+    force on q contacts from forces on k others. Then a norm bounds how much a unit on one of the others changes the
+    force on one of the q.
 
-    numbers : p, the number of rows of the matrix for a contact."""
+    numbers : p, the number of rows of the matrix for a contact.
+    """
     return np.asarray(
         np.linalg.norm(matrix.reshape(len(matrix) // numbers, numbers, matrix.shape[1] // 2, 2), axis=(1, 3))
     )

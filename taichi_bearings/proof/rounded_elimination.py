@@ -155,9 +155,9 @@ class Elimination:
         follows is then worthless for the sample of that front.
 
         shift : a number, or one for each sample, (R,).
-        least, held : if a mask `held` (n,) is given, an unknown whose pivot would be `least` or less is taken out of
-            the matrix, as if held at 0, and marked in this mask, which is in the order of elimination. None: no unknown
-            is taken out.
+        held : mask (n,) in the order of elimination, or None. If given, an unknown whose pivot would be `least` or less
+            is taken out of the matrix, as if held at 0, and marked in it.
+        least : as for `held`.
         """
         shifts = np.broadcast_to(shift, self.samples.count)[self.samples.of[self.order]]
         updates: dict[int, np.ndarray] = {}

@@ -179,9 +179,9 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
 
 
 def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False) -> np.ndarray:
-    """Return for each of R samples a proven lower bound (R,) of the eigenvalues of K K^T, with K the matrix that gives
-    the slips of some contacts from n unknown spin components. If it is not 0, spins can give any slips to these
-    contacts. Infinite for samples without any of them; 0 if nothing is proven.
+    """Return for each of R samples a proven lower bound (R,) of the eigenvalues of K K^T. K is the matrix that gives
+    the slips of some contacts from n unknown spin components. If the bound is not 0, spins can give any slips to these
+    contacts. It is infinite for samples without any of them, and 0 if nothing is proven.
 
     Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
     out.
@@ -189,7 +189,8 @@ def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndar
     network : R samples of a packing, with N spheres and E contacts in all.
     number : (N, 3), which unknown each component of a spin is, -1 where it is none.
     contacts : (E,) mask of the contacts.
-    sharp : True to spend more time on a bound that is as large as possible."""
+    sharp : True to spend more time on a bound that is as large as possible.
+    """
     count = len(contacts)
     own = np.ones((3, count), dtype=bool) & contacts
     own[np.argmax(np.abs(network.graph.normal), axis=1), np.arange(count)] = False

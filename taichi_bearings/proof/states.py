@@ -377,8 +377,11 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
 
 
 def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
-    """Return True if on a lattice the stored friction of all slipping contacts misses its limit by no more than
-    MISSED_LIMIT, as a share, as it does near a minimum; always True for packings."""
+    """Return True if the stored friction of all slipping contacts of a lattice is nearly at its limit, as it is near a
+    minimum: off it by no more than the share MISSED_LIMIT. Always True for packings.
+
+    network : what is judged. contacts : the slipping contacts.
+    """
     if not network.graph.layered:
         return True
     parts = [part.high[contacts.own] for part in network.moment]

@@ -213,8 +213,8 @@ PARTIAL, COMPLETE = ".partial", ".complete"  # names of that folder before and a
 
 
 def _complete(path: Path) -> None:
-    """Move all files of the folder COMPLETE, which lies in the run directory `path` and is there only once all its
-    files are written, up into the run directory, run.h5 last; then remove the folder."""
+    """Move all files of the folder COMPLETE up into its run directory `path`, run.h5 last; then remove the folder. The
+    folder is there only once all its files are written."""
     folder = path / COMPLETE
     for file in sorted(folder.iterdir(), key=lambda file: (file.name == "run.h5", file.name)):
         file.replace(path / file.name)

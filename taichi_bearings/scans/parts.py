@@ -56,8 +56,8 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     """Return the number of the part to which each sample belongs, by the key of the sample. of : number of parts.
 
     Samples that differ in the seed only are shared out evenly, with successive seeds together, since those can be
-    solved as one block. The remaining ones go to the next parts in turn, large lattices first, and otherwise in an
-    order that does not depend on the scan file, so that the parts have similar amounts of work.
+    solved as one block. What remains goes to the next parts in turn, large lattices first, so that the parts have
+    similar amounts of work. The order does not depend on the scan file otherwise.
 
     plan : all samples of the scan with their settings.
     """

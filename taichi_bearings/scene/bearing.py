@@ -213,8 +213,8 @@ class Bearing(ABC):
         return self.driving.cut_off(self.coefficient > 0)
 
     def imposed_spins(self) -> Pair:
-        """Return laboratory spins, 1/time, (spheres *N) of discs or (*N, 3) of spheres, and an array of that shape with
-        their rounding errors, to be added for twice the precision.
+        """Return laboratory spins, 1/time, (spheres *N) of discs or (*N, 3) of spheres, in twice the precision:
+        doubles, and an array of the same shape with what their rounding leaves out.
 
         Driven spheres have their imposed spins; the spins of free spheres mean nothing.
         """

@@ -209,8 +209,11 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
     fastest : length/time. The slips that are tried are 0, and 1e-9 to 1e3 times this speed.
 
     A lower bound follows from any balanced forces if phi is convex and phi* is its conjugate (Rockafellar, Convex
-    Analysis, section 12). So the force must grow with the slip, force times slip must be the power, and with f = F(v)
-    phi(v) + phi*(f) = f v, while phi(v) + phi*(f) >= f v for all other pairs.
+    Analysis, section 12). So these conditions are checked:
+
+    * the force grows with the slip;
+    * force times slip is the power;
+    * phi(v) + phi*(f) = f v for f = F(v), and phi(v) + phi*(f) >= f v for all other pairs.
     """
     acting = np.flatnonzero(np.all([values.ravel() > 0 for values in of], axis=0))
     some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CONTACTS_TRIED)).astype(int))]

@@ -132,9 +132,9 @@ class Network:
 
     @cached_read_only
     def sublattices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Two arrays (spheres N,): a mask of the spheres in connected pieces with odd loops (closed chains of an odd
-        number of contacts), and signs, +1 or -1, that differ across each contact of the other pieces.
-        """
+        """Two arrays (spheres N,). The first is a mask of the spheres in connected pieces with odd loops (closed chains
+        of an odd number of contacts). The second has signs, +1 or -1, which differ across each contact of the other
+        pieces."""
         return odd_pieces(self.spheres, *self.contact)
 
     def across(self, vectors: np.ndarray, contact: np.ndarray | slice = slice(None)) -> np.ndarray:

@@ -64,9 +64,9 @@ class Box:
 def reduced(periods: np.ndarray) -> np.ndarray:
     """Return the shortest vectors (k, dimensions D) that generate the same lattice of points as these periods (k, D).
 
-    Sums of the other vectors are subtracted from each vector until none gets shorter. Then, from an image of a sphere
-    that is not its nearest one, a step of -1, 0 or 1 along each vector leads to a nearer one (Minkowski, for k up to
-    3).
+    Sums of the other vectors are subtracted from each vector until none gets shorter. Then the nearest image of a
+    sphere is found by steps from any other image: each is -1, 0 or 1 along each vector, and leads nearer (Minkowski,
+    for k up to 3).
     """
     periods = np.array(periods, dtype=float)
     for _ in range(1000):

@@ -305,7 +305,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
     def energy_balance(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """Return the energy balance at the end of the last step, or None if none is asked for.
 
-        The powers of contacts and drive are integrated over time by the trapezoidal rule, so that the residual of the
+        The powers of contacts and drive are integrated over time by the trapezoidal rule. So what is missing in the
         balance is the error of Gear's method and of this rule.
 
         staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them.

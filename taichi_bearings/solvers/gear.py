@@ -76,9 +76,9 @@ def largest_stable_step(order: int, decay_rate: float, frequency_squared: float)
     """Return the largest time step at which the stiffest mode and all softer modes are stable; infinity if any step is.
 
     order : of Gear's method.
-    decay_rate, frequency_squared : A R^2 lambda / I, 1/time, and K R^2 lambda / I, 1/time^2, of the stiffest mode, with
-        damping A and stiffness K of a contact, radius R, moment of inertia I and the largest eigenvalue lambda. Softer
-        modes have the same ratio of the two. Either may be 0.
+    decay_rate, frequency_squared : of the stiffest mode, 1/time and 1/time^2: A R^2 lambda / I and K R^2 lambda / I,
+        with damping A and stiffness K of a contact, radius R, moment of inertia I, and largest eigenvalue lambda.
+        Softer modes have the same ratio of the two. Either may be 0.
     """
     # first the step is bracketed on a grid, then the bracket is halved 40 times
     rates = [r for r in (decay_rate, np.sqrt(frequency_squared)) if r > 0]

@@ -118,8 +118,8 @@ class LatticeReached(Reached):
         """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is; None if
         no proof is tried.
 
-        A proof is tried in samples where the method believes to have found these states, and in all samples where the
-        proof is cheap (one spin component, or viscosity) or where a motion has come to a minimum.
+        A proof is tried where the method believes to have found these states. It is tried in all samples where it is
+        cheap (one spin component, or viscosity), and where a motion has come to a minimum.
 
         has_ended : True if a motion is proven to have come to a minimum.
         """

@@ -163,9 +163,9 @@ class OnLists(Stepped):
         """Return upper bounds (C components, 1, N spheres) on the curvature of the objective along each spin component
         of each sphere.
 
-        The curvature at a sphere is the matrix of the sum of b_e T^T T over its contacts e, where T (tangents, C) gives
-        the slip of contact e from the spin of one end. It is no larger than the diagonal matrix that has the sums of
-        the absolute entries of its rows.
+        The curvature at a sphere is a matrix: the sum of b_e T^T T over its contacts e. T (tangents, C) is the matrix
+        that gives the slip of the contact from the spin of one end. The sums of the absolute entries of its rows, as a
+        diagonal matrix, are an upper bound.
 
         bounds : (1, E contacts), upper bounds b_e on the second derivative of what contact e adds to the objective by
             its slip.

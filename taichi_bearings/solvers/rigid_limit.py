@@ -167,10 +167,10 @@ class RigidLimitMethod(Dynamics):
     def _error(self, step: Step, duration: float) -> float:
         """Return the error of the spins in a step, root mean square in the worst sample, over the largest spin.
 
-        The error of implicit Euler is h^2 / 2 times the second derivative of the spins. The mean forces of this step
-        and of the one before, of length h', belong to times that are (h + h') / 2 apart. So the difference between this
-        step and one made with the forces of the step before is h (h + h') / 2 times that derivative, and the error is h
-        / (h + h') of this difference.
+        A step of implicit Euler, of length h, has the error h^2 / 2 times the second derivative of the spins. To
+        estimate it, the step is compared with one made with the mean forces of the step before, of length h'. These
+        forces belong to a time that is (h + h') / 2 earlier. So the two differ by h (h + h') / 2 times the second
+        derivative, and the error is h / (h + h') of this difference.
 
         step : result of the step.
         duration : its length h, time.

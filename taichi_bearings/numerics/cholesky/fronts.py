@@ -118,9 +118,8 @@ class Pattern(SparsePattern):
         return float(self.operations_of_fronts.sum())
 
     def within(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
-        """Return the row (n,) of each of n unknowns within a front, a dense matrix. It has the rows of its own
-        unknowns, which are eliminated in it, and then those of its border, the later unknowns that are coupled to its
-        own.
+        """Return the row (n,) of each of n unknowns within a front, a dense matrix. Its first rows are those of its own
+        unknowns, which are eliminated in it; then come those of its border, later unknowns that are coupled to its own.
 
         front : (n,) index of the front. unknown : (n,) place of the unknown in the order of elimination.
         """
