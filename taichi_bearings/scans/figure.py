@@ -306,7 +306,8 @@ def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: 
         matters = key in table and (key == "method" or not table[key].of_solving)
         if matters and key not in shown and len(values) == 1 and values[0] not in (None, ""):
             name = "" if key in NAMED_BY_VALUE else f"{key.replace('_', ' ')} "
-            found.append(name + named(key, values[0]))
+            words = named(key, values[0])
+            found.append(name + (words.replace("coulomb", "Coulomb") if key == "law" else words))
     return found
 
 

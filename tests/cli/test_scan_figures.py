@@ -59,7 +59,7 @@ def test_the_title_says_what_all_samples_share_and_vectors_have_commas(tmp_path)
     )
     assert done.returncode == 0, done.stderr
     drawn = (tmp_path / "f.svg").read_text()
-    for words in ("3x3x4, coulomb, uniform:0.1,1.0, spin bottom 0.25", ">1,0,0<", ">0,1,0<"):
+    for words in ("3x3x4, Coulomb, uniform:0.1,1.0, spin bottom 0.25", ">1,0,0<", ">0,1,0<"):
         assert words in drawn
     assert "1x0x0" not in drawn
     for written in ("0,1,0", "0x1x0"):
