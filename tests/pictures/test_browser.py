@@ -157,6 +157,7 @@ AIM = """([layer, number]) => { const { picture } = bearings, id = picture.layer
 
 def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_pointed_at(periodic, opened):
     page, rows = opened(periodic), points_and_lines(read_run(periodic))
+    page.move("time", 3)  # the end
     lattice = rows.answer.scene.lattice
     low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("first", "second"))
     assert np.array_equal(np.column_stack([low, high]), rows.network.contact.T)
