@@ -201,8 +201,10 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
 
 
 def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct ones of some nodes, in order, and for each of the nodes its number among them. count : number
-    of all nodes."""
+    """Return the distinct ones of some nodes, in order, and for each of the nodes its number among them.
+
+    nodes : (k,), indices of nodes, which may repeat. count : number of all nodes.
+    """
     there = np.zeros(count, dtype=bool)
     there[nodes] = True
     return np.flatnonzero(there), (np.cumsum(there) - 1)[nodes]

@@ -81,8 +81,10 @@ class ConicProgramme:
         return scene.impose_driving(scene.clip_to_box(staggered, axes), axes)
 
     def forces(self, z: np.ndarray) -> np.ndarray:
-        """Return contact forces (C, 1, E), staggered: C components of the forces on E contacts. z : multipliers of the
-        rows of the constraints."""
+        """Return contact forces (C, 1, E), staggered: C components of the forces on E contacts.
+
+        z : (rows,), multipliers of the rows of the constraints.
+        """
         scene, pairs = self.scene, self.inequalities // 2
         if not scene.law.holds:
             along = scene.lattice.radius * scene.jump / 2 * z

@@ -139,9 +139,9 @@ def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
 def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNetwork, site: float) -> None:
     """Draw the discs in which a lattice plane cuts the spheres, its slipless contacts, and the path.
 
-    sheet : the plane, with the places of its discs and contacts.
-    speed : |spin| of its spheres, as a share of the colour scale.
-    site : distance of two discs in the figure, in points.
+    axes : where it is drawn. sheet : the plane, with the places of its discs and contacts.
+    speed : (discs,), |spin| of its spheres, as a share of the colour scale.
+    network : the slipless contacts, and the path. site : distance of two discs in the figure, in points.
     """
     sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
     sheet.box_driven(axes)

@@ -137,9 +137,9 @@ class _Step:
     slot : 0 or 1. Memory has rows for two steps, and this one's changes of bounds, slips and forces are in those of
         this number.
     spins : (unknowns or more, S), changes of the spins.
-    found : (numbers, S), what the kernel found: the multiples of the step at which primal points (bound >= |slip|) and
-        dual points (friction >= |force|) leave their cones, then sums over the contacts from which the change of the
-        mean of friction * bound - slip . force follows.
+    found : (numbers, S), what the kernel found. First come the multiples of the step at which primal points (bound >=
+        |slip|) and dual points (friction >= |force|) leave their cones. Then come sums over the contacts, which tell
+        how the mean of friction * bound - slip . force changes.
     """
 
     slot: int

@@ -176,8 +176,10 @@ class _PreciseSystem:
 
 
 def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
-    """Return the whole numbers by which the jump (an array) has to be multiplied to give the values; 0 where there is
-    no jump."""
+    """Return the whole numbers by which a jump has to be multiplied to give some values; 0 where the jump is 0.
+
+    values, jump : arrays of one shape.
+    """
     return np.rint(np.divide(values, jump, out=np.zeros_like(values), where=jump != 0))
 
 

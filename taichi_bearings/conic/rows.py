@@ -201,12 +201,13 @@ def compile_passes() -> None:
 
 
 def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, shape: tuple[int, int]) -> Sums:
-    """Return a sparse matrix of the given shape, in the form that suits its entries: two tables if they are all 1 or
-    -1, else a matrix of SciPy.
+    """Return a sparse matrix in the form that suits its entries: two tables if they are all 1 or -1, else a matrix of
+    SciPy.
 
-    row, column, sign : row, column and value of each entry. If all values are 1 or -1, tables for `kernels.add_up` are
-        returned: where the terms of each row begin, and the columns of the terms, in rising order, those to be
-        subtracted as their bitwise complement.
+    row, column, sign : (entries,), row, column and value of each entry. If all values are 1 or -1, tables for
+        `kernels.add_up` are returned: where the terms of each row begin, and the columns of the terms, in rising order,
+        those to be subtracted as their bitwise complement.
+    shape : numbers of rows and columns.
     """
     if (np.abs(sign) != 1).any():
         return sparse.csr_array((sign, (row, column)), shape=shape)

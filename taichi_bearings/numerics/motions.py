@@ -168,11 +168,11 @@ def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
 def _eliminated(
     matrix: sparse.csr_array, position: np.ndarray, own: np.ndarray, updates: list[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[_Front, np.ndarray]:
-    """Eliminate the unknowns `own` of one front, by pivoted Cholesky factorisation.
-
-    A front is a dense symmetric matrix of its own unknowns and its border, the later unknowns that they are coupled to.
+    """Eliminate the own unknowns of one front, by pivoted Cholesky factorisation. A front is a dense symmetric matrix
+    of its own unknowns and its border, the later unknowns that they are coupled to.
 
     matrix : K^T K, where K gives slips from spins. position : (unknowns,) place of each in the order of elimination.
+    own : (k,), the own unknowns.
     updates : for each front below this one its border, and the matrix (border, border) that it adds there.
     returns : the front, and the matrix that its elimination adds to that of its border (the Schur complement).
     """

@@ -148,9 +148,9 @@ class Bounds:
 def _held_by_springs(
     network: JudgedNetwork, upper: np.ndarray
 ) -> tuple[list[Enclosure], list[Enclosure], np.ndarray | None, np.ndarray, Enclosure] | None:
-    """Balance the friction by springs, where a component of a slip depends on several components of the spins. What
-    rounding leaves of the torques is paid for at the largest spins of some minimum, or, where these are not known to be
-    small, at FASTEST_COMPARED times the fastest imposed speed.
+    """Balance the friction by springs, where a component of a slip depends on several components of the spins. Rounding
+    leaves some torques; what they can cost is their size times the largest spins of some minimum. Where these spins are
+    not known to be small, FASTEST_COMPARED times the fastest imposed speed is taken.
 
     network : R samples with n spheres and m contacts in all. upper : (R,), potentials of the given spins.
 
@@ -160,7 +160,8 @@ def _held_by_springs(
     2. torques that it leaves over, 3 components, enclosures (n,);
     3. mask (n, 3) of the components of spins that springs hold, None without springs;
     4. (R,), the words for which spins the bound is proven;
-    5. (R,), the price of the torques, which the lower bound loses."""
+    5. (R,), the price of the torques, which the lower bound loses.
+    """
     count, springs = network.count, Springs.of(network, np.maximum(upper, LEAST_POWER * natural(network)))
     if springs is None and count > 1:
         return None

@@ -224,14 +224,17 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
 def work_and_bound_within(
     scene: Scene, balanced: Forces, within: Forces, worst: np.ndarray, spin_axes: tuple[int, ...], enough: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the work (R,) of the driven planes against Coulomb forces as they are, and the lower bound (R,) that the
-    forces prove once they are capped at, or scaled to, the friction limits; both energy/time.
+    """Return two arrays (R,), energy/time: the work of the driven planes against given Coulomb forces; and the lower
+    bound that these prove after each is capped at its friction limit, or all are scaled to their limits, whichever
+    proves more.
 
-    balanced : (C components, R samples, E contacts). within : (C, R, E), the same forces capped at the friction limits.
+    balanced : (C components, R samples, E contacts), the forces. within : (C, R, E), the same, capped at the friction
+        limits.
     worst : (R,), the largest force of each sample over its friction limit; it only decides whether scaled forces are
         tried. spin_axes : the axes of the C components.
     enough : torques are summed in plain doubles, which is quicker, where the allowance for their rounding is at most
-        this share of the distance between work and bound."""
+        this share of the distance between work and bound.
+    """
     work = _work_of_planes(scene, balanced, spin_axes)
     bound = dual_value(scene, within, spin_axes, plain=enough > 0)
     if enough > 0:

@@ -325,10 +325,11 @@ def _length_of_several(parts: list[Enclosure]) -> Enclosure:
 def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]) -> Enclosure:
     """Return the enclosure of a product of enclosures.
 
-    product, rest : about its value, product + rest, as two arrays of doubles.
-    error : how far the errors of its factors may move it.
+    product, rest : its value, product + rest, but for rounding: two arrays of doubles.
+    error : of the same shape, how far the errors of the two factors may move it.
     counts : function that returns the mask of the elements neither of whose factors is exactly 0: only these may have
-        lost something by underflow. It is called for tiny products alone."""
+        lost something by underflow. It is called for tiny products alone.
+    """
     high, low = _fast_two_sum(product, rest)
     size = np.abs(high)
     error = error + PAIR_ROUNDING * size

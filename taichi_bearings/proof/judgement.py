@@ -267,9 +267,12 @@ class Judgement:
 
 
 def rounded_out(values: np.ndarray, unit: np.ndarray, towards: float) -> np.ndarray:
-    """Return the values (R,) times their units (R,), rounded towards `towards`, plus or minus infinity. Two units in
-    the last place are allowed, as the unit and the product are each rounded once; 0 stays 0, and a unit that is a power
-    of two rounds only tiny numbers."""
+    """Return values times their units, (R,), rounded outwards: towards plus or minus infinity. Two units in the last
+    place are allowed, as the unit and the product are each rounded once. 0 stays 0, and a unit that is a power of two
+    rounds only tiny numbers.
+
+    values, unit : (R,) each. towards : plus or minus infinity.
+    """
     found = values * unit
     for _ in range(2):
         inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)

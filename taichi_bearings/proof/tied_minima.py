@@ -527,14 +527,15 @@ def _minimum_with_held(
     saturated: Saturated,
 ) -> tuple[Slipping, np.ndarray] | None:
     """Prove that one minimum is near the stored spins if some domains are held, and that it is a minimum without
-    holding them, too: known forces cancel on the held ones, and the resting contacts can bear what the others leave to
-    them. Return None if that is not proven; else the slipping contacts close to it, and for each a bound on |slip there
-    - slip| / |slip|.
+    holding them, too. For the latter, known forces have to cancel on the held domains, and the resting contacts have to
+    bear what the others leave to them. Return None if that is not proven; else the slipping contacts close to that
+    minimum, and for each a bound on |slip there - slip| / |slip|.
 
     motion : the stored spins and which contacts rest.
     pulls : the contacts that bear all their friction. between : domains that lie between two others. saturated :
         contacts without slip at their friction limit.
-    held : (2, spheres) mask of the spheres whose domain is held where it is, by component."""
+    held : (2, spheres) mask of the spheres whose domain is held where it is, by component.
+    """
     rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()
     near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:

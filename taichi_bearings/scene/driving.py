@@ -567,10 +567,9 @@ class Planes(Driving):
         return np.stack([top.min(axis=1, initial=0.0), top.max(axis=1, initial=0.0)])
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (samples R,), True where the present contacts do not connect bottom and top in any spin
-        component that has to be solved for.
+        """Return a mask (samples R,), True where no chain of contacts joins bottom and top in any spin component that
+        has to be solved for. In a component only those contacts count that slip by it: all but those along its axis.
 
-        In each component only those contacts count that slip by it: all but those along its axis.
         present : (R, contacts E) mask of the present contacts.
         """
         if present.all():

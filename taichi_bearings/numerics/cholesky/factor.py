@@ -138,7 +138,10 @@ class Cholesky:
         return self._factors[lanes]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Return the solutions (unknowns, S) of the S factorised systems for one right-hand side each."""
+        """Return the solutions (unknowns, S) of the S factorised systems for one right-hand side each.
+
+        right : (unknowns, S), these right-hand sides.
+        """
         factor, (unknowns, samples) = self.factor(right.shape[1]), right.shape
         np.take(right, self.pattern.order, axis=0, out=factor.solution[:unknowns, :samples], mode="clip")
         factor.substitute()
