@@ -34,8 +34,10 @@ if TYPE_CHECKING:
     from taichi_bearings.scene import Scene
     from taichi_bearings.solvers.method import Method
 
-MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
-SPLITTING_TOLERANCE = 3e-5  # from this tolerance on operator splitting is faster than the interior-point method
+MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which factorisations fit into any memory (about 48^3)
+# tolerances from which on operator splitting is faster than the interior-point method, up to so many spheres and beyond
+SPLITTING_TOLERANCE, SPLITTING_TOLERANCE_BEYOND = 3e-5, 1e-6
+ROOM_MARGIN = 1.4  # factor by which the estimated memory of an interior point beyond that may be too low
 
 
 def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[[Law], bool]":
@@ -277,12 +279,21 @@ class InteriorPoint(MethodOptions):
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
         """Return True if `--method auto` may take the method: where operator splitting is slower, and the factor fits.
 
+        With more than MOST_FACTORISED spheres that depends on how much memory is free.
+
         scene : what is to be solved.
         tolerance : relative gap that is asked for.
         on_gpu : True if the run has a GPU.
         """
-        pays = (tolerance < SPLITTING_TOLERANCE or scene.law.flows) and scene.lattice.sites <= MOST_FACTORISED
-        return pays and super().suits(scene, tolerance, on_gpu)
+        if not super().suits(scene, tolerance, on_gpu):
+            return False
+        lattice = scene.lattice
+        if lattice.sites <= MOST_FACTORISED:
+            return tolerance < SPLITTING_TOLERANCE or scene.law.flows
+        from taichi_bearings.memory import free_bytes
+
+        room = ROOM_MARGIN * scene.replicas * cls.bytes(lattice.shape, lattice.periodic)
+        return tolerance < SPLITTING_TOLERANCE_BEYOND and room <= free_bytes()
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:

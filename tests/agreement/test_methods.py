@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taichi_bearings import runtime
+from taichi_bearings import memory, runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -72,6 +72,22 @@ def test_a_gpu_splits_friction_and_descends_where_that_flows_too():
     assert fastest(Scene.random((3, 4, 5)), 1e-8, on_gpu=True).name == "operator-splitting"
     assert fastest(Scene.random((3, 4, 5), direction=(1, 0, 0)), 1e-8, on_gpu=True).name == "planar-cut"
     assert fastest(Scene.random((3, 4, 5), law="coulomb-viscous"), 1e-8, on_gpu=True).name == "gradient-descent"
+
+
+@pytest.mark.parametrize(
+    ("side", "tolerance", "gigabytes", "name"),
+    [
+        (48, 1e-8, 1, "interior-point"),
+        (48, 1e-4, 100, "operator-splitting"),
+        (64, 1e-8, 100, "interior-point"),
+        (64, 1e-8, 2, "operator-splitting"),  # the factor alone takes 3 GB
+        (64, 1e-6, 100, "operator-splitting"),
+        (112, 1e-8, 1e6, "operator-splitting"),  # more numbers than 32 bits can count
+    ],
+)
+def test_large_lattices_are_factorised_where_memory_allows(monkeypatch, side, tolerance, gigabytes, name):
+    monkeypatch.setattr(memory, "free_bytes", lambda: 1e9 * gigabytes)
+    assert fastest(Scene.random((side, side, side)), tolerance, on_gpu=False).name == name
 
 
 def test_no_method_takes_a_law_that_it_is_not_made_for():
