@@ -84,11 +84,12 @@ class NewtonMatrix:
         self._kept = dict[int, ContactRows]()  # by number of samples side by side, the memory of their Newton steps
 
     def compile(self, samples: int = 1) -> None:
-        """Compile the kernels for factorising one sample or several side by side, and those for smaller systems, so
-        that the measured time of a run does not include it. samples : number of samples side by side.
+        """Compile the kernels for factorising one sample, here and in smaller systems, or those for several side by
+        side, so that the measured time of a run does not include it. samples : number of samples side by side.
         """
         _compile(self._choleskys[0].engine, samples)
-        _compile(Engine.LAUNCH, 1)
+        if samples == 1:
+            _compile(Engine.LAUNCH, 1)
 
     def factorise(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
         """Factorise the matrices of all samples. Raises NotPositiveDefinite if one is singular to working precision.

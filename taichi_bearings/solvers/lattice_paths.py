@@ -125,10 +125,8 @@ class LatticePaths(Paths):
         small = scene.lattice.sites < BATCHED_SITES  # samples so small are stepped several at a time
         super().__init__(shared, scene.lattice.sites, small, settles=True, asked=settle)
         if self.frustrated:
-            compile_passes()  # all before the clock starts
-            matrix.compile()  # the last sample may be alone
-            if small and scene.replicas > 1:
-                matrix.compile(LANES)
+            compile_passes()  # all before the clock starts, but for what a last sample needs if it is left alone
+            matrix.compile(LANES if small and scene.replicas > 1 else 1)
         # the spins to start from, within the interval of the driven ones, and those of the free spheres in `unit`
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
         start = free_spins(inside / (self.unit or 1.0))
