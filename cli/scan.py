@@ -1,5 +1,6 @@
 """The command `bearings scan`."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import click
 from taichi_bearings_cli.options import FILE_PATH, answer, json_option, options_in
 from taichi_bearings_cli.progress import ScanDisplay
 
+from taichi_bearings.copies import begun_early
 from taichi_bearings.errors import InputError, printable
 from taichi_bearings.progress import duration
 from taichi_bearings.runs.settings import WISHES
@@ -74,6 +76,15 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
       bearings scan SCAN.toml --scheduler tcp://node:8786
       bearings scan SCAN.toml --out outputs/scan --part 3/100; bearings scan outputs/scan --merge
     """
+    solves_here = not (dry_run or asked["merge"] or asked["scheduler"])
+    with begun_early() if solves_here else nullcontext():
+        code = _solve(scan, dry_run, as_json, asked)
+    context.exit(code)
+
+
+def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> int:
+    """Do what the command `bearings scan` does, and return its exit code. The arguments are those of the command;
+    `asked` has its other options by name."""
     from taichi_bearings.runs.run_directory import default_run_path
     from taichi_bearings.scans import scan as study
     from taichi_bearings.scans.cluster import connected
@@ -95,7 +106,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     if dry_run:
         expected = study.estimate(plan, folder, workers, part)
         answer(expected, as_json, lambda: describe_estimate(expected))
-        return
+        return 0
     if merge:
         report = study.merge(plan, folder)
     else:
@@ -103,7 +114,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
             report = study.scan(plan, folder, workers, display, client=client, part=part)
     answer(report, as_json, lambda: describe(report))
     done = report["reached"] == report["samples"] and not report["lacking"]
-    context.exit(130 if report["interrupted"] else 0 if done else 1)
+    return 130 if report["interrupted"] else 0 if done else 1
 
 
 def _without_folder(scan: Path) -> InputError:

@@ -12,7 +12,7 @@ FLOOR = {
     "errors": 0, "version": 0, "citation": 0, "devices": 0, "stages": 0, "words": 0, "read_only": 0,
     "leaving": 0, "dissection": 0,
     "interrupts": 1, "memory": 1, "plain_files": 1, "progress": 1, "text_lines": 2, "walks": 2,
-    "compiler": 2, "hdf5": 2, "options": 2, "lattice": 2, "runtime": 3,
+    "compiler": 2, "copies": 2, "hdf5": 2, "options": 2, "lattice": 2, "runtime": 3,
     "checksums": 3, "fields": 4, "launch": 4,
     "kernels": 5, "numerics": 6, "scene": 7, "proof": 8, "conic": 8, "quantities": 9,
     "solvers": 10, "analysis": 11, "files": 12, "plots": 13, "runs": 14, "export": 15, "view": 15, "scans": 15,

@@ -189,12 +189,12 @@ class ContactRows:
 
 
 @lru_cache
-def compile_passes() -> None:
+def compile_passes(samples: int = 1) -> None:
     """Compile the kernels of a Newton step, by running them on a system of two contacts: they are the same for all
-    systems."""
+    systems. samples : number of samples side by side, 1 or LANES."""
     felt = np.array([[True, True], [False, True]])
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
-    rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), np.zeros((1, 1)))
+    rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), np.zeros((1, samples)))
     for kernel in (kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take):
         rows.run(kernel)
     rows.torques(kernels.FORCE)

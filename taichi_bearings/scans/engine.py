@@ -1,8 +1,8 @@
 """Solves many samples in worker processes; if one of these fails, only the sample that it was solving is lost.
 
 An engine takes *units* of work (a few samples each) and returns their *records*, or the reason why there are none.
-:func:`run_samples` decides what to do about units that fail, for every engine alike. Workers are started by spawn: a
-fork hangs in Taichi.
+:func:`run_samples` decides what to do about units that fail, for every engine alike. Workers are never copies of this
+process, whose threads a copy would lack (copies.py).
 """
 
 import contextlib
@@ -19,16 +19,15 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from multiprocessing import spawn
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from taichi_bearings import runtime
+from taichi_bearings.copies import Original, context_of_workers, take_original
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
-from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.memory import collect_cycles_seldom, keep_freed
 from taichi_bearings.plain_files import Json
 
@@ -177,6 +176,7 @@ class LocalEngine:
 
 Solved = tuple[list[Record] | None, str]  # the records of a unit, or the reason why there are none
 _solvers: dict[tuple[str, int], "_Solver"] = {}  # of this process, by engine and thread
+_originals: dict[str, Original] = {}  # by engine, the process whose copies are its workers
 _closed: set[str] = set()  # names of engines that are closed
 _one_at_a_time = threading.Lock()  # processes are started and ended one by one: each start looks after all others
 
@@ -207,6 +207,8 @@ def end_solvers(engine: str) -> None:
                 process.join(KEEPING_SECONDS)
                 process.kill()
                 process.join()
+        if engine in _originals:
+            _originals.pop(engine).end()
 
 
 @dataclass
@@ -278,22 +280,15 @@ class _Solver:
 
     def _start(self) -> None:
         """Start the process, and wait until it says that it has started."""
-        context = multiprocessing.get_context("spawn")
         multiprocessing.current_process().daemon = False  # where Dask has set this, no process could be started
-        with (
-            _one_at_a_time,
-            _main_left_out(),
-            unheard_by_children(),
-        ):  # the tracker starts without the working folder too
+        with _one_at_a_time:
             if self.engine in _closed:
                 raise EOFError
-            self._pipe, theirs = context.Pipe()
-            process = context.Process(
-                target=serve, args=(theirs, pickle.dumps(self.work)), daemon=True, name=WORKER_NAME
-            )
-            process.start()
+            original = _originals.get(self.engine) or take_original()
+            _originals[self.engine] = original
+            self._pipe, theirs = context_of_workers().Pipe()
+            self.process = original.start(serve, (theirs, pickle.dumps(self.work)), WORKER_NAME)
             theirs.close()
-            self.process = process
         self._pipe.recv()  # that it has started
 
     def _end(self) -> str:
@@ -324,26 +319,6 @@ def refuse_in_worker() -> None:
             "a module that a worker process imports calls solve_many itself; put such calls under "
             "`if __name__ == '__main__'`"
         )
-
-
-@contextlib.contextmanager
-def _main_left_out() -> Iterator[None]:
-    """Context in which new processes do not run the user's script again, so that the script needs no guard against
-    that.
-
-    Nor do they load modules from the working folder, where Python 3.10 would look first.
-    """
-    preparation, before = spawn.get_preparation_data, os.environ.get("PYTHONSAFEPATH")
-    spawn.get_preparation_data = lambda name: {
-        k: v for k, v in preparation(name).items() if not k.startswith("init_main_")
-    }
-    os.environ["PYTHONSAFEPATH"] = "1"
-    try:
-        yield
-    finally:
-        spawn.get_preparation_data = preparation
-        del os.environ["PYTHONSAFEPATH"]
-        os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
 def serve(pipe: Connection, pickled_work: bytes) -> None:

@@ -125,8 +125,9 @@ class LatticePaths(Paths):
         small = scene.lattice.sites < BATCHED_SITES  # samples so small are stepped several at a time
         super().__init__(shared, scene.lattice.sites, small, settles=True, asked=settle)
         if self.frustrated:
-            compile_passes()  # all before the clock starts, but for what a last sample needs if it is left alone
-            matrix.compile(LANES if small and scene.replicas > 1 else 1)
+            together = LANES if small and scene.replicas > 1 else 1
+            compile_passes(together)  # all before the clock starts, but for what a last sample needs if left alone
+            matrix.compile(together)
         # the spins to start from, within the interval of the driven ones, and those of the free spheres in `unit`
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
         start = free_spins(inside / (self.unit or 1.0))

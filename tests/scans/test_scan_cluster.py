@@ -11,6 +11,7 @@ from functools import partial
 
 import pytest
 
+from taichi_bearings.copies import CAN_COPY
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.scans.cluster import DaskEngine, connected
 from taichi_bearings.scans.scan import scan
@@ -46,12 +47,16 @@ def plan(plan_of):
 
 
 def solvers(client):
-    """Processes that solve, of all Dask workers; spawn may have its resource tracker beside them."""
-    found = []
+    """Processes that solve, of all Dask workers: copies of a child of each worker, or where none are made (copies.py)
+    its children themselves. There may be a tracker of resources beside them."""
+    found, depth = [], 2 if CAN_COPY else 1
     for pid in client.run(os.getpid).values():
-        for child in psutil.Process(pid).children():
+        level = [psutil.Process(pid)]
+        for _ in range(depth):
             with contextlib.suppress(psutil.NoSuchProcess):
-                found += [child.pid] if any("spawn_main" in word for word in child.cmdline()) else []
+                level = [child for process in level for child in process.children()]
+        with contextlib.suppress(psutil.NoSuchProcess):
+            found += [of.pid for of in level if "resource_tracker" not in " ".join(of.cmdline())]
     return found
 
 

@@ -1,0 +1,130 @@
+"""Starts worker processes: under Linux as copies of one process that has loaded the program, elsewhere anew.
+
+A new process takes longer to load the program than to solve a small sample; a copy is there at once. The process that
+is copied, the *original*, does nothing but load modules and wait: it has neither threads nor a runtime of Taichi, of
+both of which a copy would have a part only. It is a server of :mod:`multiprocessing`, one for each group of workers, so
+that it has the environment that they are to have.
+"""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from multiprocessing import spawn
+from multiprocessing.process import BaseProcess
+from types import SimpleNamespace
+from typing import Any
+
+from taichi_bearings.interrupts import unheard_by_children
+
+CAN_COPY = sys.platform == "linux"
+LOADED = "taichi_bearings.scans.loaded"  # the module that the original loads, with all that it imports
+
+
+def context_of_workers() -> Any:
+    """Return the context of :mod:`multiprocessing` in which workers are started, which also makes the pipes to them."""
+    return multiprocessing.get_context("forkserver" if CAN_COPY else "spawn")
+
+
+class Original:
+    """The process that is copied to make workers. Elsewhere than under Linux there is none, and workers start anew.
+
+    It is started with the first worker, or before by :meth:`begin`. Whoever has it sees to it that one thread at a time
+    starts workers.
+    """
+
+    def __init__(self) -> None:
+        """Prepare what starts the process, which does not run yet."""
+        self._server: Any = None
+        if CAN_COPY:
+            from multiprocessing import forkserver
+
+            self._server = forkserver.ForkServer()
+            self._server.set_forkserver_preload([LOADED])
+
+    def begin(self) -> None:
+        """Start the process, if there is to be one; it then loads the program while this one goes on."""
+        if self._server is not None:
+            with _main_left_out(), unheard_by_children():
+                self._server.ensure_running()
+
+    def start(self, target: Callable[..., None], arguments: tuple[Any, ...], name: str) -> BaseProcess:
+        """Return a new worker process that calls `target` with these arguments. It ends with this one, and never hears
+        of Ctrl-C and SIGTERM."""
+        process: BaseProcess = context_of_workers().Process(target=target, args=arguments, daemon=True, name=name)
+        with _main_left_out(), unheard_by_children(), self._copied():
+            process.start()
+        return process
+
+    @contextlib.contextmanager
+    def _copied(self) -> Iterator[None]:
+        """Have processes that are started inside the block be copies of the original. By default they would be copies
+        of a server that all users of :mod:`multiprocessing` share, which has loaded other modules."""
+        if self._server is None:
+            yield
+            return
+        from multiprocessing import forkserver, popen_forkserver
+
+        own: Any = SimpleNamespace(**vars(forkserver))
+        own.connect_to_new_process = self._server.connect_to_new_process
+        popen: Any = popen_forkserver
+        popen.forkserver, before = own, popen.forkserver
+        try:
+            yield
+        finally:
+            popen.forkserver = before
+
+    def end(self) -> None:
+        """End the process, if it runs; its copies must have ended."""
+        pid = getattr(self._server, "_forkserver_pid", None)
+        if pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)  # it may still be loading, and has nothing to lose
+            with contextlib.suppress(ChildProcessError, AttributeError):
+                self._server._stop()
+
+
+_begun: list[Original] = []  # the process that `begun_early` has started, until someone takes it
+
+
+@contextlib.contextmanager
+def begun_early() -> Iterator[None]:
+    """Start the process that is copied to make workers, so that it loads the program while this process does. It is for
+    whoever first calls :func:`take_original` inside the block; else it ends with the block."""
+    original = Original()
+    original.begin()
+    _begun.append(original)
+    try:
+        yield
+    finally:
+        if original in _begun:
+            _begun.remove(original)
+            original.end()
+
+
+def take_original() -> Original:
+    """Return the process that :func:`begun_early` has started and nobody has yet, or a new one, which is not started.
+    The caller has to end it."""
+    return _begun.pop() if _begun else Original()
+
+
+@contextlib.contextmanager
+def _main_left_out() -> Iterator[None]:
+    """Context in which new processes do not run the user's script again, so that the script needs no guard against
+    that.
+
+    Nor do they load modules from the working folder, where Python 3.10 would look first.
+    """
+    preparation, before = spawn.get_preparation_data, os.environ.get("PYTHONSAFEPATH")
+    spawn.get_preparation_data = lambda name: {
+        k: v for k, v in preparation(name).items() if not k.startswith("init_main_")
+    }
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        spawn.get_preparation_data = preparation
+        del os.environ["PYTHONSAFEPATH"]
+        os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
