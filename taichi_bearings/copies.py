@@ -11,12 +11,14 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from multiprocessing import spawn
 from multiprocessing.process import BaseProcess
 from types import SimpleNamespace
 from typing import Any
 
+from taichi_bearings import leaving
 from taichi_bearings.interrupts import unheard_by_children
 
 CAN_COPY = sys.platform == "linux"
@@ -38,6 +40,7 @@ class Original:
     def __init__(self) -> None:
         """Prepare what starts the process, which does not run yet."""
         self._server: Any = None
+        self._is_loaded = False  # whether it surely has loaded the program
         if CAN_COPY:
             from multiprocessing import forkserver
 
@@ -47,24 +50,51 @@ class Original:
     def begin(self) -> None:
         """Start the process, if there is to be one; it then loads the program while this one goes on."""
         if self._server is not None:
-            with _main_left_out(), unheard_by_children():
+            with _main_left_out(), _working_folder_left_out(), unheard_by_children():
                 self._server.ensure_running()
+            leaving.add_helper(self._server._forkserver_pid)
 
     def start(self, target: Callable[..., None], arguments: tuple[Any, ...], name: str) -> BaseProcess:
         """Return a new worker process that calls `target` with these arguments. It ends with this one, and never hears
-        of Ctrl-C and SIGTERM."""
+        of Ctrl-C and SIGTERM.
+
+        Raises EOFError or OSError if there is none, as after :meth:`give_up`.
+        """
         process: BaseProcess = context_of_workers().Process(target=target, args=arguments, daemon=True, name=name)
-        with _main_left_out(), unheard_by_children(), self._copied():
+        if self._server is None:
+            with _main_left_out(), _working_folder_left_out(), unheard_by_children():
+                process.start()
+            return process
+        self.begin()
+        with _main_left_out(), self._copied():  # this waits until the program is loaded
             process.start()
+        self._is_loaded = True
         return process
+
+    def give_up(self) -> None:
+        """Kill the process if it is still loading the program. Another thread may wait for that in :meth:`start`."""
+        if not self._is_loaded:
+            self._kill()
+
+    def end(self) -> None:
+        """End the process, if it runs; its copies must have ended."""
+        if self._kill():
+            leaving.forget_helper(self._server._forkserver_pid)
+            with contextlib.suppress(ChildProcessError, AttributeError):
+                self._server._stop()
+
+    def _kill(self) -> bool:
+        """Kill the process, which has nothing to lose. Return False if it was not started."""
+        pid = getattr(self._server, "_forkserver_pid", None)
+        if pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        return pid is not None
 
     @contextlib.contextmanager
     def _copied(self) -> Iterator[None]:
         """Have processes that are started inside the block be copies of the original. By default they would be copies
         of a server that all users of :mod:`multiprocessing` share, which has loaded other modules."""
-        if self._server is None:
-            yield
-            return
         from multiprocessing import forkserver, popen_forkserver
 
         own: Any = SimpleNamespace(**vars(forkserver))
@@ -75,15 +105,6 @@ class Original:
             yield
         finally:
             popen.forkserver = before
-
-    def end(self) -> None:
-        """End the process, if it runs; its copies must have ended."""
-        pid = getattr(self._server, "_forkserver_pid", None)
-        if pid is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)  # it may still be loading, and has nothing to lose
-            with contextlib.suppress(ChildProcessError, AttributeError):
-                self._server._stop()
 
 
 _begun: list[Original] = []  # the process that `begun_early` has started, until someone takes it
@@ -112,19 +133,31 @@ def take_original() -> Original:
 
 @contextlib.contextmanager
 def _main_left_out() -> Iterator[None]:
-    """Context in which new processes do not run the user's script again, so that the script needs no guard against
-    that.
+    """Context in which processes that this thread starts do not run the user's script again, so that the script needs
+    no guard against that."""
+    preparation, ours = spawn.get_preparation_data, threading.get_ident()
 
-    Nor do they load modules from the working folder, where Python 3.10 would look first.
-    """
-    preparation, before = spawn.get_preparation_data, os.environ.get("PYTHONSAFEPATH")
-    spawn.get_preparation_data = lambda name: {
-        k: v for k, v in preparation(name).items() if not k.startswith("init_main_")
-    }
-    os.environ["PYTHONSAFEPATH"] = "1"
+    def without_main(name: str) -> dict[str, Any]:
+        """Return what :mod:`multiprocessing` tells a new process with this name, without the user's script."""
+        told = preparation(name)
+        is_ours = threading.get_ident() == ours
+        return {key: value for key, value in told.items() if not (is_ours and key.startswith("init_main_"))}
+
+    spawn.get_preparation_data = without_main
     try:
         yield
     finally:
         spawn.get_preparation_data = preparation
+
+
+@contextlib.contextmanager
+def _working_folder_left_out() -> Iterator[None]:
+    """Context in which new processes do not load modules from the working folder, where Python 3.10 would look
+    first."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
         del os.environ["PYTHONSAFEPATH"]
         os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})

@@ -23,6 +23,7 @@ NOTHING_KEPT = "interrupted; nothing is kept but what was complete"
 AS_BEFORE = "\r\x1b[2K\x1b[?25h"  # a terminal without a line of progress, and with its cursor
 
 _temporary = set[str]()
+_helpers = set[int]()  # processes that this one has started beside those that multiprocessing lists
 _sentences = [NOTHING_KEPT]
 _saving = 0
 _heard = threading.Event()
@@ -60,6 +61,17 @@ def add_temporary(path: Path) -> None:
 def forget_temporary(path: Path) -> None:
     """Undo :func:`add_temporary`: it is removed, or has another name."""
     _temporary.discard(os.path.abspath(path))
+
+
+def add_helper(process: int) -> None:
+    """Have a process killed if this one is ended before :func:`forget_helper` is called for it. process : its number,
+    that of a child of this process, which stays its own until it is waited for."""
+    _helpers.add(process)
+
+
+def forget_helper(process: int) -> None:
+    """Undo :func:`add_helper`, before the process is waited for."""
+    _helpers.discard(process)
 
 
 def heard() -> bool:
@@ -161,6 +173,9 @@ def _leave() -> NoReturn:
         multiprocessing: Any = sys.modules.get("multiprocessing")
         for child in multiprocessing.active_children() if multiprocessing else []:
             child.kill()
+    for process in list(_helpers):
+        with contextlib.suppress(OSError):
+            os.kill(process, signal.SIGKILL)
     for path in list(_temporary):
         with contextlib.suppress(OSError):
             if os.path.isdir(path) and not os.path.islink(path):

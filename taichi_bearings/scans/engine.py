@@ -197,8 +197,10 @@ def end_solvers(engine: str) -> None:
     Processes at work are killed. Idle ones see that their pipe is closed, keep the kernels they have compiled for later
     processes, and end.
     """
+    _closed.add(engine)
+    if engine in _originals:
+        _originals[engine].give_up()  # for whose program to load a thread may wait
     with _one_at_a_time:
-        _closed.add(engine)
         ended = [_solvers.pop(key) for key in list(_solvers) if key[0] == engine]
         for solver in ended:
             solver.dismiss()
