@@ -194,7 +194,8 @@ def compile_passes(samples: int = 1) -> None:
     systems. samples : number of samples side by side, 1 or LANES."""
     felt = np.array([[True, True], [False, True]])
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
-    rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), np.zeros((1, samples)))
+    spins = aligned_zeros(samples, kernels.BLOCK).reshape(1, samples)
+    rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), spins)
     for kernel in (kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take):
         rows.run(kernel)
     rows.torques(kernels.FORCE)
