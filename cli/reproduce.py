@@ -82,8 +82,8 @@ def command(
 
 
 def describe(report: dict[str, Any], times: str) -> str:
-    """Return all claims with their verdicts, and the files written, in words. report : the object of `--json`. times :
-    a sentence on where the time went.
+    """Return all claims with their verdicts, and the files written, in words. report : the object of `--json`.
+    times : a sentence on where the time went.
     """
     lines = list[str]()
     for found in report["figures"].values():

@@ -80,8 +80,8 @@ def keep_freed() -> None:
 
 
 def refuse_before(needed: float, what: str) -> None:
-    """Raise NotEnoughMemory if `needed` bytes, an estimate that may be too low by ESTIMATE_MARGIN, are not free. what :
-    what needs them, for the message."""
+    """Raise NotEnoughMemory if `needed` bytes, an estimate that may be too low by ESTIMATE_MARGIN, are not free.
+    what : what needs them, for the message."""
     free = free_bytes() if needed > LITTLE_BYTES else np.inf
     if needed * ESTIMATE_MARGIN > free:
         words = f"needs some {needed / 1e9:.1f} GB of memory; {max(free, 0) / 1e9:.1f} GB are free"

@@ -209,7 +209,7 @@ class Option:
     dimensions : of the lattices that use it.
     of_solving : True if it says how a system is solved, not which system.
     not_scanned : why a scan cannot vary it, since it changes no result; "" if it can.
-    unset : True if None stands for the default, wherever a run is described, as if the option were not given.
+    unset : True if descriptions of a run have None in place of the default, as if the option were not given.
     rare : True if few need it, so that `--help` leaves it to `--help-all`.
     """
 

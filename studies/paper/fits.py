@@ -327,8 +327,8 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     spread = again.std(axis=1, ddof=1)
 
     def fitted(first: int, values: np.ndarray) -> tuple[Any, float, float]:
-        """Return the skewness, the goodness of the fit, and A, for the sizes from the index `first` on. values :
-        cumulants (sizes, ..., 2).
+        """Return the skewness, the goodness of the fit, and A, for the sizes from the index `first` on.
+        values : cumulants (sizes, ..., 2).
         """
         lines = [line_through(growth[first:, k], spread[first:, k], values[first:, ..., k]) for k in range(2)]
         (variance, third), goodness = (line[0][1] for line in lines), min(line[1] for line in lines)

@@ -130,8 +130,8 @@ def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
     """Return the small sample of a row (method, law, dimension, device, precision) in which no parameter is
     extreme: coefficients uniform in [0.1, 1].
 
-    It is driven about x + y or, if the method refuses that, about x alone; None if the method refuses both. quick :
-    take a smaller sample.
+    It is driven about x + y or, if the method refuses that, about x alone; None if the method refuses both.
+    quick : take a smaller sample.
 
     seed : of the sample.
     """

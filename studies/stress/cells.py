@@ -105,8 +105,8 @@ class Judge:
         outcome : one of OUTCOMES. reason : why it is wrong, refused or a crash; else "".
         status, objective, gap, seconds, states_proven : of the answer. unit : energy/time, the unit of its objective.
         truth, error : the true least objective, and the relative error of the answer.
-        states_wrong : number of slipless contacts that are said to slip and the other way round. states_unproven :
-            number of contacts without a proven state.
+        states_wrong : number of slipless contacts that are said to slip and the other way round.
+        states_unproven : number of contacts without a proven state.
         """
         unknown = ("error", "gap", "states_wrong", "states_unproven", "states_proven", "objective", "truth")
         row: dict[str, Any] = {

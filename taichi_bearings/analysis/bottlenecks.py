@@ -80,11 +80,11 @@ class Bottlenecks:
     @cached_property
     def backbone(self) -> np.ndarray:
         """(links,) mask: True for links on some path from bottom to top that visits no node twice; all False if there
-        is no path.
+        is no path. No other link is on a shortest path.
 
-        No other link is on a shortest path. The ends of the network outside are closed by extra links to one node; the
-        links then form blocks any two of whose links lie on a cycle, and the backbone are the blocks of the extra
-        links.
+        It is found by blocks, the largest sets of links any two of which lie on a common cycle. Each driven body is
+        joined to one extra node by an extra link, which makes cycles of the paths from bottom to top. The backbone are
+        the blocks that contain extra links.
         """
         network, through = self.network, np.zeros(self.network.ends.shape[1], dtype=bool)
         if not network.spans:
@@ -191,9 +191,9 @@ def _between(
 ) -> Betweenness:
     """Return the loads by the shortest paths between two driven bodies.
 
-    neighbours : the neighbours of all spheres. passed : (spheres,) mask of those that paths may run through. edges :
-        number of links of the network. starts, targets : numbers of the spheres of the one and of the other body.
-        pairs : number of connected pairs of these.
+    neighbours : the neighbours of all spheres. passed : (spheres,) mask of those that paths may run through.
+    edges : number of links of the network. starts, targets : numbers of the spheres of the one and of the other body.
+    pairs : number of connected pairs of these.
     """
     # all sources are searched, or a random sample of as many as EXACT_WORK allows
     sites = len(passed)

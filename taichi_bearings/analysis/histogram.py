@@ -194,8 +194,8 @@ def pool(
 
 
 def _by_disorder(count: np.ndarray, disorder: np.ndarray) -> np.ndarray:
-    """Return counts (disorders, bins B), those of samples of one disorder added up. count : (samples S, B). disorder :
-    (S,), number of the disorder of each sample.
+    """Return counts (disorders, bins B), those of samples of one disorder added up. count : (samples S, B).
+    disorder : (S,), number of the disorder of each sample.
     """
     values, which = np.unique(disorder, return_inverse=True)
     summed = np.zeros((len(values), count.shape[1]), dtype=count.dtype)

@@ -180,8 +180,8 @@ class SliplessNetwork:
         return int(maximum_flow(self.graph(), *self.driven_nodes).flow_value) if len(self.driven_nodes) == 2 else None
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return an array (contacts,) over all contacts: the values of the edges, and 0 elsewhere. values :
-        (edges,).
+        """Return an array (contacts,) over all contacts: the values of the edges, and 0 elsewhere.
+        values : (edges,).
         """
         spread = np.zeros(self.slipless.shape, dtype=values.dtype)
         spread[self.slipless] = values

@@ -179,9 +179,9 @@ class NewtonMatrix:
         """Factorise the matrices of the stiffnesses stored in `rows`. Return a mask (S,) of the `wanted` (S,) samples
         in which that succeeds, if need be with a raised diagonal.
 
-        rows : numbers of all contacts, one row for each kind. inertia : stiffness of a spring at every spin. viscous :
-            stiffnesses to add, (d (d + 1) / 2 * n, S): upper triangles of the n contacts' matrices (d, d), all entries
-            [0, 0], then all [0, 1], and so on.
+        rows : numbers of all contacts, one row for each kind. inertia : stiffness of a spring at every spin.
+        viscous : stiffnesses to add, (d (d + 1) / 2 * n, S): upper triangles of the n contacts' matrices (d, d), all
+            entries [0, 0], then all [0, 1], and so on.
         """
         factor, diagonal = self._choleskys[0].factor(rows.samples), self._choleskys[0].pattern.diagonal
         rows.add_stiffnesses(factor.entries)

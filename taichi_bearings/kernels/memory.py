@@ -96,9 +96,9 @@ def store_each(
 
 @ti.func
 def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
-    """Return a list: the strides along three axes and, on lattices with periodic axes, for each axis the number of
-    sites of a ring along it, and the position of a site in its ring. So it has three entries, or nine; every third one
-    from `axis` on is what :func:`load_neighbours` needs of an axis.
+    """Return a list with the strides along three axes and, on lattices with periodic axes, two more triples: for each
+    axis the number of sites of a ring along it, and the position of a site in its ring. So it has three or nine
+    entries; every third one from `axis` on is what :func:`load_neighbours` needs of an axis.
 
     A ring along an axis is counted in memory, with all sites between its neighbours. An axis that is not periodic has a
     ring so long that it never closes.
@@ -106,7 +106,8 @@ def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
     strides : distance in memory to the upper neighbour along each axis.
     site : number of the site among all.
     ring : sites of a replica, which are those of a ring along x.
-    periodic : axes that close on themselves."""
+    periodic : axes that close on themselves.
+    """
     if ti.static(len(periodic) == 0):
         return strides
     sites = [ring, strides[0], OPEN_RING]

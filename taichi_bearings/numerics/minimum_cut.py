@@ -238,8 +238,8 @@ def graph_cut(
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
-    """Return an array of the shape of the contacts along an axis, True where their ends lie on different sides. above :
-    (*N) True on one side, for each sphere."""
+    """Return an array of the shape of the contacts along an axis, True where their ends lie on different sides.
+    above : (*N) True on one side, for each sphere."""
     low, high = lattice.along(axis)
     return np.asarray(above[low] != above[high])
 

@@ -85,8 +85,8 @@ def _draw(axes: Axes, sheet: Sheet, values: np.ndarray, norm: Normalize, site: f
     """Draw the contacts of one picture as lines: across the contact, or between centres where spheres lie behind each
     other. Return True if there are too many for lines, so that each disc has the mean of its contacts instead.
 
-    axes : of matplotlib. values : (contacts E,) coefficients of all contacts of the bearing, 0 where absent. norm :
-    scale of the colours. site : distance of two discs in points.
+    axes : of matplotlib. values : (contacts E,) coefficients of all contacts of the bearing, 0 where absent.
+    norm : scale of the colours. site : distance of two discs in points.
     """
     shown = values[sheet.contact]
     if (shown > 0).sum() > bearing.MOST_LINES and sheet.is_flat:

@@ -109,8 +109,8 @@ def panels(
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
-    """Return an empty figure with known margins, which need no layout, so that it is drawn faster. width, height :
-    inches.
+    """Return an empty figure with known margins, which need no layout, so that it is drawn faster.
+    width, height : inches.
     """
     figure = NotebookFigure(figsize=(width, height), dpi=dpi)
     figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.08 / height)

@@ -107,8 +107,8 @@ class Listed:
         return length(parts)
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Return the sum at each of n spheres of the moments of its contacts, by component, C enclosures (n,). moment :
-        by component, C enclosures (m,), for m contacts; both spheres of a contact get it with the same sign."""
+        """Return the sum at each of n spheres of the moments of its contacts, by component, C enclosures (n,).
+        moment : by component, C enclosures (m,), for m contacts; both spheres of one get it with the same sign."""
         return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:

@@ -86,7 +86,7 @@ class Grid(Listed):
         """Return for each of m contacts what `made` gives for the values of its two spheres, (m,).
 
         made : a function of two arrays that NumPy applies element by element. values : (n,), one for each sphere.
-            kind : type of the result."""
+        kind : type of the result."""
         found: np.ndarray = np.empty(self.contacts, dtype=kind)
         spheres = self.on_spheres(values)
         by_axis = self.by_axis(found)
@@ -222,8 +222,8 @@ class Grid(Listed):
         return self.samples.anchor(self.samples.components[k])
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """Return `spin` (n,) as it is: on lattices spins are stored times the sign by which neighbours differ. sign :
-        not used here."""
+        """Return `spin` (n,) as it is: on lattices spins are stored times the sign by which neighbours differ.
+        sign : not used here."""
         return spin
 
     def shift(self, k: int) -> Enclosure:

@@ -360,8 +360,8 @@ def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> di
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
     """Prove the states of all E contacts of one sample of a lattice that may have many minima.
 
-    motion : the stored spins of the sample and which contacts rest; two components of the spins matter. contacts :
-        those that slip.
+    motion : the stored spins of the sample and which contacts rest; two components of the spins matter.
+    contacts : those that slip.
 
     Returns None if nothing is proven. Else the states (E,), SLIPLESS, SLIPPING (at every minimum), TIED (at some), or
     UNDECIDED; and True if there is only one minimum, False if there are more, None if that is not known."""
@@ -532,8 +532,8 @@ def _minimum_with_held(
     minimum, and for each a bound on |slip there - slip| / |slip|.
 
     motion : the stored spins and which contacts rest.
-    pulls : the contacts that bear all their friction. between : domains that lie between two others. saturated :
-        contacts without slip at their friction limit.
+    pulls : the contacts that bear all their friction. between : domains that lie between two others.
+    saturated : contacts without slip at their friction limit.
     held : (2, spheres) mask of the spheres whose domain is held where it is, by component.
     """
     rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()

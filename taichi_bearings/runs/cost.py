@@ -65,8 +65,8 @@ def bytes_of_lattice(
 ) -> float:
     """Return the most memory, in bytes, of a process that solves samples of a lattice together.
 
-    row : class of the method. shape : spheres along each axis. periodic : numbers of the periodic axes. replicas :
-        number of samples.
+    row : class of the method. shape : spheres along each axis. periodic : numbers of the periodic axes.
+    replicas : number of samples.
     """
     each = row.bytes(shape, periodic)
     if row is InteriorPoint and prod(shape) < InteriorPoint.alike_in_a_block:

@@ -296,9 +296,9 @@ def _stepped(
 
     options : the method with its options. start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or
         (R, N), 1/time; or their name, such as "linear", or the path of a file. settings : of the run.
-    density : of the spheres, mass / length^D, for dynamics alone, from which their inertia follows. monitors :
-        functions that are called at each check. checkpoints : where and how often checkpoints are written, and the one
-        to continue from; None for none.
+    density : of the spheres, mass / length^D, for dynamics alone, from which their inertia follows.
+    monitors : functions that are called at each check.
+    checkpoints : where and how often checkpoints are written, and the one to continue from; None for none.
     """
     from taichi_bearings.solvers.drive import solve  # and with it Taichi's kernels
     from taichi_bearings.solvers.dynamics import Dynamics

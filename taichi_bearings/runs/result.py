@@ -437,8 +437,8 @@ def _of_contacts(row: Quantity) -> property:
 
 
 def _of_findings(row: Quantity) -> property:
-    """Return a property of `Result` that shows a finding of the method for each sample; None where there is none. row :
-    of the table of quantities.
+    """Return a property of `Result` that shows a finding of the method for each sample; None where there is none.
+    row : of the table of quantities.
     """
     return property(lambda result: result.findings.get(row.name), doc=_described(row))
 

@@ -195,7 +195,7 @@ def _samples(
     """Yield the samples of the grid.
 
     path : of the scan file. document : settings that all samples share. scanned : names of the settings that vary.
-        axes : for each axis of the grid, the values of its settings, point by point.
+    axes : for each axis of the grid, the values of its settings, point by point.
     """
     base: RunSettings | None = None
     met: dict[str, Mapping[str, Any]] = {}

@@ -163,8 +163,8 @@ def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
 
 
 def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleCounts:
-    """Return the numbers of contacts by power, one row for each sample that has a record. plan : of the scan. records :
-    by the key of the sample.
+    """Return the numbers of contacts by power, one row for each sample that has a record. plan : of the scan.
+    records : by the key of the sample.
     """
     chosen = [records[sample.key] for sample in plan.samples if sample.key in records]
     bins = [{int(number): many for number, many in record["bins"].items()} for record in chosen]

@@ -266,8 +266,8 @@ class Bearing(ABC):
     def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Give driven spheres their imposed values in an array of spins, in place; return the same array.
 
-        staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute. spin_axes :
-            numbers of their C components.
+        staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute.
+        spin_axes : numbers of their C components.
         """
         return self.driving.impose(staggered, spin_axes)
 
@@ -284,8 +284,8 @@ class Bearing(ABC):
         """Return spins clipped to bounds between which some minimum has all its spins, or as they are where no bounds
         are known. On lattices the bounds are the smallest and largest imposed spins.
 
-        staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute. spin_axes :
-            numbers of their C components.
+        staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute.
+        spin_axes : numbers of their C components.
 
         Clipping never raises the power (shown in docs/equations.md, 4).
         """

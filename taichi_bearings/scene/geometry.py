@@ -85,8 +85,8 @@ class _Contacts:
     center : (spheres N, dimensions D), length. contact : (contacts E, 2), numbers of the first and second sphere.
     radius : (N,), length.
     given : normals (E, D) of the user, or None. normal : these, or else `along`.
-    vector : (E, D), length, from the centre of the first to that of the second sphere. size : (E,), its length. along :
-        (E, D), its direction.
+    vector : (E, D), length, from the centre of the first to that of the second sphere. size : (E,), its length.
+    along : (E, D), its direction.
     reach : (E,), length, sum of the two radii.
     off : (E,), distance between the unit vectors `along` and `normal`.
     touches : (E,) mask, True where `size` is the sum of the radii but for a small gap or overlap.

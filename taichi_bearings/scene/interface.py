@@ -60,8 +60,8 @@ def _state(center: np.ndarray, signed_speeds: np.ndarray, own: np.ndarray) -> np
     """Return the bearing state A + c x of a driven body, continued to all spheres, (spheres N, components C),
     length/time; None if the body is in none.
 
-    center : (N, dimensions D), positions x, length. signed_speeds : (N, C), sign * radius * spin, length/time. own :
-        (N,) mask of the spheres of the body, to whose values A and c are fitted. Where c = 0 fits, it is 0.
+    center : (N, dimensions D), positions x, length. signed_speeds : (N, C), sign * radius * spin, length/time.
+    own : (N,) mask of the spheres of the body, to whose values A and c are fitted. Where c = 0 fits, it is 0.
     """
     value = signed_speeds[own][0]
     if (signed_speeds[own] == value).all():

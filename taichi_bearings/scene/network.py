@@ -252,8 +252,8 @@ class Network:
         return self.dimension == 2 or bool(((self.normal[contact] != 0).sum(axis=1) == 1).all())
 
     def reached(self, contact: np.ndarray) -> np.ndarray:
-        """Return a mask (spheres N,) of the free spheres that chains of contacts connect to a driven sphere. contact :
-        (n,) numbers of the contacts that chains may use.
+        """Return a mask (spheres N,) of the free spheres that chains of contacts connect to a driven sphere.
+        contact : (n,) numbers of the contacts that chains may use.
         """
         first, second = self.contact[:, contact]
         inner = self.free[first] & self.free[second]

@@ -141,8 +141,8 @@ def built(
 
     Lengths are in radii of the small spheres, but for `width`.
 
-    spheres : number N. dimension : D, 2 or 3. ratio : radius of the large spheres over that of the small ones. large :
-        fraction of the spheres that are large. width : of the box in diameters of small spheres; None for about its
+    spheres : number N. dimension : D, 2 or 3. ratio : radius of the large spheres over that of the small ones.
+    large : fraction of the spheres that are large. width : of the box in diameters of small spheres; None for about its
         height. rng : generator of the random numbers.
     Raises InputError for arguments that are not allowed, or if no pocket is left for a sphere.
     """

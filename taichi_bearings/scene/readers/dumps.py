@@ -49,8 +49,8 @@ class Frame:
 class Frames:
     """Where the timesteps of a dump begin.
 
-    path : of the file. starts : pairs of a timestep and the number of lines before it, in the order of the file. cut :
-        the error for what is missing at the end of the file; None if nothing is.
+    path : of the file. starts : pairs of a timestep and the number of lines before it, in the order of the file.
+    cut : the error for what is missing at the end of the file; None if nothing is.
     """
 
     path: Path
@@ -170,8 +170,8 @@ class _Reader:
         return FileError(f"{self.path} is not a LAMMPS dump, or is damaged: at line {self.line} {expected}")
 
     def _header(self, begin: str, expected: str) -> list[str]:
-        """Return the words of the next line after "ITEM: " and `begin`; raise FileError for another line. expected :
-        what it should be, for the message.
+        """Return the words of the next line after "ITEM: " and `begin`; raise FileError for another line.
+        expected : what it should be, for the message.
         """
         words = self._next(expected).decode("latin-1").strip()
         found = words[len(f"ITEM: {begin}") :].split()

@@ -268,8 +268,8 @@ def _normals(
     """Return the normals (contacts E, dimensions D) of the contacts, along the shortest way around periodic sides.
 
     rows, frame : timesteps of the dumps of contacts and of atoms. row : (E,), row of each contact in its dump.
-        contact : (E, 2), numbers of its spheres. number : (spheres N,), ids of the atoms.
-        spheres : centres and radii by name.
+    contact : (E, 2), numbers of its spheres. number : (spheres N,), ids of the atoms.
+    spheres : centres and radii by name.
     asked : options of the user.
 
     Raises InputError for two atoms that do not touch, touch both ways around a periodic side, or come twice.
@@ -299,8 +299,8 @@ def _normals(
 
 
 def _periods(frame: Frame, asked: Asked) -> np.ndarray:
-    """Return the vectors (k, dimensions D) of the periodic sides, length. frame : the timestep of the atoms. asked :
-    options of the user.
+    """Return the vectors (k, dimensions D) of the periodic sides, length. frame : the timestep of the atoms.
+    asked : options of the user.
     """
     box = frame.box
     if asked.periodic is not None:

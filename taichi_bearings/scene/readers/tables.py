@@ -82,8 +82,8 @@ def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]
     """Return the columns of a table by the names of the arrays that they become, (rows,) each; raise FileError if it
     cannot be read.
 
-    names : columns that the table may have, each with the name of its array. most : largest number of rows. needed :
-        names of arrays that it must have.
+    names : columns that the table may have, each with the name of its array. most : largest number of rows.
+    needed : names of arrays that it must have.
     """
     head, rows, delimiter = None, list[list[float]](), None
     for line, text in enumerate(read_text_lines(path), start=1):
