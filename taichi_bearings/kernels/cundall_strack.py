@@ -119,7 +119,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     gear_n : for n = 0 ... q, the n-th time derivative of the staggered spin (spin with signs by which neighbours
         differ) times (time step)^n / n!.
     predicted, integral : the spin extrapolated to the end of the next step, and its mean over that step; the second
-        only with friction.
+        only with friction. On large lattices the first is not stored but added up: it is the sum of all `gear_n`.
     is_free : one number a sphere, 0 for driven ones and 1 for others.
     coefficient, viscosity : friction of each contact in a unit that all share; viscosity only where it acts beside it.
     elongation, force : stretch of the spring and tangential force of each contact, along the difference of the spins;
@@ -135,7 +135,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     friction of a contact whose coefficient is 1, compliance and memory of a spring that slips, and time step * radius /
     inertia."""
 
-    parts, numbers = 2, 8
+    parts, numbers, looks_up = 2, 8, True
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
         """Set the constants for which the kernel is compiled: the rows of memory in which each field stands, and which
@@ -151,8 +151,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         order, holds, tally : how many numbers are kept of a spin; whether contacts have friction, by springs; whether
             an energy balance is kept.
         slot : first row of each field, by name. moved : first rows of the fields that a step of the spheres writes.
-        spin, predicted, integral, force, elongation : for each axis, the rows of the spin components that make its
-            contacts slip, or of the forces or springs along these.
+        spin, integral, force, elongation : for each axis, the rows of the spin components that make its contacts slip,
+            or of the forces or springs along these.
+        ahead : tuples like `spin`, one for each field of which the predicted spins are the sum.
         coefficients : for each axis the row of the friction coefficient, and of the viscosity if there is one.
         pulling : two tuples with a pair (axis, row of a contact force) for each spin component. The two forces of a
             component, one in each tuple, are those whose torques change it.
@@ -160,7 +161,12 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         super().__init__(stencil.block, stencil.periodic)  # `block` is how many sites are worked on together
         slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
-        self.spin, self.predicted = stencil.spin_rows(slot["gear_0"]), stencil.spin_rows(slot["predicted"])
+        self.spin, derivatives = stencil.spin_rows(slot["gear_0"]), [f"gear_{n}" for n in range(self.order)]
+        self.join(self.joined and "predicted" not in slot)  # small lattices stay in the caches anyway
+        self.ahead = tuple(
+            stencil.spin_rows(slot[name]) for name in (["predicted"] if "predicted" in slot else derivatives)
+        )
+        self.unstored = int("predicted" not in slot)  # how many numbers of a new motion have no field
         self.force = stencil.force_rows(slot["force"])
         self.holds = "elongation" in slot
         if self.holds:
@@ -168,7 +174,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
             self.elongation = stencil.force_rows(slot["elongation"])
         names = [name for name in ("coefficient", "viscosity") if name in slot]
         self.coefficients = tuple(tuple(slot[name] + axis for name in names) for axis in axes)
-        moved = [*(f"gear_{n}" for n in range(self.order)), "predicted", "integral"]
+        moved = [*derivatives, "predicted", "integral"]
         self.moved = tuple(slot[name] for name in moved if name in slot)
         # A spin component makes the contacts along two axes slip, and their forces change it: for each component two
         # pairs (axis, row of that force), then in the other order, the first pair of each component before the second.
@@ -191,6 +197,27 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         """
         up = load_neighbours(values, rows, row, first, side, 1, self.block)
         return minus(up, load_each(values, places(rows, row, first), self.block))
+
+    @ti.func
+    def predicted_difference(self, values: ti.template(), axis: ti.template(), row, first, side: ti.template()):
+        """Return the difference across contacts along an axis, upper less lower sphere, of the spins that are predicted
+        for the end of the next step, 1/time: a list with a vector over the sites of a block for each spin component
+        that makes these contacts slip.
+
+        values : all fields, flat.
+        row, first : length of a row, which has one number of every site, and index in it of the first site.
+        side : list with the distance in memory to the upper neighbour; on lattices with periodic axes also with the
+            number of sites after which a ring along the axis closes, and with the place of the first site in its ring.
+        """
+        here = load_each(values, places(self.ahead[0][axis], row, first), self.block)
+        up = load_neighbours(values, self.ahead[0][axis], row, first, side, 1, self.block)
+        for n in ti.static(range(1, len(self.ahead))):  # a Taylor series one step on, added up in its order
+            more = load_each(values, places(self.ahead[n][axis], row, first), self.block)
+            above = load_neighbours(values, self.ahead[n][axis], row, first, side, 1, self.block)
+            for t in ti.static(range(len(here))):
+                here[t] += more[t]
+                up[t] += above[t]
+        return minus(up, here)
 
     @ti.func
     def contact_pass(
@@ -219,7 +246,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         for axis in ti.static(self.stencil.slipping_axes):
             coefficients = load_each(values, places(self.coefficients[axis], row, first), self.block)
             force, side = places(self.force[axis], row, first), strides[axis::3]
-            speed = self.difference(values, self.predicted[axis], row, first, side)
+            speed = self.predicted_difference(values, axis, row, first, side)
             if ti.static(self.holds):  # friction, by springs; else viscosity alone
                 elongation = places(self.elongation[axis], row, first)
                 moved = self.difference(values, self.integral[axis], row, first, side)
@@ -278,7 +305,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
                 pull += load(values, place, self.block) - load_neighbour(values, place, side, -1, self.block)
             at = places(self.moved, row, first + c * row)
             new = self.motion(load_each(values, at[: self.order], self.block), pull, is_free, response)
-            store_each(values, blocks, at, self.block, new)
+            store_each(values, blocks, at, self.block, new[: self.order] + new[self.order + self.unstored :])
             if ti.static(self.tally):  # of driven spheres, which do not move
                 impulse = in_range((self.slot["impulse"] + c) * row + first)
                 self.sum_up(values, blocks, [impulse], [(1.0 - is_free) * pull])

@@ -29,7 +29,7 @@ class ContactStep(Sweeps):
     Its constants, `numbers`: weight (relative stiffness) of the springs sideways, weight along the height, relaxation.
     """
 
-    parts, numbers = 2, 3
+    parts, numbers, looks_up = 2, 3, True
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
         """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every

@@ -156,7 +156,15 @@ class Sweeps:
     A step, called a turn, is `repeats` sweeps, each made of the same `parts` one after the other. A part reads nothing
     that it writes at other sites, so that the order of the sites does not matter.
 
+    Some methods make two parts of which the first reads, beside a block itself, only its upper neighbours, and the
+    second only what the first has written at its lower neighbours. Lattices larger than the caches are then read once
+    instead of twice: a worker makes both parts of a block, then those of the next one. Its first blocks are upper
+    neighbours of those of another worker; their second part waits until all workers have met. Every number is computed
+    from the same numbers in either order.
+
     parts : parts of a sweep; all workers wait for each other after each.
+    looks_up : True for methods with two such parts.
+    joined : True if both parts of a block are made one after the other. A turn then has two sweeps of one part.
     repeats : sweeps of a turn.
     numbers : how many constants the kernel takes.
     measures : how many integers at the begin of `Fields.tables` say where the sites are. On lattices: length of a row
@@ -164,6 +172,7 @@ class Sweeps:
         of a replica."""
 
     parts, repeats, numbers, measures = 1, 1, 1, 6
+    looks_up = False
 
     def __init__(self, block: int, periodic: tuple[int, ...] = ()) -> None:
         """Set the constants for which the kernel is compiled: block, periodic axes, whether it runs on a GPU, and
@@ -173,6 +182,13 @@ class Sweeps:
         periodic : axes of the lattice that close on themselves."""
         self.block, self.periodic, self.on_gpu = block, periodic, runtime.current().is_gpu
         self.together = TURNS_A_LAUNCH.get(runtime.current().arch, 1)
+        self.join(self.looks_up and not periodic and not self.on_gpu)  # a ring closes at a lower neighbour
+
+    def join(self, joined: bool) -> None:
+        """Say whether both parts of a block are made one after the other. joined : True if so."""
+        self.joined = joined
+        kind = type(self)
+        self.parts, self.repeats = (1, 2) if joined else (kind.parts, kind.repeats)
 
     def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
         """Make `turns` turns: in one launch or, where launches have to be short, in several.
@@ -191,15 +207,18 @@ class Sweeps:
 
     @ti.func
     def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return what a worker hands from block to block in a part: here a list with a 0, which nothing uses. Methods
-        that need something define it anew, with these arguments:
+        """Return what a worker hands from block to block in a part: a list with the first site of which both parts can
+        be made one after the other, where they are joined; else with a 0, which nothing uses. Methods that need
+        something else define it anew.
 
         values : all fields, flat.
-        size : integers that say where the sites are; on lattices first the length of a row, and the numbers in it
-            before the first site.
+        size : integers that say where the sites are; on lattices first the length of a row, the numbers in it before
+            the first site, the number of blocks, and the stride along x.
         low : number of the worker's first block.
         numbers : constants of the kernel.
         sweep : number of the sweep."""
+        if ti.static(self.joined):
+            return [size[1] + (low + size[3] // self.block + 1) * self.block]
         return [0.0]
 
     @ti.func
@@ -234,7 +253,13 @@ class Sweeps:
         sides = [in_range(size[3]), in_range(size[4]), 1]
         strides = with_rings(sides, number * self.block, size[5], self.periodic)
         first = in_range(size[1] + number * self.block)
-        self.walk(part, values, blocks, size[0], first, strides, numbers, sweep, carried)
+        if ti.static(self.joined):  # the first sweep makes the first part, and the second part where it can
+            if sweep % 2 == 0:
+                self.walk(0, values, blocks, size[0], first, strides, numbers, sweep, carried)
+            if (sweep % 2 == 0) == (first >= carried[0]):
+                self.walk(1, values, blocks, size[0], first, strides, numbers, sweep, carried)
+        else:
+            self.walk(part, values, blocks, size[0], first, strides, numbers, sweep, carried)
 
     @ti.func
     def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):

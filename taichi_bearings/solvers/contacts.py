@@ -184,6 +184,13 @@ class Stepped(Contacts):
         more : further fields of :class:`Progress`, by name.
         """
 
+    @property
+    def stores_predicted(self) -> bool:
+        """True if the kernel of Cundall and Strack keeps the spins that it predicts for the end of the next step in a
+        field; on large lattices it adds them up anew.
+        """
+        return True
+
     @abstractmethod
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> AnySpec:
         """Return the names and sizes of all fields that a method needs, those of the law included.

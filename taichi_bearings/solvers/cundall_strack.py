@@ -92,7 +92,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
     def needed(self) -> AnySpec:
         """Return the names and sizes of the fields that the steps need."""
         energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
-        moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
+        predicted = ["predicted"] * self.contacts.stores_predicted
+        moved = [*(f"gear_{n}" for n in range(order + 1)), *predicted, *["integral"] * holds, *["impulse"] * energy]
         spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
         return self.contacts.field_spec(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
 
@@ -116,7 +117,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         # the end of the first step and its mean are predicted by the Taylor series
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
-        self.fields.load("predicted", np.sum(derivatives, axis=0))
+        self._load_predicted(derivatives)
         if scene.law.holds:
             self.fields.load("integral", _mean_over_step(derivatives))
         if options.energy:
@@ -124,6 +125,14 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.start_energy_balance(staggered)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = self.pulls(forces[0])
+
+    def _load_predicted(self, derivatives: list[np.ndarray]) -> None:
+        """Load the spins at the end of the next step, as the Taylor series predicts them, where they are stored.
+
+        derivatives : scaled derivatives (C components, R samples, *N spheres) of the spins, the 0th first.
+        """
+        if "predicted" in self.fields.names:
+            self.fields.load("predicted", np.sum(derivatives, axis=0))
 
     def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
         """Return a scaled derivative (C components, R samples, E contacts) of the contact forces at the start.
@@ -259,7 +268,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         new = [share**n * values for n, values in enumerate(old)]
         for n, values in enumerate(new):
             self.fields.load(f"gear_{n}", values)
-        self.fields.load("predicted", np.sum(new, axis=0))
+        self._load_predicted(new)
         if self.scene.law.holds:
             corrected = self.fields.read("integral") - _mean_over_step(old)
             self.fields.load("integral", _mean_over_step(new) + corrected / share)

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.table import Motion
 
 
+UNCACHED_SPHERES = 60_000  # so many spheres have 12 MB of fields in a dynamics, more than a core finds in its caches
+
+
 class OnStrides(Stepped, WithMinima):
     """The contacts of all samples of a lattice, as methods step them: neighbours are a constant stride apart in memory.
 
@@ -86,6 +89,11 @@ class OnStrides(Stepped, WithMinima):
         from taichi_bearings.solvers.grid_bundles import GridBundles
 
         return GridBundles(self, spin)
+
+    @property
+    def stores_predicted(self) -> bool:
+        """False on lattices that no cache holds: to sum up numbers that are read anyway costs less than to write it."""
+        return self.scene.lattice.sites * self.scene.replicas < UNCACHED_SPHERES
 
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> FieldSpec:
         """Return the fields that a method needs, as pairs of name and numbers a sphere.

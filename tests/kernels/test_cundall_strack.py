@@ -1,11 +1,15 @@
 """Cundall–Strack steps against plain loops in the laboratory frame."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 
+from taichi_bearings import runtime
+from taichi_bearings.kernels.team import Team
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS
-from taichi_bearings.solvers import CundallStrack
+from taichi_bearings.solvers import CundallStrack, on_strides
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS
 from tests.kernels.test_descent import three_components
 from tests.kernels.twins import cundall_strack_step, neighbours
@@ -71,3 +75,27 @@ def test_steps_equal_plain_loops(shape, periodic, start, law, order, precision):
     sizes = by_axis(np.linalg.norm(progress.force[:, 0], axis=0))
     for (site, axis), force in forces.items():
         assert sizes[axis][site] == pytest.approx(np.linalg.norm(force), abs=1e4 * accuracy * largest)
+
+
+@pytest.mark.parametrize(
+    ("shape", "seeds", "law"),
+    [((9, 7, 12), (1,), "coulomb"), ((5, 4, 6), (1, 2), "coulomb-viscous"), ((23, 9), (3,), "viscous")],
+)
+@pytest.mark.parametrize("energy", [False, True])
+def test_both_parts_of_a_step_at_once_give_the_same_bits(shape, seeds, law, energy):
+    """As on lattices that no cache holds: without the field of predicted spins, by any number of threads."""
+    scene = make_scene(shape, law, seeds=seeds, viscosity="uniform:20,100", spin_bottom=0.3)
+    found = []
+    for most, threads in ((10**9, 1), *((0, n + 1) for n in range(runtime.current().threads))):
+        with patch.object(on_strides, "UNCACHED_SPHERES", most):
+            method = CundallStrack(energy=energy).build()
+            method.begin(scene, initial_spin(scene, "random"))
+        assert ("predicted" in method.fields.names) is (most > 0)
+        method.team = Team(threads) if method.team.size else method.team
+        method.advance(40)
+        state = method.state()
+        found.append({name: values for name, values in state.items() if name != "predicted"})
+    for other in found[1:]:
+        assert other.keys() == found[0].keys()
+        for name, values in other.items():
+            assert (values == found[0][name]).all(), name
