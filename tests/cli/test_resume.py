@@ -20,7 +20,7 @@ from tests.cli.commands import bearings, refused
 
 DRAWN = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
 SCENE = (*DRAWN, "--figures", "none")
-COURSE = ("--duration", "2", "--record", "linear:0,2,31", "--snapshots", "0,1,2", "--checkpoint-every", "0.02")
+COURSE = ("--duration", "2", "--record", "linear:0,2,16", "--snapshots", "0,1,2", "--checkpoint-every", "0.02")
 
 
 def arrays_of(run):
@@ -50,12 +50,13 @@ def packing_scene(folder, *method):
     del arrays["friction"]
     np.savez(folder / "bcc.npz", **arrays)
     words = ("--packing", folder / "bcc.npz", "--replicas", "2", "--initial", "random", "--threads", "1", *method)
-    return *words, "--record", "linear:0,0.1,31", "--snapshots", "0,0.03,0.1", "--checkpoint-every", "0.02"
+    words = (*words, "--figures", "none")
+    return *words, "--record", "linear:0,0.05,16", "--snapshots", "0,0.03,0.05", "--checkpoint-every", "0.02"
 
 
 @pytest.mark.usefixtures("needs_f64")
 @pytest.mark.parametrize(
-    "words", [("--shape", "16,16,16"), ("--shape", "12,12,12", "--method", "operator-splitting", "--tolerance", "1e-5")]
+    "words", [("--shape", "13,12,12"), ("--shape", "10,10,10", "--method", "operator-splitting", "--tolerance", "1e-5")]
 )
 def test_a_minimisation_that_is_killed_goes_on_to_the_answer_of_an_undisturbed_one(tmp_path, words):
     common = (*words, "--threads", "1", "--figures", "none")
@@ -105,15 +106,15 @@ def test_a_minimum_of_a_packing_that_is_killed_goes_on_to_the_same_bits(tmp_path
 @pytest.mark.parametrize("method", ["", "cundall-strack"])
 def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path, method):
     """Of a lattice and of a packing."""
-    scene, count = (*SCENE, *COURSE), (31,)
+    scene, count = (*SCENE, *COURSE), (16,)
     if method:
-        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.1"), (2, 31)
+        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.05"), (2, 16)
     undisturbed = bearings("run", *scene, "--out", tmp_path / "undisturbed", "--json")
     assert undisturbed.returncode == 0, undisturbed.stderr
     killed, draw = tmp_path / "killed", random.Random(7)
     words = ["run", *scene, "--out", killed]
     for _ in range(2):
-        assert kill_after(words, killed / "checkpoint.h5", draw.randint(1, 4)), "the run ended before it was killed"
+        assert kill_after(words, killed / "checkpoint.h5", draw.randint(1, 3)), "the run ended before it was killed"
         assert not (killed / "run.h5").exists()
         words = ["run", "--resume", killed]
     done = bearings("run", "--resume", killed, "--json")
@@ -226,9 +227,9 @@ def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
         shutil.copytree(kernels, elsewhere / kernels.relative_to(kernels.parents[1]))  # no kernel is cut short
 
     def small_files():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
 
-    words = (*SCENE, "--duration", "0.5", "--checkpoint-every", "0.02", "--snapshots", "linear:0,0.5,120")
+    words = (*SCENE, "--duration", "0.2", "--checkpoint-every", "0.02", "--snapshots", "linear:0,0.2,60")
     done = bearings("run", *words, "--out", tmp_path / "run", preexec_fn=small_files,
                     env=os.environ | {"XDG_CACHE_HOME": str(elsewhere)})  # fmt: skip
     assert done.returncode == 2
@@ -239,7 +240,7 @@ def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
     assert len(list(tmp_path.iterdir())) == 1
     done = bearings("run", "--resume", tmp_path / "run")
     assert done.returncode == 0, done.stderr
-    assert len(arrays_of(tmp_path / "run")["snapshots/time"]) == 120
+    assert len(arrays_of(tmp_path / "run")["snapshots/time"]) == 60
 
 
 def test_a_checkpoint_that_was_changed_proves_nothing(tmp_path):
