@@ -1,7 +1,8 @@
 """Opens HDF5 files from anywhere safely: what a file claims to hold is checked before it is read.
 
 Some damaged files keep the HDF5 library reading for ever, deaf to signals. A file that may be one of them is opened and
-checked with Ctrl-C and SIGTERM at their default action, so that a command can be left.
+checked with Ctrl-C and SIGTERM at their default action, so that a command can be left; any other file so that the
+second signal has its default action.
 """
 
 import contextlib
@@ -17,7 +18,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.leaving import by_default
+from taichi_bearings.leaving import by_default, by_default_next_time
 from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
 LAYOUT = 2  # version of all files of the package
@@ -43,7 +44,7 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
     try:
         with opened(path) as file:  # a regular file
             size = os.fstat(file.fileno()).st_size
-        with contextlib.nullcontext() if _has_whole_heaps(path) else by_default():
+        with by_default_next_time() if _has_whole_heaps(path) else by_default():
             stored = file_at(path)
             reason = reason_against(stored, size)
         with stored:

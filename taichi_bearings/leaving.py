@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXIT_CODE = 130  # of an interrupted command, as shells have it
+IGNORED = 1  # in C the handler that ignores a signal, the largest of those that are no functions
 GRACE, GLANCE = 1.0, 0.05  # seconds until a process is ended that does not end itself, and between two looks at it
 NOTHING_KEPT = "interrupted; nothing is kept but what was complete"
 AS_BEFORE = "\r\x1b[2K\x1b[?25h"  # a terminal without a line of progress, and with its cursor
@@ -116,6 +117,37 @@ def by_default() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def by_default_next_time() -> Iterator[None]:
+    """Let the second signal inside the block end the command's process as the system does by default.
+
+    The first one is heard as always. Where it is not, since a call of a library never returns and lets no other thread
+    work, a person who presses Ctrl-C again is rid of the process. It needs a C library that forgets a handler once it
+    was called, as that of GNU can; elsewhere nothing changes.
+    """
+    if not _watched or _saving or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    import ctypes  # which --help does not need
+
+    python, heard_once = ctypes.pythonapi, getattr(ctypes.CDLL(None), "sysv_signal", None)
+    if heard_once is None:
+        yield
+        return
+    for call in (python.PyOS_getsig, python.PyOS_setsig, heard_once):
+        call.restype = ctypes.c_void_p
+    before = {number: ctypes.c_void_p(python.PyOS_getsig(int(number))) for number in SIGNALS}
+    for number, handler in before.items():
+        if (handler.value or 0) > IGNORED:
+            heard_once(int(number), handler)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if (handler.value or 0) > IGNORED:
+                python.PyOS_setsig(int(number), handler)
 
 
 def watch() -> None:

@@ -10,10 +10,17 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.scene.generators.lattices import KINDS as LATTICES
 from taichi_bearings.scene.law import LAWS, law_named
 
 KNOWN_LAWS = tuple(name for name, law in LAWS.items() if law.is_sum)
 """Laws that every method and the proofs know; tests that loop over them take in a new one of friction and viscosity."""
+FRICTION_LAWS = tuple(name for name in KNOWN_LAWS if LAWS[name].holds)
+VISCOUS_LAWS = tuple(name for name in KNOWN_LAWS if LAWS[name].flows)
+SIMPLE_LAWS = tuple(name for name in KNOWN_LAWS if len(LAWS[name].quantities) == 1)
+"""Laws with a single coefficient."""
+BIPARTITE = tuple(kind for kind, cell in LATTICES.items() if cell.parity is not None)
+"""Lattices of packings whose spheres are of two sublattices."""
 MINIMA = json.loads((Path(__file__).parent / "reference" / "minima.json").read_text())["scenes"]
 
 
@@ -39,6 +46,13 @@ def make_scene(
         drawn = [draw_coefficients(lattice, Distribution.parse(text), seed, name == "viscosity") for seed in seeds]
         found[name] = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
     return Scene(law=law, radius=radius, seeds=tuple(seeds), periodic=periodic, **found, **driving)
+
+
+def cells_of(kind):
+    """Unequal numbers of cells of a small packing of a lattice, which then has some tens of spheres."""
+    cell = LATTICES[kind]
+    sides, a_side = {2: (5, 6), 3: (3, 3, 4)}[len(cell.size)], len(cell.basis) ** (1 / len(cell.size))
+    return tuple(max(1, round(side / a_side)) for side in sides)
 
 
 def axis_of(scene):

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.proof.enclosure import UP, Enclosure, in_cache, joined, row_sum
+from taichi_bearings.proof.enclosure import UP, Enclosure, joined, row_sum
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.springs import Springs, natural, rolling
 
@@ -97,12 +97,10 @@ class Bounds:
         friction, less what its unbalanced torques on free spheres may cost at the spins of a minimum; all of it divided
         by the largest ratio of friction to its limit, and less what friction beyond the limit costs where damping
         allows that. Where samples need different proofs each is computed alone."""
-        potential, layered, count = network.dissipated(0.5), network.graph.layered, network.count
+        potential, count = network.dissipated(0.5), network.count
         # Upper bound: any spins have a potential that is not below the least, but spins that cannot exist prove
         # nothing.
-        upper = potential.upper()
-        if layered:
-            upper = np.where(network.motion.torn, np.inf, upper)
+        upper = np.where(network.impossible, np.inf, potential.upper())
         if network.mixes and count > 1 and not (upper > 0).all():
             return cls.one_by_one(network)
         if network.mixes and (upper > 0).all():
@@ -140,7 +138,7 @@ class Bounds:
         cost = network.by_sample((beyond * beyond / network.slope.at(soft)).signed(0.5), soft)
         least = work / Enclosure.exact(worst) - cost
         lower = least.lower()
-        apart = (potential - least).upper() if not layered else (upper - lower) * UP
+        apart = np.where(network.impossible, np.inf, (potential - least).upper())
         return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, proof, left.max(axis=0), price.upper(),
                    unknown, friction if network.mixes else [])  # fmt: skip
 
@@ -195,34 +193,12 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
 
     network : R samples with n spheres in all.
     torques : torque over radius on each of the n spheres by spin component, C enclosures (n,)."""
-    total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken_between if network.graph.layered else _taken
+    total = Enclosure.exact(np.zeros(network.count))
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
         if size and (torque.high.any() or torque.error.any()):
-            taken = taken_of(torque, reach, network.reached)
+            taken = network.graph.taken(torque, reach, network.reached)
             total = total + row_sum(taken[np.flatnonzero(network.free)].reshaped((network.count, -1)))
     return total
-
-
-@in_cache
-def _taken(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
-    anything between `reach` and its negative: |torque| |reach|.
-
-    torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for others.
-    """
-    return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
-
-
-@in_cache
-def _taken_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
-    anything between 0 and `reach`: |torque| |reach|, but 0 where both surely have the same sign, as the torque then
-    adds to the work.
-
-    torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for others.
-    """
-    gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
-    return _taken(torque, reach, some & ~gives)
 
 
 def _worst(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ from scipy import sparse
 
 from taichi_bearings.dissection import Part, dissected, restricted
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.enclosure import Enclosure, length, row_sum
+from taichi_bearings.proof.enclosure import Enclosure, row_sum
 from taichi_bearings.proof.listed import Listed, across, signs
 from taichi_bearings.proof.rounded_elimination import REGION_UNKNOWNS, Samples
 from taichi_bearings.proof.slices import nothing, slices
@@ -96,7 +96,7 @@ class JudgedNetwork:
     def is_whole(self) -> bool:
         """True for lattices if all contacts with a free end have a coefficient: then every sphere is connected to both
         planes."""
-        return self.graph.layered and bool(self.free.any() and (self.acts == self.graph.any_end(self.free)).all())
+        return self.graph.are_whole(self.acts, self.free)
 
     @cached_property
     def reached(self) -> np.ndarray:
@@ -246,7 +246,7 @@ class JudgedNetwork:
     @cached_property
     def slip(self) -> Enclosure:
         """(m,), slip speeds of m contacts in the stored spins, an enclosure in `speed_unit`."""
-        return self.motion.slip if self.graph.layered else length(self.slips(self.spin))
+        return self.graph.slip_speeds(self.spin, lambda: self.motion.slip)
 
     @cached_property
     def still(self) -> np.ndarray:
@@ -258,6 +258,14 @@ class JudgedNetwork:
     def motion(self) -> Motion:
         """The stored spins as a motion in which the contacts rest whose slip is exactly 0. Only for lattices."""
         return Motion(self, self.still & self.acts)
+
+    @cached_property
+    def impossible(self) -> np.ndarray:
+        """(R,) mask of the samples whose stored spins no motion can have: contacts without slip join driven spheres for
+        which different spins are imposed. None where the stored spins of driven spheres are the imposed ones."""
+        if all(self.graph.shift(k) is None for k in self.components):
+            return np.zeros(self.count, dtype=bool)
+        return self.motion.torn
 
     @cached_property
     def own_torques(self) -> list[Enclosure]:

@@ -167,7 +167,7 @@ class Judgement:
     def states(self) -> list[States]:
         """Contact states at every minimum, a list with an object for each of R samples; SLIPLESS for all contacts of
         samples for which a state without any slip is proven to exist."""
-        nothing_slips = States(np.full(self.acts.shape[1], SLIPLESS), self.network.graph.layered or None)
+        nothing_slips = States(np.full(self.acts.shape[1], SLIPLESS), True)
         if self.can_all_rest.all():
             return [nothing_slips] * self.network.count
         found = proven_states(self.bounds)

@@ -14,18 +14,24 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, joined, length
+from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, in_cache, joined, length
 from taichi_bearings.scene.network import Network
 
 
 class Listed:
     """Contacts given by the indices of their spheres, for proofs: m contacts and n spheres of R samples in all, with C
-    components of spins. Nothing in it changes once it is made. `layered` and `normal_rounding` are constants of the
-    class."""
+    components of spins. Nothing in it changes once it is made. Its constants say which proofs are tried of
+    such contacts."""
 
-    layered = False
-    """True where spins are signed by sublattice and measured from the bottom of a lattice, whose two driven planes hold
-    all that is joined to them: each component of some minimum is then between 0 and that of the top."""
+    has_two_planes = False
+    """True if the driven spheres are two planes of a lattice: then a state without slip exists just where no contacts
+    join the planes. Only a grid has them (slices.py)."""
+    ties_are_known = False
+    """True if minima that tie are found by what tied_minima.py knows of lattices."""
+    rests_in_parts = True
+    """True if contacts with damping are also tried as resting part by part."""
+    friction_is_at_limit = False
+    """True if a minimum is only looked for where the stored friction of slipping contacts hardly misses its limit."""
     normal_rounding = 1e-12
     """Share of its friction that may act along the normal of a contact by rounding alone."""
 
@@ -137,6 +143,34 @@ class Listed:
         """
         return [k for k in range(len(box)) if differs(k)]
 
+    def are_whole(self, acts: np.ndarray, free: np.ndarray) -> bool:
+        """Return True if it is known at once that contacts connect every free sphere to what is driven; here False.
+        acts : (m,) mask of the contacts that take part. free : (n,) mask of the free spheres."""
+        return False
+
+    def slip_speeds(self, spin: list[Enclosure], in_motion: Callable[[], Enclosure]) -> Enclosure:
+        """Return the slip speeds (m,) of all contacts: lengths of (u_i + u_j) x n.
+
+        spin : u, spin times radius of n spheres, by component, C enclosures (n,).
+        in_motion : function that returns the slip speeds (m,) of the motion in which contacts without slip rest
+            exactly; not used here."""
+        first, second = self.contact
+        return length(across([part.at(first) + part.at(second) for part in spin], self.normal))
+
+    def taken(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+        """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
+        anything that `reach` allows: here anything between the bound and its negative, which gives |torque| |reach|.
+
+        torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for
+            others."""
+        return largest_work(torque, reach, some)
+
+    def in_odd_loops(self, k: int, feels: np.ndarray) -> np.ndarray:
+        """Return the mask (n,) of the spheres in parts with a loop of an odd number of contacts.
+
+        k : number of the spin component. feels : (m,) mask, which contacts it makes slip."""
+        return signs(self.contact[:, feels], len(self.place))[1]
+
     def working(self, box: np.ndarray) -> list[bool]:
         """Return a list of C truth values by component: False if moments along it do no work whatever they are. Here
         all are True. box : (C,), the largest imposed sizes; only its length is used."""
@@ -184,6 +218,13 @@ class Listed:
         """Return a speed by which contacts might slip, in the unit of `box`: the largest imposed size. box : (C,), the
         largest size of each imposed component, spin times radius. speed_unit : not used here."""
         return float(box.max(initial=0.0))
+
+
+@in_cache
+def largest_work(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+    """Return |torque| |reach| for each of n spheres, (n,): the most that a torque takes from the work at a spin of size
+    `reach`. torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 for others."""
+    return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
 
 
 def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.proof.enclosure import Enclosure, in_cache, length
-from taichi_bearings.proof.listed import Listed
+from taichi_bearings.proof.listed import Listed, largest_work
 from taichi_bearings.proof.on_lattice import OnLattice
 
 Place = tuple[slice, ...]
@@ -27,7 +27,8 @@ class Grid(Listed):
 
     samples : the samples whose contacts these are, with their spins and friction."""
 
-    layered = True
+    has_two_planes = ties_are_known = friction_is_at_limit = True
+    rests_in_parts = False
     normal_rounding = 0.0
 
     def __init__(self, samples: OnLattice) -> None:
@@ -205,6 +206,30 @@ class Grid(Listed):
         samples = self.samples
         return [k for k, of in enumerate(samples.components) if box[k] > 0 and of != samples.lattice.height_axis]
 
+    def are_whole(self, acts: np.ndarray, free: np.ndarray) -> bool:
+        """Return True if there are free spheres, and all contacts with a free end take part: then contacts connect
+        every sphere to both planes. acts : (m,) mask of the contacts that take part. free : (n,) mask."""
+        return bool(free.any() and (acts == self.any_end(free)).all())
+
+    def slip_speeds(self, spin: list[Enclosure], in_motion: Callable[[], Enclosure]) -> Enclosure:
+        """Return the slip speeds (m,) of the motion in which contacts without slip rest exactly: what is imposed on the
+        top differs a little from what is stored. spin : not used here. in_motion : function that returns them."""
+        return in_motion()
+
+    def taken(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+        """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
+        anything between 0 and `reach`: |torque| |reach|, but 0 where both surely have the same sign, as the torque then
+        adds to the work.
+
+        torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for
+            others."""
+        return _largest_work_between(torque, reach, some)
+
+    def in_odd_loops(self, k: int, feels: np.ndarray) -> np.ndarray:
+        """Return the mask (n,) of the spheres in parts with a loop of an odd number of contacts: none, as neighbours
+        lie on different sublattices. k, feels : not used here."""
+        return np.broadcast_to(np.False_, self.spheres)
+
     def working(self, box: np.ndarray) -> list[bool]:
         """Return a list of C truth values by component: True where the two planes are driven differently, so that
         moments do work. box : (C,), the largest imposed size of each component, measured from the bottom."""
@@ -347,6 +372,14 @@ def size_of(parts: list[Enclosure]) -> Enclosure:
     """Return the length of vectors, an enclosure: the absolute value if they have one component. parts : their one or
     two components, enclosures of one shape, which may be any."""
     return abs(parts[0]) if len(parts) == 1 else _length_of_two(*parts)
+
+
+@in_cache
+def _largest_work_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+    """Return |torque| |reach| for each of n spheres, (n,), but 0 where both surely have the same sign. torque, reach :
+    (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for others."""
+    gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
+    return largest_work(torque, reach, some & ~gives)
 
 
 @in_cache

@@ -37,7 +37,7 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
 
     network : the R samples, of a lattice or a packing.
     """
-    if network.graph.layered:
+    if network.graph.has_two_planes:
         return _planes_are_separate(network)
     if not network.counts.any():
         return np.ones(network.count, dtype=bool)

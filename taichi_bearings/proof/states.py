@@ -70,7 +70,8 @@ class States:
     """Proven contact states of one sample.
 
     known : (E,), the states that hold at all minima, UNDECIDED where nothing is proven.
-    unique : True if all minima have the same slips, False if not, None if that is not known.
+    unique : True if all minima have the same slips, False if not, None if that is not known. It is said of networks
+        alone whose driving allows it (`Driving.slips_are_unique`).
     reason : words that say why not all states are proven, or "".
     """
 
@@ -86,7 +87,7 @@ def proven_states(bounds: Bounds) -> list[States]:
     bounds : bounds on the power of R samples, with their spins and friction, from which all else follows. Which theorem
         is applied depends on whether there is damping, on whether components of slips mix those of the spins, and on
         how many components matter."""
-    network, layered = bounds.network, bounds.network.graph.layered
+    network = bounds.network
     # Contacts that do not count, or are in samples without any potential, rest.
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
     if bounds.alone:
@@ -108,7 +109,7 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
         near = _enclosed_minimum(bounds) if network.mixes and network.law.holds else None
         found = _with_damping(bounds, found) if near is None else _enclosed(network, near)
-        found = found if layered else _with_parts_at_rest(bounds, far, found)
+        found = _with_parts_at_rest(bounds, far, found) if network.graph.rests_in_parts else found
     elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
         found = _enclosed(network, near)
     elif network.mixes:
@@ -123,7 +124,7 @@ def proven_states(bounds: Bounds) -> list[States]:
         # Add the contacts that rest anyhow, and the reason only where some contact is undecided.
         known = np.where(rest, SLIPLESS, states.known)
         open_ = bool((acts & (known == UNDECIDED)).any())
-        told.append(States(known, states.unique if layered else None, states.reason if open_ else ""))
+        told.append(States(known, states.unique, states.reason if open_ else ""))
     return told
 
 
@@ -225,7 +226,7 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
 
     network : the R samples with stored spins and forces."""
     count = network.count
-    if not network.graph.layered:
+    if not network.graph.ties_are_known:
         return _by_tiny_slips(network)
     if count == 1:
         return [_with_ties(network)]
@@ -328,9 +329,8 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
 
     rests : (m,) mask of the contacts that are taken to rest.
     """
-    if not network.graph.layered and any(
-        network.signs(k)[1][network.graph.contact[:, network.counts]].any() for k in network.needed
-    ):
+    odd = (network.graph.in_odd_loops(k, network.feels[k]) for k in network.needed)
+    if any(found[network.graph.contact[:, network.counts]].any() for found in odd):
         return "loops are odd"
     motion = Motion(network, rests)
     first, second = network.graph.contact
@@ -382,7 +382,7 @@ def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
 
     network : what is judged. contacts : the slipping contacts.
     """
-    if not network.graph.layered:
+    if not network.graph.friction_is_at_limit:
         return True
     parts = [part.high[contacts.own] for part in network.moment]
     return bool((np.sqrt(sum(p**2 for p in parts)) >= (1 - MISSED_LIMIT) * contacts.strength.value).all())

@@ -185,7 +185,7 @@ class NewProof:
         """What the new proof says, by name, each a list with one entry for each sample: numbers, truth values, counts
         of proven contact states, and why others are not proven.
         """
-        new = self.judgement
+        new, may_be_one = self.judgement, self.run.solution.scene.driving.slips_are_unique
         # largest force that still counts as within the friction limit, relative to that
         most = 1 + ROUNDED * (self.run.solution.scene.network.lattice is None)
         numbers = {
@@ -200,7 +200,7 @@ class NewProof:
                 {name: int(((s.known == kind) & acts).sum()) for name, kind in PROVEN_STATES.items()}
                 for s, acts in zip(new.states, new.acts, strict=True)
             ],
-            "minimum_is_unique": [s.unique for s in new.states],
+            "minimum_is_unique": [s.unique if may_be_one else None for s in new.states],
             "unproven_because": [s.reason for s in new.states],
         }
 

@@ -10,7 +10,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import PlanarCut
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.scenes import make_scene
+from tests.scenes import SIMPLE_LAWS, make_scene
 
 
 def carved(above, law="coulomb", **driving):
@@ -29,7 +29,7 @@ def overhanging():
     return above
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 @pytest.mark.parametrize("above", [overhanging(), overhanging()[1]], ids=["3D", "2D"])
 def test_a_carved_surface_is_found_with_its_power(above, law):
     scene = carved(above, law, spin_top=0.7, spin_bottom=-0.5, normal_force=3.0)
@@ -62,7 +62,7 @@ def start_of(scene):
     return scene.staggered_spin(initial_spin(scene, "minimum-cut"), axes), axes
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 def test_the_interface_is_what_slips_at_the_minimum_cut_start_of_any_sample(law):
     scene = make_scene((3, 4, 5), law, seeds=(5, 6))
     slips, power = scene.slips(*start_of(scene)), scene.power(*start_of(scene))

@@ -14,7 +14,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.structure_report import columns_of
 from taichi_bearings.scene.network import Network
 from tests.analysis.networks import drawn
-from tests.scenes import make_scene
+from tests.scenes import KNOWN_LAWS, make_scene
 
 CLOSED = [((6, 5), "x"), ((4, 3, 6), "x"), ((4, 4, 5), "xy"), ((2, 4, 5), "xy"), ((2, 6), "x")]
 RING = drawn((4, 5), [(0, 2), (1, 2), (2, 2), (3, 2), (0, 2)], [(1, 2), (1, 3)], periodic=(0,))
@@ -99,7 +99,7 @@ def shifted(structure, axis):
 
 
 @pytest.mark.parametrize(("shape", "sides"), CLOSED[:-1], ids=str)
-@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
+@pytest.mark.parametrize("law", KNOWN_LAWS)
 def test_nothing_depends_on_where_a_ring_begins(shape, sides, law):
     """Two spheres further on, where the sublattices are the same, is the same structure, rolled."""
     structure = any_answer(shape, sides, law)

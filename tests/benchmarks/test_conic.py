@@ -7,7 +7,7 @@ from taichi_bearings_studies.benchmarks.instances import SIDES, instances, made
 from taichi_bearings_studies.benchmarks.peers import Peer, conic_programme
 
 from taichi_bearings.proof.certificate import lower_bound
-from tests.scenes import make_scene, minima, name_of, scene_of
+from tests.scenes import SIMPLE_LAWS, make_scene, minima, name_of, scene_of
 
 
 def test_spins_that_are_not_finite_or_outside_become_allowed_ones():
@@ -33,7 +33,7 @@ def test_discs_are_a_linear_programme(entry):
 
 
 @pytest.mark.parametrize("name", ["clarabel", "scs"])
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 @pytest.mark.parametrize(
     ("shape", "driving"),
     [

@@ -11,6 +11,7 @@ import pytest
 from taichi_bearings.devices import find
 from tests.cli import commands
 from tests.cli.commands import bearings
+from tests.scenes import KNOWN_LAWS
 
 SCAN = "shape = [4, 5]\n[scan]\nseed = [1, 2]\n"
 RUN = ("run", "--shape", "4,5", "--figures", "none")
@@ -166,7 +167,7 @@ def test_an_absent_device_is_refused_also_by_methods_that_need_none(refused, tmp
     assert "arch is 'cuda' but no CUDA device was found here" in refused("scan", "scan.toml", "--out", "s")
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
+@pytest.mark.parametrize("law", KNOWN_LAWS)
 def test_no_power_has_its_reason(tmp_path, law):
     """Each of the three, and only where it is the reason."""
     cut = draw(4, 6)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taichi_bearings import interrupts
+from taichi_bearings import interrupts, leaving
 from taichi_bearings.conic import descent
 from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
@@ -101,6 +101,37 @@ def test_a_file_that_is_never_read_to_its_end_can_be_left(tmp_path, words, what)
     out, err = process.communicate(timeout=10)
     assert (process.returncode, out, err) == (-what, "", "")  # a shell says 130 or 143
     assert file.read_bytes()[:8] == content[:8]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a handler that is forgotten once it was called")
+@pytest.mark.parametrize("what", interrupts.SIGNALS)
+def test_what_reads_for_ever_and_seems_whole_is_left_at_the_second_signal(tmp_path, what):
+    assert runs.run(RunSettings(shape=(4, 5), figures="none"), tmp_path / "run").path is not None
+    endless = (
+        "import itertools, sys\nfrom taichi_bearings import hdf5\nfrom taichi_bearings_cli.__main__ import main\n"
+        "def read(*_):\n    print('reading', flush=True)\n    sum(itertools.repeat(0))\n"  # keeps Python's lock
+        "hdf5.reason_against = read\nsys.argv = ['bearings', 'verify', sys.argv[1]]\nmain()\n"
+    )
+    command = [sys.executable, "-c", endless, tmp_path / "run"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "reading\n"
+    time.sleep(1.0)  # until it does
+    process.send_signal(what)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(timeout=0.5)
+    process.send_signal(what)
+    out, err = process.communicate(timeout=10)
+    assert (process.returncode, out, err) == (-what, "", "")
+
+
+def test_a_second_signal_changes_nothing_after_a_file_was_read(monkeypatch):
+    monkeypatch.setattr(leaving, "_watched", True)
+    with interrupts.handled(signal.default_int_handler):
+        for _ in range(2):
+            with leaving.by_default_next_time(), pytest.raises(KeyboardInterrupt):
+                strike()
+        with pytest.raises(KeyboardInterrupt):
+            strike()
 
 
 def hears(process):

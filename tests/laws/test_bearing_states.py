@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from tests.scenes import make_scene
+from tests.scenes import SIMPLE_LAWS, make_scene
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 def test_a_bearing_state_of_discs_dissipates_nothing(law):
     scene = make_scene((4, 6), law)
     assert scene.power(np.full((1, 1, 4, 6), 0.73), (2,)) == 0
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 def test_all_bearing_states_of_the_cubic_lattice_dissipate_nothing(law):
     scene, rng = make_scene((3, 4, 5), law), np.random.default_rng(5)
     spin = np.empty((3, 1, 3, 4, 5))

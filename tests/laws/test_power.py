@@ -7,10 +7,10 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import GradientDescent
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.scenes import make_scene
+from tests.scenes import SIMPLE_LAWS, make_scene
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 def test_at_the_minimum_power_in_is_power_dissipated(law, precision):
     """The top plane does all the work when the bottom rests."""
     scene = make_scene((4, 3, 5), law)

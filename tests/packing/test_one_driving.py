@@ -8,6 +8,7 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.runs.verify import verify
+from tests.scenes import FRICTION_LAWS
 
 
 def pair(spin, radius):
@@ -30,7 +31,7 @@ def test_speeds_that_differ_by_four_units_in_the_last_place_are_one(units):
     assert found.proven.all()
 
 
-@pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous"])
+@pytest.mark.parametrize("law", FRICTION_LAWS)
 @pytest.mark.parametrize("least", [0.02, 0.01])
 def test_space_filling_discs_are_proven_and_their_files_say_the_same(law, least, tmp_path):
     packing = tb.Packing.space_filling(law=law, seed=2, spin_bottom=0.3, least_radius=least)

@@ -9,6 +9,7 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings.scene.periods import nearest_images
 from tests.cli.commands import bearings, refused
+from tests.scenes import BIPARTITE, cells_of
 
 
 def all_pairs(center, radius, tolerance, length):
@@ -44,11 +45,9 @@ def test_contacts_are_those_of_all_pairs_and_images(dimension, seed):
     assert tb.solve(found).power == pytest.approx(tb.solve(other).power, rel=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("kind", "cells"), [("bcc", (2, 3, 3)), ("cubic", (2, 3, 3)), ("honeycomb", (2, 3)), ("square", (4, 3))]
-)
-def test_lattices_are_found_again_with_what_is_driven(kind, cells):
-    one = tb.Packing.lattice(kind, cells)
+@pytest.mark.parametrize("kind", BIPARTITE)
+def test_lattices_are_found_again_with_what_is_driven(kind):
+    one = tb.Packing.lattice(kind, cells_of(kind))
     two = tb.Packing.from_centers(one.center, one.radius, spin_bottom=0.25, spin_top=-2.0, direction=(0, 3, 4))
     assert {tuple(sorted(c)) for c in one.contact.tolist()} == {tuple(c) for c in two.contact.tolist()}
     assert np.array_equal(one.driven, two.driven)

@@ -13,7 +13,8 @@ import numpy as np
 from taichi_bearings.errors import FileError
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Status
-from tests.proof.honest import LAWS, METHODS, contradictions
+from tests.proof.honest import METHODS_OR_AUTO, contradictions
+from tests.scenes import KNOWN_LAWS
 
 RUNS = {
     "discs": {"shape": (4, 5)},
@@ -30,7 +31,7 @@ RUNS = {
     "ring": {"shape": (2, 4, 4), "periodic": ("x",)},
 }
 STATUSES = [status.value for status in Status]
-WORDS = ("", "x", "Certified", "certified (gap 1e-16)", "uniform:0.1,1.1", *STATUSES, *LAWS, *METHODS)
+WORDS = ("", "x", "Certified", "certified (gap 1e-16)", "uniform:0.1,1.1", *STATUSES, *KNOWN_LAWS, *METHODS_OR_AUTO)
 ROUNDED = 1e-15  # what docs/proofs.md allows a gap to be off
 PERIODIC_LISTS = ("[]", '["x"]', '["y"]', '["x", "y"]', '["z"]', '"x"', "4", "[[]]", "true")
 FACTORS = (1 + 1e-9, 1 - 1e-9, 1 + 1e-6, 0.5, 2.0, -1.0)

@@ -14,12 +14,10 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.runs.writing import write_state
 from taichi_bearings.scene import Scene
+from taichi_bearings.solvers import METHODS
+from tests.scenes import KNOWN_LAWS
 
-LAWS = ("coulomb", "viscous", "coulomb-viscous")
-METHODS = (
-    "auto", "interior-point", "operator-splitting", "gradient-descent", "cundall-strack",
-    "rigid-limit", "planar-cut", "linear-solver",
-)  # fmt: skip
+METHODS_OR_AUTO = ("auto", *METHODS)
 SHAPES = ((2, 3), (3, 4), (4, 5), (3, 9), (6, 7), (2, 2, 3), (3, 3, 4), (4, 4, 4))
 SCENES = (
     {}, {}, {"spin_bottom": 0.1}, {"spin_top": 1e15}, {"spin_top": 1e-12}, {"spin_bottom": 1 - 1e-10},
@@ -56,7 +54,7 @@ def drawn(seed: int, number: int = 0) -> dict:
     def one_of(choices):
         return choices[rng.integers(len(choices))]
 
-    law, method = one_of(LAWS), one_of(METHODS)
+    law, method = one_of(KNOWN_LAWS), one_of(METHODS_OR_AUTO)
     given = {"shape": one_of(SHAPES), "seed": int(rng.integers(10**6)), "law": law, "method": method}
     given |= {"distribution": one_of(DISTRIBUTIONS), "tolerance": one_of(TOLERANCES)} | one_of(SCENES)
     if law == "coulomb-viscous":

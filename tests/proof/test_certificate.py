@@ -16,7 +16,7 @@ from taichi_bearings.proof.certificate import (
     work_and_bound,
 )
 from taichi_bearings.scene.initial_spins import initial_spin
-from tests.scenes import make_scene, minima, name_of, scene_of
+from tests.scenes import SIMPLE_LAWS, make_scene, minima, name_of, scene_of
 
 
 def random_force(scene, axes, rng, size):
@@ -33,7 +33,7 @@ def test_random_forces_never_prove_too_much(entry, size):
         assert lower_bound(scene, random_force(scene, axes, rng, size), axes)[0] <= entry["power_minimum"]
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 @pytest.mark.parametrize("driving", [{}, {"spin_bottom": -0.4}, {"direction": (1, 2, -3)}, {"direction": (0, 0, 1)}])
 def test_lower_bounds_stay_below_the_power_of_any_spins(law, driving):
     scene, rng = make_scene((3, 4, 5), law, **driving), np.random.default_rng(9)

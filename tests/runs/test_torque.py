@@ -13,6 +13,7 @@ from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
 from tests.agreement.laboratory import imposed_spin
 from tests.kernels.twins import neighbours
+from tests.scenes import KNOWN_LAWS, VISCOUS_LAWS
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime", "needs_f64")
 solve = partial(tb.solve, threads=1)
@@ -58,7 +59,7 @@ def test_friction_holds_below_and_not_above():
     assert np.isnan(rough.findings["amplitude"])
 
 
-@pytest.mark.parametrize("law", ["viscous", "coulomb-viscous"])
+@pytest.mark.parametrize("law", VISCOUS_LAWS)
 @pytest.mark.parametrize("driving", [{}, {"top": (1.0, 0.3, 0.0, 0.5)}], ids=str)
 def test_the_motion_of_that_strength_takes_that_torque(law, driving):
     """Power balance, torque x strength = power; and the torque is the slope of the potential."""
@@ -136,7 +137,7 @@ def test_a_top_that_turns_with_the_bottom_is_held_from_turning_on_by_the_jump_al
     assert along["yield_torque"] == pytest.approx(-limit, rel=1e-6)
 
 
-@pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous", "viscous"])
+@pytest.mark.parametrize("law", KNOWN_LAWS)
 @pytest.mark.parametrize("shape", [(4, 5), (3, 3, 4)])
 def test_every_double_about_the_yield_torque_is_decided(law, shape, tmp_path):
     """Held up to the lower bound, turning beyond the upper one, and between them neither, which is said."""

@@ -14,7 +14,7 @@ from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
-from tests.scenes import make_scene
+from tests.scenes import SIMPLE_LAWS, make_scene
 from tests.stress.minima import least_of_all
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime", "needs_f64")
@@ -49,7 +49,7 @@ def test_bounds_and_states_are_those_of_140_digits(states, distribution):
     assert (state[called == ContactState.SLIPLESS] == truth.SLIPLESS).all()
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 def test_columns_that_are_alike_move_alone(law):
     """With friction that varies along the height alone no contact sideways slips, and each column is a chain."""
     height = np.random.default_rng(6).uniform(0.1, 1.0, 5)
@@ -67,7 +67,7 @@ def test_the_spin_of_the_top_is_not_lost_beside_a_far_faster_bottom():
 
 
 @pytest.mark.parametrize("shape", [(5, 6), (4, 3, 5)], ids=str)
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 def test_spins_about_an_axis_are_one_case_of_it(shape, law):
     old = make_scene(shape, law, spin_top=1.5, spin_bottom=-0.5, direction=(0, 3, 4))
     states = ((1.5,), (-0.5,)) if len(shape) == 2 else ((0.0, 0.9, 1.2), (0.0, -0.3, -0.4))

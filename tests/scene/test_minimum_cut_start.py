@@ -10,7 +10,7 @@ from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.exact_interfaces import BITS, lightest, power_of_sides, whole_weights
-from tests.scenes import make_scene, some_of
+from tests.scenes import SIMPLE_LAWS, make_scene, some_of
 
 DIRECTIONS = [(1, 1, 0), (1, 0, 0), (0, -2, 0), (0, 0, 1), (1, 0, -1), (3, 1, 2)]
 
@@ -20,7 +20,7 @@ def start_of(scene):
     return scene.staggered_spin(initial_spin(scene, "minimum-cut"), axes), axes
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 @pytest.mark.parametrize("shape", [(5, 6), (3, 4, 5)], ids=str)
 @pytest.mark.parametrize("direction", DIRECTIONS, ids=str)
 def test_the_power_is_that_of_the_cut(shape, direction, law):
@@ -62,7 +62,7 @@ DISORDER = ["uniform:0.1,1.0", "bimodal:0.1,1.0,0.5", "power-law:1e-12,1.0,-1", 
 
 
 @pytest.mark.parametrize("number", some_of(64, 5))
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
+@pytest.mark.parametrize("law", SIMPLE_LAWS)
 def test_no_interface_of_two_bearing_states_is_lighter(number, law):
     """Against exact fractions and networkx: power of the start, proven bound, whether there is another."""
     (shape, closed), (top, bottom) = SHAPES[number % 4], STATES[number // 4 % 4]

@@ -10,14 +10,14 @@ import taichi_bearings as tb
 from taichi_bearings.runs.run import resume, run
 from taichi_bearings.runs.settings import RunSettings
 from tests.kernels.twins import incidence
+from tests.scenes import KNOWN_LAWS
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime", "needs_f64")
-LAWS = ("coulomb", "viscous", "coulomb-viscous")
 SMALL = (("triangular", (3, 4)), ("bcc", (2, 2, 3)))
 solve = partial(tb.solve, threads=1)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", KNOWN_LAWS)
 @pytest.mark.parametrize("method", ["cundall-strack", "rigid-limit"])
 def test_every_dynamics_ends_at_its_duration(method, law):
     things = [tb.Scene.random((4, 5), law=law, seed=1), tb.Scene.random((3, 3, 4), law=law, seed=2)]

@@ -16,7 +16,7 @@ from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.clarabel_twin import least
 from tests.kernels.twins import incidence
-from tests.scenes import make_scene
+from tests.scenes import FRICTION_LAWS, KNOWN_LAWS, make_scene
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
@@ -113,7 +113,7 @@ def test_a_step_is_the_minimum_that_clarabel_finds(shape, driving, relative_step
     assert method.staggered[:, 0] == pytest.approx(expected, abs=2e-5 * np.abs(expected - before).max() + 1e-7)
 
 
-@pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous"])
+@pytest.mark.parametrize("law", FRICTION_LAWS)
 @pytest.mark.parametrize("relative_step", [1e-6, 1e-2, 1.0, 1e3])
 def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step, law):
     scene = make_scene((4, 3, 5), law, seeds=(8, 9), viscosity="uniform:5,60")
@@ -135,7 +135,7 @@ def test_a_step_obeys_the_law_of_friction_and_of_motion(relative_step, law):
     assert method.force[:, slips] == pytest.approx(along[:, slips], abs=2e-3 * scene.normal_force)
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
+@pytest.mark.parametrize("law", KNOWN_LAWS)
 def test_energy_balance_and_layer_means_are_kept_to_round_off(law):
     """No contact turns a whole layer about the height, so a random start keeps the layers' means (equations.md, 3)."""
     scene = make_scene((4, 3, 5), law, spin_bottom=-0.3, seeds=(5, 6))

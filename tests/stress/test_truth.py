@@ -11,7 +11,7 @@ import taichi_bearings as tb
 from tests.agreement.laboratory import laboratory_minimum
 from tests.agreement.test_periodic_sides import shortest_ring
 from tests.cuts import all_cuts
-from tests.scenes import minima, name_of, scene_of
+from tests.scenes import KNOWN_LAWS, minima, name_of, scene_of
 from tests.stress.minima import DRIVEN, EITHER, least_of_all
 
 
@@ -44,7 +44,7 @@ def test_the_least_power_of_discs_is_that_of_the_lightest_cut(decades, absent):
             np.testing.assert_array_equal(state[known], np.where(some, SLIPPING, SLIPLESS)[known])
 
 
-@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
+@pytest.mark.parametrize("law", KNOWN_LAWS)
 @pytest.mark.parametrize("shape", [(3, 5), (2, 3, 5)], ids=str)
 def test_columns_that_are_alike_do_what_one_does(shape, law):
     def alike(seed, scale):
