@@ -56,9 +56,9 @@ class PowerHistogram:
     units : unit of the power.
     left_out : for each reason, how many other samples were left out.
 
-    With several samples the errors are those of sums and of ratios of sums over independent samples, so contacts of one
-    sample may depend on each other, and samples of one disorder count as one. With one they are those of contacts that
-    slip independently (Poisson).
+    With several samples the errors are those of sums, or of ratios of sums, over independent samples. So contacts of
+    one sample may depend on each other; samples of one disorder count as one. With a single sample they are those of
+    contacts that slip independently (Poisson).
     """
 
     edges: np.ndarray

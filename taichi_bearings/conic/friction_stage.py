@@ -244,8 +244,8 @@ class FrictionStage:
         step: np.ndarray,
         first: float,
     ) -> float:
-        """Return the length in (0, 1] of a Newton step at which the function of the stage is nearly flat along the
-        step, or 1 if it still falls there.
+        """Return the length of a Newton step, from 0 to 1. The function of the stage is nearly flat along the step
+        there; or it still falls at the end of the whole step, then the length is 1.
 
         friction : laws of the n contacts.
         trial, change : (d, n), trial forces, and their change by the whole step.

@@ -138,9 +138,9 @@ class Resolved:
 
     @property
     def sure(self) -> bool:
-        """True if the contact states can be expected to be proven: forces of the slipless contacts have been found that
-        balance all torques (as for every minimum that :func:`resolve` returns), and the smallest slip is larger than
-        what rounding can make."""
+        """True if the contact states can be expected to be proven. Two things make it so: forces of the slipless
+        contacts have been found that balance all torques, as for every minimum that :func:`resolve` returns; and the
+        smallest slip is larger than what rounding can make."""
         faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
         return self.borne and length(self.difference)[self.slipping].min(initial=np.inf) > faintest
 

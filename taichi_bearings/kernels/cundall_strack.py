@@ -259,15 +259,16 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def add_work(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """Add, for the contacts from a block of sites to their upper neighbours, force times spin difference at the end
-        of the last step to the field `work` of these sites: what the contacts dissipate, up to a constant factor.
+        """Add to the field `work` of a block of sites what their contacts dissipated at the end of the last step, up to
+        a constant factor: force times spin difference, summed over the contacts with the upper neighbours.
 
         values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
             periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis."""
+            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
+        """
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):

@@ -150,12 +150,13 @@ class OnLattice:
         return np.indices(self.lattice.shape)[component].ravel()
 
     def leader(self, component: int) -> np.ndarray:
-        """Return for each of N spheres of R samples two indices, (2, R * N): of the first sphere of the bottom plane
-        and of the first of the top plane that lie in its layer, the spheres with the same coordinate along the
-        component. Where all layers are driven alike, they count as one.
+        """Return for each of N spheres of R samples the two leaders of its layer, (2, R * N): the index of the first
+        sphere of the layer in the bottom plane, and of the first in the top plane. All driven spheres of one plane and
+        layer have the same component of the spin as their leader.
 
-        All driven spheres of one plane and layer have the same component of the spin as this first one, their
-        leader."""
+        component : number of the spin component. A layer has the spheres with the same coordinate along its axis. Where
+            all layers are driven alike, they count as one.
+        """
         first = self.layer(component) * math.prod(self.lattice.shape[component + 1 :])
         low = (np.arange(self.count)[:, None] * first.size + first).ravel()
         return np.stack([low, low + self.lattice.shape[-1] - 1])

@@ -55,9 +55,9 @@ class Grid(Listed):
 
     @staticmethod
     def _group(axis: int, *along: slice) -> tuple[int, Place, Place, Place]:
-        """Return one group of contacts along `axis`, as (axis, own, first, second): an index of the contacts in the
-        array (R, *contacts) of their axis, and of their two spheres in arrays (R, *N), for R samples of a lattice of
-        shape *N.
+        """Return one group of contacts along `axis`, as (axis, own, first, second), for R samples of a lattice of shape
+        *N: `own` is an index of the contacts in the array (R, *contacts) of their axis; `first` and `second` are
+        indices of their two spheres in arrays (R, *N).
 
         along : three slices along the axis: of the contacts, of their first and of their second spheres.
         """

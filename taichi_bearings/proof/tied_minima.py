@@ -202,8 +202,11 @@ class Constraints:
     same_slip: np.ndarray
 
     def sharing_a_domain(self, some: np.ndarray) -> np.ndarray:
-        """Return the mask (n,) of the contacts of the mask `some` (n,), and of all contacts that moving welded domains
-        (groups of spheres that move together) connect with them, directly or through other contacts."""
+        """Return the mask (n,) of the contacts that are connected with some given ones through moving welded domains
+        (groups of spheres that move together), directly or through other contacts; the given ones included.
+
+        some : (n,) mask of the given contacts.
+        """
         size = int(max(self.lower.max(initial=0), self.upper.max(initial=0))) + 1
         inner = (self.lower > 0) & (self.upper > 0)
         joins = self.lower[inner], self.upper[inner]

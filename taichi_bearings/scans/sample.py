@@ -84,8 +84,11 @@ def _are_alike_packings(group: Sequence[Sample]) -> bool:
     """Return True if samples of a packing that differ in their seeds can be solved together, with the same bits as
     alone.
 
-    It is False where a file gives the initial spins or all coefficients, which seeds do not change, where each sample
-    has a limit on its time, and where the packing cannot be read: each sample then reports that itself.
+    It is False in these cases:
+
+    * a file gives the initial spins or all coefficients, which seeds do not change;
+    * each sample has a limit on its time;
+    * the packing cannot be read: each sample then reports that itself.
 
     group : the samples.
     """

@@ -22,8 +22,9 @@ def near_pairs(
     center, radius : centres (B, D) and radii (B,) of the second set, length.
     factor : two spheres are near if their centres are no farther apart than this factor times the sum of their radii.
 
-    Each octave of the second set is searched up to its own largest radius, so that around a large sphere not all small
-    ones within the reach of another large one are looked at.
+    The second set is divided into octaves: radii that differ by less than a factor of 2. Each is searched no farther
+    than its own largest radius demands. So small spheres around a large one are not all looked at because some other
+    sphere is large, too.
     """
     if not len(center):
         return

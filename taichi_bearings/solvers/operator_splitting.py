@@ -375,10 +375,10 @@ class TorqueBalance:
     def solve(self) -> None:
         """Change the spins of the free spheres so that the springs balance.
 
-        On a CPU the sines of each plane are one product of the BLAS library, so that no number depends on what else is
+        On a CPU the sines of each plane are one product of the BLAS library. So no number depends on what else is
         solved at the time, nor on how many threads share the planes. The products are in single precision, which is
-        twice as fast: the solution is only a change of the spins, small in the end, and the next one makes up for the
-        rounding.
+        twice as fast. That is enough: the solution is only a change of the spins, small in the end, and the next one
+        makes up for the rounding.
         """
         layout = self.fields.layout
         if self.workers == 0:

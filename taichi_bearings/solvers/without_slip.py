@@ -10,11 +10,12 @@ from taichi_bearings.scene import Progress, Scene
 
 
 def without_slip(scene: Scene, final: Progress) -> Progress:
-    """Return the end of a minimisation with the slipless state in all samples whose least objective is 0.
+    """Return the end of a minimisation with the slipless state in all samples whose least objective is 0. Other samples
+    stay.
 
-    The least objective is 0 in a sample whose driven planes have the same spins, or are not joined by contacts. In its
-    slipless state spheres that contacts join to the top plane have the spin of the top, all others that of the bottom,
-    and no contact bears a force. Other samples stay.
+    The least objective is 0 in a sample whose driven planes have the same spins, or are not joined by contacts. In the
+    slipless state no contact bears a force. Spheres that contacts join to the top plane have the spin of the top, all
+    others that of the bottom.
 
     scene : the lattice.
     final : the progress that the method has reached at its end.

@@ -145,9 +145,13 @@ def _trace(
     before : (faces,) predecessor of each face in the tree of shortest paths from the left outside.
     last : (B,) gap between rows in which each path ends.
     shape : that of the faces of grids of w columns and h rows, (B, w - 1, h - 1).
-    returns : masks of the contacts that are crossed, of those along rows without the end rows, (B, w - 1, h - 2), and
-        of those between rows, (B, w, h - 1); position (faces,) of each face on its path, counted from 1, and 0 off it;
-        position (B,) of the right outside.
+
+    Returns four arrays:
+
+    1. mask (B, w - 1, h - 2) of the contacts along rows, without the end rows, that are crossed;
+    2. mask (B, w, h - 1) of the contacts between rows that are crossed;
+    3. position (faces,) of each face on its path, counted from 1, and 0 off it;
+    4. position (B,) of the right outside.
     """
     batch, across, gaps = shape
     faces = batch * across * gaps

@@ -125,11 +125,12 @@ def _ends(place: np.ndarray, axis: int, side: int) -> np.ndarray:
 
 
 def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-    """Yield the bonds of a cell, each once: the numbers within their cells of its first and second sphere, the step
-    (dimensions D,) in whole cells to the cell of the second, and the unit vector (D,) from the first to the second.
+    """Yield the bonds of a cell, each once. A bond joins two spheres whose centres are one diameter apart; the second
+    may be in a neighbouring cell. Of a bond and its reverse only the one is taken whose vector has a positive last
+    component (of those that are not 0).
 
-    A bond joins two spheres whose centres are one diameter apart. Of a bond and its reverse only the one is taken whose
-    vector has a positive last component (of those that are not 0).
+    yields : numbers within their cells of the first and of the second sphere; step (dimensions D,) in whole cells to
+        the cell of the second; unit vector (D,) from the first to the second.
     """
     basis, size = np.array(cell.basis), np.array(cell.size)
     steps = [np.array(step[::-1]) for step in product((0, 1, -1), repeat=len(size))]
