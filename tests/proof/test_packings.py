@@ -70,7 +70,16 @@ def test_samples_judged_together_prove_what_each_proves_alone(seed):
     together = Judgement(tb.Packing.together(samples), *map(np.stack, given))
     for number, (one, *arrays) in enumerate(zip(samples, *given, strict=True)):
         alone = Judgement(one, *arrays)
-        for name in ("power", "lower_bound", "slip", "known", "largest_torque", "proof", "slipless", "driven_power"):
+        for name in (
+            "power",
+            "lower_bound",
+            "slip",
+            "known",
+            "largest_torque",
+            "proof",
+            "can_all_rest",
+            "driven_power",
+        ):
             assert np.array_equal(getattr(together, name)[number], getattr(alone, name)[0]), name
 
 
