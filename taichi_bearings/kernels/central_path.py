@@ -29,9 +29,10 @@ ENDLESS_STEP = 1e30  # length of a step that never leaves its cone
 
 # Rows of the iterate: friction limit, bound of the slip, slip, minus friction force; above 0 for a contact in no cone
 FRICTION_ROW, BOUND, SLIP, DUAL, SMOOTH = 0, 1, 2, 4, 6
-# Rows of what `prepare` makes of it: scaling W = weight * rotation by (head, tail), the scaled point, W^-2 in the
-# blocks head-head and head-tail, and the stiffness that is left once the head is eliminated
-WEIGHT, WEIGHT_HEAD, TAIL, POINT_HEAD, POINT_TAIL, DIAGONAL, OFF, STIFFNESS = 7, 8, 9, 11, 12, 14, 15, 17
+# Rows of what `prepare` makes of it: scaling W = weight * rotation by (head, tail), the scaled point, the inverse of
+# block head-head of W^-2 (0 for a contact in no cone), its block head-tail, and the stiffness that is left once the
+# head is eliminated
+WEIGHT, WEIGHT_HEAD, TAIL, POINT_HEAD, POINT_TAIL, INVERSE, OFF, STIFFNESS = 7, 8, 9, 11, 12, 14, 15, 17
 # the iterate before, and rows for forces
 BOUND_BEFORE, SLIP_BEFORE, DUAL_BEFORE, FORCE = 20, 21, 23, 25
 STATE_ROWS = 27
@@ -161,7 +162,8 @@ def right_side_and_pull(values: ti.template(), at: ti.template(), head, tail: ti
     m : number of the contact within its block."""
     dual = vector(values, at, DUAL, tail, m)
     off = vector(values, at, OFF, tail, m)
-    smooth, share = values[at[SMOOTH] + m] > 0.0, head / values[at[DIAGONAL] + m]
+    inverse = values[at[INVERSE] + m]
+    smooth, share = inverse == 0.0, head * inverse
     pull = [ti.select(smooth, dual[k], dual[k] + (tail[k] - off[k] * share)) for k in ti.static(range(len(tail)))]
     return [head] + tail + pull
 
@@ -192,8 +194,8 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     step, the predictor, which aims at products of zero.
 
     The list has: weight and rotation (head, tail) of the scaling W, by which the primal point (bound, slip) and the
-    dual point (friction limit, minus force) become the same scaled point; that point (head, tail); W^-2 in the blocks
-    head-head and head-tail; the stiffness of the contact, 1 number or 3 of a triangle; right-hand side (head, tail);
+    dual point (friction limit, minus force) become the same scaled point; that point (head, tail); of W^-2 the inverse
+    of the block head-head, and the block head-tail; the stiffness of the contact, 1 number or 3 of a triangle; right-hand side (head, tail);
     and pull on the spheres. A contact that is in no cone, as its row SMOOTH says, has a stiffness by the friction law
     instead.
 
@@ -211,26 +213,28 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     smooth = values[state[SMOOTH] + m] > 0.0
     # both points divided by the roots of their determinants; half-way between them lies the rotation of W
     norm, dual_norm = ti.sqrt(determinant(bound, slip)), ti.sqrt(determinant(friction, dual))
-    head, dual_head = bound / norm, friction / dual_norm
-    tail = [slip[k] / norm for k in axes]
-    dual_tail = [dual[k] / dual_norm for k in axes]
-    half = ti.sqrt((1.0 + head * dual_head + dot(tail, dual_tail)) / 2.0)
-    weight, by = ti.sqrt(norm / dual_norm), (head + dual_head) / (2.0 * half)
-    by_tail = [(tail[k] - dual_tail[k]) / (2.0 * half) for k in axes]
+    inverse_norm, inverse_dual_norm = 1.0 / norm, 1.0 / dual_norm  # as few divisions as can be: they take long
+    head, dual_head = bound * inverse_norm, friction * inverse_dual_norm
+    tail = [slip[k] * inverse_norm for k in axes]
+    dual_tail = [dual[k] * inverse_dual_norm for k in axes]
+    mean = 0.5 / ti.sqrt((1.0 + head * dual_head + dot(tail, dual_tail)) * 0.5)
+    square, by = norm * inverse_dual_norm, (head + dual_head) * mean
+    weight = ti.sqrt(square)
+    by_tail = [(tail[k] - dual_tail[k]) * mean for k in axes]
     # the scaled point W dual, and W^-2
     point = [weight * x for x in ti.static(rotated(by, by_tail, friction, dual, 1))]
-    strength, core = 1.0 / (weight * weight), 2.0 * by * by - 1.0
-    diagonal = strength * core
+    strength, inverse_core = dual_norm * inverse_norm, 1.0 / (2.0 * by * by - 1.0)
+    inverse = ti.select(smooth, 0.0, square * inverse_core)
     off = [-2.0 * strength * by * by_tail[k] for k in axes]
     # the stiffness along a direction and across it: that of the slip in no cone, else that of the rotation, or any if
     # the rotation has none
     slip_size, turn = ti.max(size(slip), LEAST_DIVISOR), size(by_tail)
     known = (turn > 0.0) | smooth
-    length = ti.select(known, ti.select(smooth, slip_size, turn), 1.0)
-    unit = [ti.select(smooth, slip[k], ti.select(known, by_tail[k], 1.0 - k)) / length for k in axes]
+    inverse_length = 1.0 / ti.select(known, ti.select(smooth, slip_size, turn), 1.0)
+    unit = [ti.select(smooth, slip[k], ti.select(known, by_tail[k], 1.0 - k)) * inverse_length for k in axes]
     last = ti.static(len(like) - 1)
-    along = ti.select(smooth, numbers[m] / (slip_size * slip_size), strength / core)
-    across = ti.select(smooth, friction / slip_size, strength)
+    along = ti.select(smooth, numbers[m] * inverse_length * inverse_length, strength * inverse_core)
+    across = ti.select(smooth, friction * inverse_length, strength)
     stiffness = (
         [
             along * unit[0] * unit[0] + across * unit[last] * unit[last],
@@ -241,9 +245,9 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
         else [along * unit[0] * unit[0]]
     )
     # the predictor aims at products of zero: minus the dual point
-    share = friction / diagonal
+    share = friction * inverse
     right = [-friction] + [-dual[k] for k in axes] + [ti.select(smooth, dual[k], off[k] * share) for k in axes]
-    return [weight, by] + by_tail + point + [diagonal] + off + stiffness + right
+    return [weight, by] + by_tail + point + [inverse] + off + stiffness + right
 
 
 @ti.func
@@ -265,7 +269,8 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     m : number of the contact within its block."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
-    smooth = values[state[SMOOTH] + m] > 0.0
+    inverse = values[state[INVERSE] + m]
+    smooth = inverse == 0.0
     friction, bound = values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
     slip = vector(values, state, SLIP, like, m)
     dual = vector(values, state, DUAL, like, m)
@@ -284,7 +289,7 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     )
     dual_step = [pull[k] - resisted[k] - dual[k] for k in axes]
     off = dot(vector(values, state, OFF, like, m), change)
-    bound_step = (values[step[RIGHT_HEAD] + m] - off) / values[state[DIAGONAL] + m]
+    bound_step = (values[step[RIGHT_HEAD] + m] - off) * inverse
     # a law is far from linear once a slip changes by as much as itself
     moved, never = size(change), ti.cast(ENDLESS_STEP, ti.f64)
     half = ti.select(moved > 0.0, 0.5 * size(slip) / moved, never)
@@ -430,7 +435,7 @@ SCALAR, VECTOR = (1, 1), (1, 2)
 AIM = _numbered((RIGHT_HEAD, SCALAR), (RIGHT_TAIL, VECTOR), (PULL, VECTOR))
 MADE = _numbered(
     (WEIGHT, SCALAR), (WEIGHT_HEAD, SCALAR), (TAIL, VECTOR), (POINT_HEAD, SCALAR), (POINT_TAIL, VECTOR),
-    (DIAGONAL, SCALAR), (OFF, VECTOR), (STIFFNESS, (1, 3)),
+    (INVERSE, SCALAR), (OFF, VECTOR), (STIFFNESS, (1, 3)),
 )  # fmt: skip
 EXTENT = _numbered((BOUND_STEP, SCALAR), (DUAL_STEP, VECTOR))
 TAKEN = _numbered(
