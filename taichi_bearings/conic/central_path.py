@@ -274,9 +274,9 @@ class Path:
             rejected = going & (further.reach < step.reach + LEAST_GAIN)
             step = further.but(rejected, step) if rejected.any() else further
             going &= ~rejected
-        if rejected.any():  # the better step is in the rows of the other one of the two steps in memory
-            slots = [rows.values[_in(slot, 0) : _in(slot, kernels.STEP_ROWS)] for slot in (0, 1)]
-            slots[step.slot][..., rejected] = slots[1 - step.slot][..., rejected]
+        # Of rejected samples the better step is in the rows of the other one of the two steps in memory.
+        for sample in np.flatnonzero(rejected):
+            rows.copy_step(1 - step.slot, step.slot, sample)
         # Refine the last solve, and go STEP_SHARE of the way to the boundary.
         step = self._refined(step)
         along, dual_along = step.within(STEP_SHARE)
@@ -321,10 +321,10 @@ class Path:
         are above STEP_TORQUE, in units of the mean friction."""
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(STEP_REFINEMENTS):
-            force = rows.two(kernels.FORCE)
-            np.add(rows.two(kernels.DUAL), rows.two(_in(step.slot, kernels.DUAL_STEP)), out=force)
+            rows.add(kernels.DUAL, _in(step.slot, kernels.DUAL_STEP), kernels.FORCE)
             if self._viscosity is not None:
-                force -= self._viscosity * (rows.two(kernels.SLIP) + rows.two(_in(step.slot, kernels.CHANGE)))
+                slip = rows.two(kernels.SLIP) + rows.two(_in(step.slot, kernels.CHANGE))
+                rows.two(kernels.FORCE)[:] -= self._viscosity * slip
             self._imbalance(kernels.FORCE, self._spins + step.spins)
             size = np.abs(rows.spins).max(axis=0, initial=0.0)
             going &= (size > STEP_TORQUE) & (size < last / 2)

@@ -68,6 +68,7 @@ class ContactRows:
             self._at[own] = begin + np.arange(len(own))
         # block of BLOCK numbers with which the contacts with two components begin; numbers of a row, of all samples
         self._first_two = int(begins[1]) * self.samples // kernels.BLOCK
+        self._second = int(begins[1])  # first contact with two components
         self._contacts, self._length = contacts, contacts * self.samples
         self._flat = aligned_zeros(kernels.ROWS * self._length, kernels.BLOCK)
         self.values = self._flat.reshape(kernels.ROWS, contacts, self.samples)
@@ -167,6 +168,23 @@ class ContactRows:
             kernel = kernels.add_up_alone if self.samples == 1 else kernels.add_up
             self._starts[key] = [prepared(kernel, *sums, values.reshape(shape), found.reshape(shape), first, to)]
         self._starts[key][0]()
+
+    def copy_step(self, slot: int, to: int, sample: int) -> None:
+        """Copy the numbers of a step of one sample that are needed to go it, and to solve for it again, all but the
+        tail of its right-hand side. slot, to : 0 or 1, which of the two steps in memory is read, and which is written.
+        """
+        begin, end = (self.values[kernels.STATE_ROWS + n * kernels.STEP_ROWS :, :, sample] for n in (slot, to))
+        for row in (kernels.RIGHT_HEAD, kernels.PULL, kernels.CHANGE, kernels.BOUND_STEP, kernels.DUAL_STEP):
+            end[row] = begin[row]
+        for row in (kernels.PULL + 1, kernels.CHANGE + 1, kernels.DUAL_STEP + 1):
+            end[row, self._second :] = begin[row, self._second :]
+
+    def add(self, row: int, other: int, to: int) -> None:
+        """Add the vectors in two rows from `row` on to those in two rows from `other` on, and write the sums to the two
+        rows from `to` on."""
+        np.add(self.values[row], self.values[other], out=self.values[to])
+        with_two = slice(self._second, None)
+        np.add(self.values[row + 1, with_two], self.values[other + 1, with_two], out=self.values[to + 1, with_two])
 
     def put(self, row: int, sample: int, values: np.ndarray) -> None:
         """Write numbers (n,) of one sample into row `row`, or vectors (d, n) into the d rows from there on. Letters: n
