@@ -27,9 +27,10 @@ from taichi_bearings.numerics.double_double import (
     two_sum,
 )
 
-# most Newton steps; torque over the largest friction that ends them, and the same once more over the smallest slip: a
-# torque moves slips by some multiple of itself, so that slips are then known to more digits than a double has
-MOST_POLISHING_STEPS, POLISHED_TORQUE, POLISHED_PER_SLIP = 20, 1e-31, 1e-17
+MOST_POLISHING_STEPS = 20  # most Newton steps
+# Torques over the largest friction that end them: in any case; and if it is also below a share of the smallest slip. A
+# torque moves slips by some multiple of itself, so that they are then known to about all digits that a double has.
+POLISHED_TORQUE, SMALL_TORQUE, SMALL_SHARE_OF_SLIP = 1e-31, 3e-27, 1e-17
 MATRIX_CHANGE = 1e-2  # change of a slip by a step over the slip, above which the matrix is made anew
 FREE_STIFFNESS = 1e-20  # stiffness along a slip over that across it, for motions that nothing else resists
 MOST_SLIP_CHANGE = 0.5  # largest change of a slip by a step over the slip; beyond it the sample has failed
@@ -86,7 +87,7 @@ def _balanced(
         # Keep the best point; go on while torques are more than halved and are not yet negligible.
         best, fine = _chosen(going[owners.spins], unknown, best), fine | going
         slips = precise if slips is None else _chosen(going[owners.contacts], precise, slips)
-        enough = np.maximum(POLISHED_TORQUE, POLISHED_PER_SLIP * np.minimum(smallest, 1.0)) * strongest
+        enough = np.maximum(POLISHED_TORQUE, np.minimum(SMALL_TORQUE, SMALL_SHARE_OF_SLIP * smallest)) * strongest
         going = going & (size <= least / 2) & (size > enough)
         if not going.any():
             break

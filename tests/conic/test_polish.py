@@ -6,6 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from taichi_bearings.conic import polish
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
 from tests.proof.laboratory import Laboratory, dot
@@ -83,6 +84,17 @@ def test_slipping_contacts_leave_no_torque_on_any_domain(seed):
         driven = {root(site) for site in laboratory.spin if laboratory.is_driven(site)}
         free = [abs(value) for domain, value in total.items() if domain not in driven]
         assert all(value < Decimal("1e-26") for value in free)
+
+
+@pytest.mark.usefixtures("needs_f64", "taichi_runtime")
+@pytest.mark.parametrize("seed", [2, 7])
+def test_slips_have_all_their_digits_where_polishing_ends_early(seed, monkeypatch):
+    """Against slips after as many steps of Newton's method as reduce the torques at all."""
+    early = solved((4, 3, 5), {"seeds": (seed,)}, "interior-point")
+    monkeypatch.setattr(polish, "SMALL_TORQUE", 0.0)
+    late = solved((4, 3, 5), {"seeds": (seed,)}, "interior-point")
+    assert (early.state == late.state).all()
+    assert np.allclose(early.slip, late.slip, rtol=1e-14, atol=0)
 
 
 def test_contacts_that_join_both_planes_cannot_all_be_tied():

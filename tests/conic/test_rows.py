@@ -239,3 +239,28 @@ def test_numbers_of_a_sample_do_not_depend_on_those_beside_it():
         found.append([*steps, over_contacts])
     for one, other in zip(*found, strict=True):
         assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("samples", [1, 8])
+def test_a_copied_step_is_what_a_sample_goes_on_with(samples):
+    contacts = Contacts(samples, 11)
+    rows, rng = contacts.rows, np.random.default_rng(12)
+    for slot in (0, 1):
+        for row in range(kernels.STEP_ROWS):
+            for sample in range(samples):
+                at = kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row
+                absent = (row in (2, 4, 6, 9)) & (COMPONENTS == 1)  # second components of vectors
+                rows.put(at, sample, np.where(absent, 0.0, rng.standard_normal(COUNT)))
+    before, begin = rows.values.copy(), kernels.STATE_ROWS
+    rows.copy_step(1, 0, contacts.sample)
+    needed = [row for row in range(kernels.STEP_ROWS) if row not in (kernels.RIGHT_TAIL, kernels.RIGHT_TAIL + 1)]
+    for row in needed:
+        copied = rows.values[begin + row, :, contacts.sample]
+        assert (copied == before[begin + kernels.STEP_ROWS + row, :, contacts.sample]).all()
+    others = [sample for sample in range(samples) if sample != contacts.sample]
+    assert np.array_equal(rows.values[..., others], before[..., others], equal_nan=True)
+    assert np.array_equal(rows.values[:begin], before[:begin], equal_nan=True)  # with those that fill up blocks
+    # vectors on contacts are added component by component
+    rows.add(kernels.DUAL, begin + kernels.DUAL_STEP, kernels.FORCE)
+    dual, step = (rows.vectors(row, contacts.sample, 2) for row in (kernels.DUAL, begin + kernels.DUAL_STEP))
+    assert (rows.vectors(kernels.FORCE, contacts.sample, 2) == dual + step).all()

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from taichi_bearings.conic import descent, resolution
 from taichi_bearings.proof.certificate import lower_bound, relative_gap
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import prepare, solve_job
@@ -237,3 +238,17 @@ def test_contacts_first_taken_to_rest_at_their_limit_slip_where_they_would_have_
     solution = minimum_of(make_scene((12, 12, 12), seeds=(seed,)))
     assert solution.states_proven[0]
     assert solution.gap[0] < 1e-13
+
+
+def test_states_that_are_not_found_at_first_are_found_further_along_the_path(monkeypatch):
+    """Seed 82: two steps later the guess is right. Nothing follows the last decades of the path alone."""
+
+    def never(*_):
+        raise AssertionError("the last decades were followed")
+
+    trials, settle = [], resolution.resolve
+    monkeypatch.setattr(resolution, "_minimum_along_path", never)
+    monkeypatch.setattr(descent, "resolve", lambda *of: trials.append(settle(*of)) or trials[-1])
+    solution = minimum_of(Scene.random((10, 10, 10), seed=82))
+    assert [bool(found and found.sure) for (found,) in trials] == [False, True]
+    assert solution.states_proven[0]
