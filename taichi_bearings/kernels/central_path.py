@@ -195,9 +195,9 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
     The list has: weight and rotation (head, tail) of the scaling W, by which the primal point (bound, slip) and the
     dual point (friction limit, minus force) become the same scaled point; that point (head, tail); of W^-2 the inverse
-    of the block head-head, and the block head-tail; the stiffness of the contact, 1 number or 3 of a triangle; right-hand side (head, tail);
-    and pull on the spheres. A contact that is in no cone, as its row SMOOTH says, has a stiffness by the friction law
-    instead.
+    of the block head-head, and the block head-tail; the stiffness of each contact, 1 number or 3 of a triangle;
+    right-hand side (head, tail); and pull on the spheres. A contact that is in no cone, as its row SMOOTH says, has a
+    stiffness by the friction law instead, and the inverse 0.
 
     values : numbers of all contacts, row by row, flat.
     at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
