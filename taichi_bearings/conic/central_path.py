@@ -275,7 +275,7 @@ class Path:
             step = further.but(rejected, step) if rejected.any() else further
             going &= ~rejected
         # Of rejected samples the better step is in the rows of the other one of the two steps in memory.
-        for sample in np.flatnonzero(rejected):
+        for sample in np.flatnonzero(rejected).tolist():
             rows.copy_step(1 - step.slot, step.slot, sample)
         # Refine the last solve, and go STEP_SHARE of the way to the boundary.
         step = self._refined(step)
