@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which factorisations fit into any memory (about 48^3)
 # tolerances from which on operator splitting is faster than the interior-point method, up to so many spheres and beyond
 SPLITTING_TOLERANCE, SPLITTING_TOLERANCE_BEYOND = 3e-5, 1e-6
-ROOM_MARGIN = 1.4  # factor by which the estimated memory of an interior point beyond that may be too low
 
 
 def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[[Law], bool]":
@@ -290,9 +289,9 @@ class InteriorPoint(MethodOptions):
         lattice = scene.lattice
         if lattice.sites <= MOST_FACTORISED:
             return tolerance < SPLITTING_TOLERANCE or scene.law.flows
-        from taichi_bearings.memory import free_bytes
+        from taichi_bearings.memory import ESTIMATE_MARGIN, free_bytes
 
-        room = ROOM_MARGIN * scene.replicas * cls.bytes(lattice.shape, lattice.periodic)
+        room = ESTIMATE_MARGIN * scene.replicas * cls.bytes(lattice.shape, lattice.periodic)
         return tolerance < SPLITTING_TOLERANCE_BEYOND and room <= free_bytes()
 
     @classmethod
