@@ -238,7 +238,7 @@ def work_and_bound_within(
     work = _work_of_planes(scene, balanced, spin_axes)
     bound = dual_value(scene, within, spin_axes, plain=enough > 0)
     if enough > 0:
-        lost = PLAIN_ROUNDING * scene.lattice.radius * scene.jump * np.abs(within).sum(axis=(0, 2))
+        lost = PLAIN_ROUNDING * scene.lattice.radius * scene.jump * _sum_of_sizes(within)
         if not (lost <= enough * (work - bound)).all():
             bound = np.maximum(bound, dual_value(scene, within, spin_axes))
     as_a_whole = work / np.maximum(worst, 1.0)
@@ -294,13 +294,21 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...], plain: b
         left_over = left_over.reshape(scene.replicas, -1).sum(axis=1)
         work -= planes.sum(axis=1) + left_over
         allowance += SUM_ROUNDING * (np.abs(planes).sum(axis=1) + left_over)
-    total = np.abs(force).sum(axis=(0, 2))
+    total = _sum_of_sizes(force)
     allowance += (PLAIN_ROUNDING if plain else SUM_ROUNDING**2) * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
     if scene.law.flows:  # else the conjugate of admissible forces is 0
         cost = scene.law.conjugate(scene.material, vector_length(force)).sum(axis=1)
         work, allowance = work - cost, allowance + SUM_ROUNDING * cost
     return scene.law.share * (work - allowance)
+
+
+def _sum_of_sizes(force: Forces) -> np.ndarray:
+    """Return the sum (R,) of the absolute values of forces (C components, R samples, E contacts) over components and
+    contacts, added up in pieces that fit the caches."""
+    pieces = range(0, force.shape[2], CACHED_PULLS)
+    sums = [np.abs(force[..., first : first + CACHED_PULLS]).sum(axis=(0, 2)) for first in pieces]
+    return np.sum(sums, axis=0) if sums else np.zeros(force.shape[1])
 
 
 def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
