@@ -5,6 +5,7 @@ import json
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 LED_TO_ARRAYS = {"distribution", "viscosity", *SIZES, *OF_DRIVEN}
 
 
+@cache  # each checkpoint has them
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that results depend on, by name."""
     import platform

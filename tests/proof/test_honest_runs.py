@@ -171,7 +171,7 @@ def test_what_proves_and_what_is_proven_is_not_forged_unseen(name, tmp_path, nee
     """A few of each run, and of one all fields. Friction that a dynamics stores proves what others prove as well."""
     path, rng = honest_file(name, tmp_path / "run"), np.random.default_rng(5)
     attributes, sets = fields_of(path)
-    fields = ["scene", *attributes, *2 * sets] if name == "spheres" else []
+    fields = ["scene", *attributes, *(1 + thorough) * sets] if name == "spheres" else []
     for field in [*fields, *[""] * (200 if thorough else 4)]:  # "" for any
         forgery = next(filter(None, (forged(path, rng, field) for _ in range(100))))
         what, named, _ = forgery
