@@ -56,6 +56,11 @@ from taichi_bearings.proof.springs import numbered, slip_rows
 FORCES_AT_ONCE = 64  # other contacts for whose loads R_f is computed at once
 # number of trials of R_c; springs are weakened by (load of a contact / friction left) to this power from trial to trial
 MOST_TRIALS, SPARED = 10, 0.7
+# For contacts that load X little no R_f is computed: their loads are taken away together with residuals (step 4). These
+# are as many as add at most this share of the least friction left, and all but so many others.
+FAINT_LOADS, MOST_OTHERS = 0.1, 512
+WORTH_A_TRIAL = 0.99  # factor by which a trial has to lower the largest (friction / limit) for another one to be made
+MOST_SETS = 3  # sets X that are tried, each without the contacts that may have to bear too much in the one before
 LEAST_MARGIN = 1e-4  # friction left over the largest of all contacts; contacts with less count as having this much
 LEAST_BORNE = 1e-2  # load of a contact over the largest; smaller loads count as this large
 YIELDING, CARRYING_STEPS = -1e-13, 3  # minus what is added to the diagonal, to hold motions; steps that correct it
@@ -81,18 +86,24 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     rests = network.counts & ~known & ((network.holding - length(bounds.friction)).lower() > 0)
     # Contacts that can roll exactly are sought among those with friction left. Optimal friction is at most mu F_n, and
     # with damping eta (slip + far) more.
-    number = numbered(unknown)
-    exact = ExactMotions.of(network, number, rests)
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
-    friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
-    # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
-    # below all their limits can replace the optimal one.
-    loop_pieces = friction_bounds.split_into_pieces()
-    for piece in loop_pieces:
-        found[piece.contacts] = piece.largest < network.holding.least[piece.contacts]
-    found &= rests
-    if exact.contacts.any():
-        found[exact.contacts] = ExactlyRolling(friction_bounds, loop_pieces).rests()
+    tried, number = rests.copy(), numbered(unknown)
+    for _ in range(MOST_SETS):
+        exact = ExactMotions.of(network, number, tried)
+        friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
+        # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
+        # below all their limits can replace the optimal one. Those that may have to bear more are left out next time.
+        loop_pieces = friction_bounds.split_into_pieces()
+        for piece in loop_pieces:
+            found[piece.contacts] |= rests[piece.contacts] & (piece.largest < network.holding.least[piece.contacts])
+        if not exact.contacts.any():
+            break
+        rolling = np.flatnonzero(exact.contacts)
+        proven, overloaded = ExactlyRolling(friction_bounds, loop_pieces).rests()
+        found[rolling] |= proven
+        if not overloaded.any():
+            break
+        tried[rolling[overloaded]] = False
     return found
 
 
@@ -204,23 +215,28 @@ class ExactlyRolling:
         )
         return np.asarray(holding - np.linalg.norm(force, axis=1))
 
-    def rests(self) -> np.ndarray:
-        """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum.
+    def rests(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum; and that of
+        the others that may have to bear more than their limits, which may keep others of their part from being proven.
 
         Springs at these contacts find friction that bears each load of the other contacts. The friction at hand plus
         all loads, at their largest, must stay below the limit at every contact of a part; then the part rests. Springs
         are made weaker where contacts bear too much, and tried again, up to MOST_TRIALS times."""
         margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
         springs, most_change = SpringsUnderLoad.of(self, margin**2), self.friction_bounds.most_change[self.others]
-        found = np.zeros(len(margin), dtype=bool)
+        found, last = np.zeros(len(margin), dtype=bool), np.inf
+        overloaded, limit = found.copy(), self.friction_bounds.network.holding.least[self.contacts]
         if springs is None:
-            return found
-        by_others, residual = np.zeros(len(margin)), self.unknown_torques.copy()
+            return found, overloaded
+        faint, by_others = self._faint(most_change), np.zeros(len(margin))
+        residual = self.unknown_torques + abs(self.loads[0]) @ np.repeat(np.where(faint, most_change, 0.0), 2) * UP
         # Friction that other contacts may demand: theirs may have any direction, so the norm of what a unit demands
         # times the bound on its size, summed.
-        for begin in range(0, len(most_change), FORCES_AT_ONCE):
-            own, some = most_change[begin : begin + FORCES_AT_ONCE], slice(2 * begin, 2 * (begin + FORCES_AT_ONCE))
-            force, left = springs.forces_for(self.loads[0][:, some].toarray(), np.repeat(own, 2))
+        others = np.flatnonzero(~faint)
+        for begin in range(0, len(others), FORCES_AT_ONCE):
+            some = others[begin : begin + FORCES_AT_ONCE]
+            own, columns = most_change[some], (2 * some[:, None] + np.arange(2)).ravel()
+            force, left = springs.forces_for(self.loads[0][:, columns].toarray(), np.repeat(own, 2))
             by_others += block_norms(force, 3) @ own
             residual += left
         # Friction along loops is known within intervals: their middles shift the friction, half lengths add to its
@@ -237,8 +253,11 @@ class ExactlyRolling:
                 force, half_length, 3
             )
             found |= self._bears(largest + by_others, residual + left)
-            if found.all() or not len(half_length):
+            overloaded = ~found & (largest + by_others >= limit)
+            worst = float(((largest + by_others) / limit)[~found].max(initial=0.0))
+            if found.all() or not len(half_length) or not worst < WORTH_A_TRIAL * last:
                 break
+            last = worst
             # Try again with weaker springs where contacts bear much of the friction that they have left.
             share = (np.linalg.norm(moved, axis=1) + weighted_lengths(force, half_length, 3)) / np.maximum(
                 margin - by_others, LEAST_MARGIN * margin
@@ -247,7 +266,19 @@ class ExactlyRolling:
             springs = SpringsUnderLoad.of(self, eased)
             if springs is None:
                 break
-        return found
+        return found, overloaded
+
+    def _faint(self, most_change: np.ndarray) -> np.ndarray:
+        """Return the mask (k,) of the contacts `others` whose loads are so small that they may be taken away together
+        with residuals, by a correction of friction of at most FAINT_LOADS of the least friction left.
+
+        most_change : (k,), bound on the change of the friction of each of the k contacts."""
+        squares = np.asarray(self.loads[0].power(2).sum(axis=0)).reshape(-1, 2).sum(axis=1) * most_change**2
+        order, floor = np.argsort(squares), self.friction_bounds.exact.floor[0]
+        faint = np.zeros(len(most_change), dtype=bool)
+        faint[order] = np.sqrt(np.cumsum(squares[order])) <= FAINT_LOADS * floor * self.margin.min()
+        faint[order[: max(len(order) - MOST_OTHERS, 0)]] = True
+        return faint
 
     def _bears(self, largest: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return the mask (q,) of the exactly rolling contacts that are in parts all of whose contacts stay below their

@@ -32,6 +32,7 @@ but only three can be independent in z: the fourth rolls because the numbers agr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -51,8 +52,9 @@ DENOMINATORS = 720  # largest denominator of the fractions that are guessed
 # sums and products of them in doubles are exact.
 WHOLE, LARGEST = 1e-6, 2.0**40
 MOST_ROUNDS = 12  # number of times that spheres are left out and the rest is tried again
-MOST_EXACT_SPHERES = 5_000  # number of free spheres beyond which this takes longer than finding the minimum
-SLOTS_AT_ONCE = 64  # choices of a part that are solved for at once
+# Motions that are solved for at once; choices of a part in one of them at most; share of the choices that such sums may
+# leave open before each is solved for alone.
+SLOTS_AT_ONCE, CHOICES_IN_A_SUM, WORTH_A_ROUND = 64, 32, 0.5
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,20 @@ class ExactMotions:
 
         network : N spheres and E contacts of R samples of a packing.
         number : (N, 3), which unknown each component of a spin is, -1 where it is none.
-        rests : (E,) mask of the contacts that shall roll."""
+        rests : (E,) mask of the contacts that shall roll.
+
+        The result is kept with the network, as proofs ask for it again where the first of them has failed."""
+        asked = number.tobytes() + rests.tobytes()
+        if asked not in network.kept:
+            network.kept.clear()
+            network.kept[asked] = cls._found(network, number, rests)
+        return cast(ExactMotions, network.kept[asked])
+
+    @classmethod
+    def _found(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
+        """Find exact motions of as many spheres as possible; the arguments are those of :meth:`of`."""
         spheres, (first, second) = network.reached, network.graph.contact
-        for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES * network.count else 0):
+        for _ in range(MOST_ROUNDS):
             whole = spheres | ~network.free
             contacts = rests & whole[first] & whole[second]
             touched = np.zeros(len(spheres), dtype=bool)
@@ -155,6 +168,8 @@ class _Parts:
         # Choose some unknowns such that no pivot of the others is nearly 0. All others follow from them.
         elimination = Elimination.of((self.rows.T @ self.rows).tocsc(), place, network.parts_of(sphere), samples)
         follows = ~elimination.dependent(NULL_PIVOT)
+        in_order = np.empty(len(follows), dtype=np.intp)
+        in_order[elimination.order] = np.arange(len(follows))
         # A slip has two components. Parts without more of these conditions than unknowns outside J have nothing to
         # prove: leave them out.
         conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
@@ -173,7 +188,7 @@ class _Parts:
             return everything
         if (fails := (tau == 0) | factor.failed).any():
             return self._spheres(fails[samples.of])
-        motions, no_fraction = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor)
+        motions, no_fraction = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor, in_order)
         slipping = motions.slipping_contacts()
         if not len(slipping):
             return np.sqrt(tau) / UP, motions
@@ -243,6 +258,89 @@ class _Choices:
         return cls(chosen, imposed, owner, slot, sparse.csr_array(sums))
 
 
+@dataclass
+class _Solved:
+    """Solves for the motions that follow from some of the q numbers in `choices`, in doubles by least squares: one
+    vector of f unknowns, a column, for one choice or the sum of several.
+
+    parts : A contacts, their n unknowns, and the parts into which they fall. choices : the q numbers.
+    follow : (f,), indices of the unknowns that follow from the others.
+    rows : (3 A, f), slips from these unknowns. factor : Cholesky factor of rows^T rows.
+    fewer : True if choices of one part are no longer to be solved for together, as too many of them were in one
+        connected set of moving spheres."""
+
+    parts: _Parts
+    choices: _Choices
+    follow: np.ndarray
+    rows: sparse.csr_array
+    factor: Factor
+    fewer: bool = False
+
+    def columns(self, some: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Return for each of the choices `some` (k,) the number (k,) of the column in which its motion is solved for,
+        and True if a column may have several choices of the same part. Numbers that follow from imposed spins, which
+        touch many spheres, and few choices have a column each; parts do not touch and share columns."""
+        owner = self.choices.owner[some]
+        order, size = np.argsort(owner, kind="stable"), np.bincount(owner)
+        slot = np.empty_like(order)
+        slot[order] = np.arange(len(order)) - np.repeat(np.cumsum(size) - size, size)
+        columns = max(SLOTS_AT_ONCE, -(-int(size.max()) // CHOICES_IN_A_SUM))
+        imposed = some[0] >= len(self.choices.chosen)
+        if imposed or self.fewer or columns >= size.max():
+            return slot, False
+        return slot % columns, True
+
+    def motions(self, some: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Return the motions (f, columns) of the unknowns that follow: in each column the sum of those of its choices,
+        with one refinement. Entries that are not finite are 0.
+
+        some : (k,), the choices. column : (k,), the column of each."""
+        together = sparse.csr_array((np.ones(len(some)), (np.arange(len(some)), column)))
+        sums = (self.choices.sums[:, some] @ together).toarray()
+        normal = self.parts.normal.T[..., None]
+        slips = np.cross(sums.reshape(3, -1, sums.shape[1]), normal, axis=0).reshape(sums.shape)
+        x = -self.factor.solve(self.rows.T @ slips)  # the others follow by K x = -slips
+        x -= self.factor.solve(self.rows.T @ (self.rows @ x + slips))
+        return np.where(np.isfinite(x), x, 0.0)
+
+    def one_of_each_part(self, x: np.ndarray, some: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the motions `x` (f, columns) of columns with one choice of each part, as (3, entries): which of the f
+        unknowns moves, for which choice, by how much; and no choice that is left, (0,).
+
+        some : (k,), the choices. column : (k,), the column of each."""
+        choice = np.full((self.parts.count, x.shape[1]), -1)
+        choice[self.choices.owner[some], column] = some
+        at, among = np.nonzero(np.abs(x) > WHOLE)
+        own = choice[self.parts.of_unknown[self.follow[at]], among]
+        there = own >= 0
+        return np.stack([at[there], own[there], x[at[there], among[there]]]), some[:0]
+
+    def split(self, x: np.ndarray, some: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the motions of single choices from sums `x` (f, columns) of several, as (3, entries): which of the f
+        unknowns moves, for which choice, by how much; and the choices that are left, as there are several in one
+        connected set of moving spheres.
+
+        What moves in a connected set with one choice in it makes no contact slip and has the value 1 at this choice
+        alone; so it is the motion of this choice.
+
+        some : (k,), the choices. column : (k,), the column of each."""
+        width, sphere = x.shape[1], np.nonzero(self.parts.free)[0]
+        at, among = np.nonzero(np.abs(x) > WHOLE)
+        # A node is a sphere in a column. Contacts join two of them if both spheres move in this column.
+        node, of_choice = sphere[self.follow[at]] * width + among, sphere[self.choices.chosen[some]] * width + column
+        moves = np.zeros((len(self.parts.free), width), dtype=bool)
+        moves.flat[node] = moves.flat[of_choice] = True
+        first, second = self.parts.ends[:, self.parts.network.free[self.parts.ends].all(axis=0)]
+        contact, inside = np.nonzero(moves[first] & moves[second])
+        label = pieces(moves.size, first[contact] * width + inside, second[contact] * width + inside)
+        alone = np.bincount(label[of_choice], minlength=moves.size)[label[of_choice]] == 1
+        choice = np.full(moves.size, -1)
+        choice[label[of_choice[alone]]] = some[alone]
+        own = choice[label[node]]
+        there = own >= 0
+        return np.stack([at[there], own[there], x[at[there], among[there]]]), some[~alone]
+
+
 @dataclass(frozen=True)
 class _Motions:
     """How the n unknown spin components follow from q numbers, the chosen ones and the imposed sizes of spins, so that
@@ -260,41 +358,51 @@ class _Motions:
 
     @classmethod
     def of(
-        cls, parts: _Parts, choices: _Choices, follow: np.ndarray, rows: sparse.csr_array, factor: Factor
+        cls,
+        parts: _Parts,
+        choices: _Choices,
+        follow: np.ndarray,
+        rows: sparse.csr_array,
+        factor: Factor,
+        place: np.ndarray,
     ) -> tuple[_Motions, np.ndarray]:
         """Guess the motions that follow from each of the q numbers in `choices`, as fractions. Return them, and a mask
         (n,) of the unknowns at which some motion is no fraction. Whether no contact slips is not checked here.
 
-        parts : A contacts and their n unknowns.
-        choices : the q numbers, chosen spin components and imposed spins, from which all other spins follow.
-        follow : (f,), indices of the unknowns that are not chosen.
-        rows : (3 A, f), the columns of these unknowns in the matrix of slips. factor : Cholesky factor of rows^T rows.
-        """
-        normal, owner, count = parts.normal.T[..., None], parts.of_unknown[follow], len(choices.slot)
-        unit, no_fraction = np.ones(count), np.zeros(len(parts.of_unknown), dtype=bool)
-        entries = [np.zeros((3, 0))]
-        for begin in range(0, int(choices.slot.max(initial=-1)) + 1, SLOTS_AT_ONCE):
-            own = np.flatnonzero((choices.slot >= begin) & (choices.slot < begin + SLOTS_AT_ONCE))
-            slot, part = choices.slot[own] - begin, choices.owner[own]
-            together = sparse.csr_array((np.ones(len(own)), (np.arange(len(own)), slot)))
-            # One choice of each part at once, as parts do not touch: solve K x = -slips in least squares, with one
-            # refinement.
-            sums = (choices.sums[:, own] @ together).toarray()
-            slips = np.cross(sums.reshape(3, -1, sums.shape[1]), normal, axis=0).reshape(sums.shape)
-            x = -factor.solve(rows.T @ slips)  # the others follow by K x = -slips
-            x -= factor.solve(rows.T @ (rows @ x + slips))
-            choice = np.full((parts.count, x.shape[1]), -1)
-            choice[part, slot] = own
-            x = np.where(np.isfinite(x) & (choice >= 0)[owner], x, 0.0)
-            # Multiply the numbers of each part by their common denominator, and round to integers.
-            units = _common_denominators(x, owner, parts.count)
-            x *= units[owner]
-            no_fraction[follow[(np.abs(x - np.round(x)) > WHOLE).any(axis=1)]] = True
-            (at, column), unit[own] = np.nonzero(np.round(x)), units[part, slot]
-            entries.append(np.stack([follow[at], choice[owner[at], column], np.round(x)[at, column]]))
-        entries.append(np.stack([choices.chosen, np.arange(len(choices.chosen)), unit[: len(choices.chosen)]]))
-        at, choice, number = np.concatenate(entries, axis=1)
-        motion = sparse.csr_array((number, (at.astype(int), choice.astype(int))), shape=(len(no_fraction), count))
+        Motions mostly move a few spheres, so those of choices far apart are found together, as one sum. A connected set
+        of moving spheres with one choice in it moves by the motion of this choice; choices in one connected set are
+        tried again with fewer others.
+
+        parts : A contacts and their n unknowns. choices : the q numbers.
+        follow : (f,), indices of the unknowns that are not chosen. rows : (3 A, f), their columns of the matrix of
+            slips. factor : Cholesky factor of rows^T rows. place : (n,), place of each unknown in an order in which
+            unknowns close in space are mostly near each other."""
+        count, chosen = len(choices.slot), len(choices.chosen)
+        solved = _Solved(parts, choices, follow, rows, factor)
+        found = [np.zeros((3, 0))]
+        for waiting in (np.arange(chosen, count), np.argsort(place[choices.chosen])):
+            while len(waiting):
+                column, together = solved.columns(waiting)
+                tried, open_ = len(waiting), [waiting[:0]]
+                for begin in range(0, int(column.max()) + 1, SLOTS_AT_ONCE):
+                    own = (column >= begin) & (column < begin + SLOTS_AT_ONCE)
+                    of_batch = waiting[own], column[own] - begin
+                    x = solved.motions(*of_batch)
+                    entries, merged = (solved.split if together else solved.one_of_each_part)(x, *of_batch)
+                    found.append(entries)
+                    open_.append(merged)
+                waiting = np.concatenate(open_)
+                solved.fewer = len(waiting) > WORTH_A_ROUND * tried
+        at, choice, x = np.concatenate(found, axis=1)
+        at, choice = follow[at.astype(int)], choice.astype(int)
+        # Multiply the numbers of each motion by their common denominator, and round to integers.
+        unit, no_fraction = _common_denominators(x, choice, count), np.zeros(len(parts.of_unknown), dtype=bool)
+        x = x * unit[choice]
+        no_fraction[at[np.abs(x - np.round(x)) > WHOLE]] = True
+        at, choice = np.append(at, choices.chosen), np.append(choice, np.arange(chosen))
+        x = np.append(np.round(x), unit[:chosen])
+        motion = sparse.csr_array((x, (at, choice)), shape=(len(no_fraction), count))
+        motion.eliminate_zeros()
         return cls(parts, choices, motion, unit), no_fraction
 
     def slipping_contacts(self) -> np.ndarray:
@@ -345,12 +453,12 @@ def _sum_of_spins(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:
     return sparse.csr_array((np.ones(len(row)), (row, at[end, row])), shape=(at.shape[1], number.max(initial=-1) + 1))
 
 
-def _common_denominators(x: np.ndarray, owner: np.ndarray, parts: int) -> np.ndarray:
-    """Return for each part and each column the least common denominator (parts, m) of its numbers, taken as fractions;
-    1 where it is too large.
+def _common_denominators(x: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
+    """Return for each owner the least common denominator (count,) of its numbers, taken as fractions; 1 where it is too
+    large.
 
-    x : (k, m), numbers. Those that no fraction with a denominator up to DENOMINATORS is close to are ignored.
-    owner : (k,), the part of each row. parts : number of parts."""
+    x : (k,), numbers. Those that no fraction with a denominator up to DENOMINATORS is close to are ignored.
+    owner : (k,), to whom each number belongs, 0 to count - 1."""
     rest, before, below = x - np.round(x), np.zeros_like(x), np.ones_like(x)
     # Continued fractions of all numbers at once, until each is found or its denominator is too large.
     while True:
@@ -361,10 +469,10 @@ def _common_denominators(x: np.ndarray, owner: np.ndarray, parts: int) -> np.nda
         rest = inverse - np.round(inverse)
         before, below = np.where(open_, below, before), np.where(open_, np.round(inverse) * below + before, below)
     denominator = np.where(np.abs(below) <= DENOMINATORS, np.abs(below), 1).astype(np.int64)
-    found, order = np.ones((parts, x.shape[1]), dtype=np.int64), np.argsort(owner, kind="stable")
+    found, order = np.ones(count, dtype=np.int64), np.argsort(owner, kind="stable")
     present, begin = np.unique(owner[order], return_index=True)
     if len(order):
-        found[present] = np.lcm.reduceat(denominator[order], begin, axis=0)
+        found[present] = np.lcm.reduceat(denominator[order], begin)
     return np.where((found < 1) | (found > LARGEST), 1, found).astype(float)
 
 

@@ -219,6 +219,11 @@ class JudgedNetwork:
         """Return for each of q contacts the number (q,), 0 to R - 1, of its sample. contacts : (q,), their indices."""
         return contacts // (len(self.acts) // self.count)
 
+    @cached_property
+    def kept(self) -> dict[bytes, object]:
+        """What proofs have found of this network and may ask for again: results by a key made of what was asked."""
+        return {}
+
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
         """Return for each of the m contacts the value (m,) of its sample. values : (R,), a value for each sample."""
         return (

@@ -19,6 +19,9 @@ Proof. Sums are over X. As y* = K u* + b, (F* - G) . y* = (F* - G) . b, since K^
 since b = -K u by a, and that is 0, since K^T (F* - G) = 0 once more. So the sum of F* . y*, that is of mu F_n |y*| +
 eta |y*|^2, equals that of G . y*. But G . y* is smaller than mu F_n |y*| at every contact that slips. So none does.
 
+What slackness says of F* (theorem 5), see `_distance_by_slackness`. Let E be the potential of the spins at hand less
+what the friction at hand proves. With friction alone F* differs from mu F_n y / |y| by at most (2 mu F_n E / |y|)^1/2.
+
 How it is used, where components do not mix (discs; normals along the axes). What contacts of X join through free
 spheres in one component is a *part*.
 1. Condition a holds, without any rounding, where all driven spheres that a part touches ask for one spin, up to the
@@ -39,7 +42,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_bearings.proof.bounds import Bounds
+from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import signs
@@ -47,19 +50,22 @@ from taichi_bearings.proof.slipless_state import imposed_exactly
 
 # Largest change of a force over the sum of r over its part: 1 along the tree, 1/2 around a loop with an odd number.
 SHARE_AROUND = 1.5
+NEARLY_KNOWN = 1e-2  # (what slackness leaves open of a friction) / limit, up to which the contact is not tried
 
 
 def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two arrays for E contacts: a mask (E,) of those whose friction is nearly known at every minimum, since
-    they surely slip there or have damping alone; and a bound (E,) on |F* - F|, optimal friction less the friction at
-    hand, for every contact that can dissipate, 0 for others.
+    they surely slip there, have damping alone, or slip so fast at hand that slackness says it; and a bound (E,) on
+    |F* - F|, optimal friction less the friction at hand, for every contact that can dissipate, 0 for others.
 
     bounds : the network and its friction.
     far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known.
     """
     network, size = bounds.network, bounds.network.slip
-    known = network.counts & ((size.least > far) | ((network.holding.high == 0) & np.isfinite(far)))
-    own, friction = np.flatnonzero(known), bounds.friction or network.own_friction
+    slips = network.counts & ((size.least > far) | ((network.holding.high == 0) & np.isfinite(far)))
+    by_slackness = _distance_by_slackness(bounds)
+    known = slips | (by_slackness < NEARLY_KNOWN * network.holding.least)
+    own, friction = np.flatnonzero(slips | np.isfinite(by_slackness)), bounds.friction or network.own_friction
     with_friction = np.flatnonzero(network.holding.high[own] > 0)
     wrong = []
     # Difference between the friction at hand and the one by the law at the given slips, mu F_n y / |y| + eta y.
@@ -70,16 +76,35 @@ def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndar
         )
         lawful.put(with_friction, lawful.at(with_friction) + by_friction)
         wrong.append(given.at(own) - lawful)
+    missed = np.zeros(len(known))
+    missed[own] = length(wrong).most
     # A slip that differs by far has a unit vector that differs by 2 far / |slip| at most; that of discs is fixed.
     turn = 0 * far if len(friction) == 1 else np.where(size.least > far, 2 * far / size.least, 0.0)
     damped = network.slope.high > 0
     damping_force = np.where(damped, network.slope.most * (size.most + far), 0.0)
     # Where friction is not known, F* and F may point in opposite directions: the sum of their largest sizes.
     distance = network.holding.most + damping_force + length(friction).most
-    # Where it is known: what F misses of the law, and what the law may change within far.
-    distance[own] = length(wrong).most + network.holding.most[own] * turn[own] * UP
-    distance[own] += np.where(damped, network.slope.most * far, 0.0)[own]
+    # Where it is known: what F misses of the law, and what the law may change within far, or slackness allows.
+    changed = network.holding.most * turn * UP + np.where(damped, network.slope.most * far, 0.0)
+    distance[slips] = (missed + changed)[slips]
+    distance = np.fmin(distance, missed + by_slackness)
     return known, np.where(network.counts, distance * UP, 0.0)
+
+
+def _distance_by_slackness(bounds: Bounds) -> np.ndarray:
+    """Return a bound (E,) on |F* - mu F_n y / |y|| for E contacts, optimal friction less that by the law at the given
+    slips y; infinite for contacts that have damping, no friction, or no slip that is surely above 0.
+
+    The sum of phi(y) + phi*(F*) - F* . y over all contacts is the potential at hand less the least one, at most the
+    excess E, and no term is negative (theorem 5). With friction alone a term is mu F_n |y| - F* . y. As |F*| <= mu F_n,
+    |F* - mu F_n y / |y||^2 <= 2 mu F_n (mu F_n - F* . y / |y|) <= 2 mu F_n E / |y|.
+
+    bounds : bounds on the potential of R samples, with their spins."""
+    network = bounds.network
+    proven = network.on_contacts(bounds.proof == PROVEN)
+    some = network.counts & proven & (network.slope.high == 0) & (network.holding.high > 0) & (network.slip.least > 0)
+    found = 2 * network.holding.most * network.on_contacts(bounds.excess) / network.slip.least
+    return np.where(some & np.isfinite(found), np.sqrt(found) * UP**3, np.inf)
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing

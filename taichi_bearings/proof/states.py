@@ -13,7 +13,8 @@ What is used, by the contact law and by how the components of spins matter
   (minima_by_cuts.py).
 * Two components or more that do not mix (lattices; normals along the axes), friction alone: steps 1 to 3 below; where
   friction is repeated, so that minima may tie, tied_minima.py first.
-* Components that mix: the minimum is enclosed (oblique.py); where that fails, `_by_cones`, see below.
+* Components that mix: the minimum is enclosed (oblique.py); where that fails, `_by_cones`, see below, and parts at rest
+  beside loops that cannot roll as their normals are rounded (loops.py, borne.py).
 * With damping: no slip is further than (2 E / eta)^1/2 from the given one. Steps 1 to 3 say the rest, with the domains
   of contacts whose share of friction left exceeds their slip over the jump. In packings the contacts that are still
   undecided are tried part by part (resting.py); with oblique normals also beside loops that cannot roll as their
@@ -113,8 +114,9 @@ def proven_states(bounds: Bounds) -> list[States]:
     elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
         found = _enclosed(network, near)
     elif network.mixes:
-        known = _apart(network, _by_cones(bounds))
-        found = _samples(network, known, "minima are not known closely enough", None)
+        far = _by_cones(bounds)
+        found = _samples(network, _apart(network, far), "minima are not known closely enough", None)
+        found = _with_parts_at_rest(bounds, far, found)
     elif not network.needed:
         found = _samples(network, np.full(len(rests), SLIPLESS), "", True)
     else:

@@ -54,7 +54,7 @@ class Smoothed:
         self.contacts, self.n, self.p = slips_at(packing)
         of, count = packing.arrays(), (packing.contacts,)
         friction, force, self.damping = (
-            exact(np.broadcast_to(of[name], count)) for name in ("friction", "normal_force", "viscosity")
+            exact(np.broadcast_to(of.get(name, 0.0), count)) for name in ("friction", "normal_force", "viscosity")
         )
         self.held = friction * force
         self.unit = max((abs(value) for _, fixed in self.contacts for value in fixed), default=Decimal(0)) or Decimal(1)

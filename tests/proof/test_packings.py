@@ -210,16 +210,15 @@ def test_contacts_that_are_proven_to_rest_can_do_so_exactly(kind):
 @pytest.mark.parametrize("kind", ["contrasts", "diamond"])
 def test_rest_is_not_proven_where_a_normal_is_off_by_its_last_digit(kind):
     found = tb.solve(OBLIQUE[kind])
-    rests, proofs = np.flatnonzero((found.state == 0) & found.proven), 0
-    for contact in rests[:: len(rests) // 4]:
+    rests, unproven = np.flatnonzero((found.state == 0) & found.proven), 0
+    for contact in rests[:: len(rests) // 8]:
         normal = found.packing.normal.copy()
         normal[contact] = np.nextafter(normal[contact], [1, -1, 1])
         packing = tb.Packing(**found.packing.arrays() | {"normal": normal})
         proven = Judgement(packing, found.spin, found.spin_rounding, found.friction).states[0].known
-        if not (proven[found.state != 3] == 2).any():  # this one closes no loop, or is in one that stands still
-            assert surplus_and_rest(packing, proven == 0)[1]
-            proofs += 1
-    assert proofs < len(rests[:: len(rests) // 4])
+        assert surplus_and_rest(packing, proven == 0)[1]
+        unproven += (proven[rests] == 2).any()
+    assert unproven > 0  # loops that cannot roll; not those that stand still
 
 
 def test_minima_are_not_enclosed_where_normals_are_longer_than_units():
