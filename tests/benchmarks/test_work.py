@@ -219,3 +219,17 @@ main()
         "taichi", "quadrants", "taichi_bearings.scene.packing", "taichi_bearings.analysis.topology",
         "taichi_bearings.proof.oblique", "taichi_bearings.proof.exact_motions",
     } & set(loaded)  # fmt: skip
+
+
+def test_a_block_of_small_samples_compiles_nothing_for_a_lone_one():
+    """Each kernel costs every worker of a scan tens of milliseconds."""
+    asks = (
+        "import taichi_bearings as tb; from taichi_bearings.kernels import elimination, substitution\n"
+        "tb.solve(tb.Scene.random((10, 10, 10), seed=1, replicas=16))\n"
+        "kernels = elimination.eliminate, elimination.eliminate_alone, substitution.substitute_alone\n"
+        "print([len(of._primal.compiled_kernels) for of in kernels])"
+    )
+    if compiler_name() != "taichi":
+        pytest.skip("its kernels keep what is compiled under another name")
+    found = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True).stdout
+    assert found.strip() == "[1, 0, 0]"
