@@ -21,7 +21,10 @@ from taichi_bearings.stages import stage
 # is smaller by the factor
 SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
 # in small samples the gap is SETTLING_GAP_FACTOR / spheres^2, at most FIRST_SETTLING_GAP: their slips are larger
-FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 3e-4
+FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 1e-4
+# there are two trials, and the first one comes earlier by the factor, where the gap of the second one, RETRY_FACTOR
+# further on, is well above that at which the path ends: up to 1 100 spheres
+EARLIER_FACTOR, LEAST_SECOND_GAP = 3.0, 8e-13
 SETTLING_STEPS = 5.0  # number of steps along the path that take as long as settling the contact states
 DISTANT_GAP = 1e-4  # relative gap above which the price of leftover torques does not matter yet
 
@@ -137,7 +140,15 @@ class Descent:
         In small samples it is one at which contacts that seem to stick mostly do. In large ones there is no such gap;
         there a step costs more than following the last decades of the path that much further, so SETTLING_GAP is used.
         """
-        return min(SETTLING_GAP_FACTOR / self.spheres**2, FIRST_SETTLING_GAP) if self.small else SETTLING_GAP
+        if not self.small:
+            return SETTLING_GAP
+        gap = SETTLING_GAP_FACTOR / self.spheres**2
+        return min(gap * (EARLIER_FACTOR if self._tries_twice else 1.0), FIRST_SETTLING_GAP)
+
+    @property
+    def _tries_twice(self) -> bool:
+        """True if the states of a sample are tried twice before its path ends."""
+        return self.small and SETTLING_GAP_FACTOR / self.spheres**2 / RETRY_FACTOR > LEAST_SECOND_GAP
 
     def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
         """Store the relative gap that a sample has after a step, and whether it is done or its contact states are to be
@@ -168,7 +179,7 @@ class Descent:
         """Return True if a trial at this relative gap is the last one before the path ends. Those before are made in
         small samples only, for which a few more steps, side by side with other samples, take less time than following
         the last decades alone."""
-        return not self.small or gap < self.settles_at / RETRY_FACTOR
+        return not self._tries_twice or gap < self.settles_at / RETRY_FACTOR
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
