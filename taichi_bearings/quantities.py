@@ -260,7 +260,8 @@ SAMPLES = _named(
         Quantity("separation_decades", "1", "powers of ten between two slip speeds: the smallest of a contact that"
                  " counts as slipping and the largest of one that counts as slipless",
                  _of_unique_slips(_decades)),
-        Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
+        Quantity("slip_threshold", "length/time", "slip speed up to which a contact counts as slipless, if no"
+                 " proof decides",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
         Quantity("largest_balance_residual", "force*length", "largest component of the net torque on a free"
                  " sphere, 0 where all torques balance; for packings divided by the radius of the sphere",

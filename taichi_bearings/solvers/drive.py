@@ -556,16 +556,22 @@ class _Best:
             raise ValueError("its forces (`proof`) do not fit the contacts of this scene, or are not finite")
         if not self.keeps_best or "best/staggered" not in state:
             return
-        # the best state, refused if it is of another shape or not finite
+        # the best state, refused if an array has another shape or is not finite
         best: dict[str, Any] = {name: np.array(state[f"best/{name}"]) for name in OF_BEST if f"best/{name}" in state}
         begin = "best/findings/"
         findings = {n[len(begin) :]: np.array(values) for n, values in state.items() if n.startswith(begin)}
         each, whole = (self.scene.replicas,), ("objective", "lower_bound", "largest_balance_residual")
-        fits = best["staggered"].shape == still.shape and best["force"].shape == self.proof.shape
-        if not fits or any(best[name].shape != each or not np.isfinite(best[name]).all() for name in whole):
-            raise ValueError("the best state in it does not have the shape of this scene")
-        if not (np.isfinite(best["staggered"]).all() and np.isfinite(best["force"]).all()):
-            raise ValueError("the best state in it holds numbers that are not finite")
+        for name, of_scene in (
+            ("staggered", still.shape),
+            ("force", self.proof.shape),
+            *((name, each) for name in whole),
+        ):
+            if best[name].shape != of_scene:
+                raise ValueError(
+                    f"the array `{name}` of the best state has the shape {best[name].shape}; this scene has {of_scene}"
+                )
+            if not np.isfinite(best[name]).all():
+                raise ValueError(f"the array `{name}` of the best state holds a number that is not finite")
         best |= {name: best[name].astype(bool) for name in ("settled", "states_believed") if name in best}
         best["iteration"] = int(best["iteration"])
         self.progress = Progress(spin_axes=spin_axes, findings=findings, **best)

@@ -130,5 +130,8 @@ def test_a_checkpoint_of_another_scene_is_refused():
     with pytest.raises(FileError, match="of another scene"):
         stopped(make_scene((8, 7, 8), seeds=(5,)), OperatorSplitting(), stop, 2, arrays)
     arrays["best/objective"] = np.array([np.nan])
-    with pytest.raises(FileError, match="best state in it does not have the shape of this scene"):
+    with pytest.raises(FileError, match="`objective` of the best state holds a number that is not finite"):
+        stopped(make_scene((8, 7, 9), seeds=(5,)), OperatorSplitting(), stop, 2, arrays)
+    arrays["best/objective"] = np.ones(2)
+    with pytest.raises(FileError, match=r"`objective` of the best state has the shape \(2,\); this scene has \(1,\)"):
         stopped(make_scene((8, 7, 9), seeds=(5,)), OperatorSplitting(), stop, 2, arrays)
