@@ -45,13 +45,13 @@ def kill_after(words, checkpoint, writings):
 
 
 def packing_scene(folder, *method):
-    """Options of a course of a packing, two replicas, of as many rows and snapshots as that of COURSE."""
+    """Options of a course of a packing, two replicas, of as many snapshots as that of COURSE."""
     arrays = tb.Packing.lattice("bcc", (2, 2, 3), spin_bottom=0.2).arrays()
     del arrays["friction"]
     np.savez(folder / "bcc.npz", **arrays)
     words = ("--packing", folder / "bcc.npz", "--replicas", "2", "--initial", "random", "--threads", "1", *method)
     words = (*words, "--figures", "none")
-    return *words, "--record", "linear:0,0.05,16", "--snapshots", "0,0.03,0.05", "--checkpoint-every", "0.02"
+    return *words, "--record", "linear:0,0.1,31", "--snapshots", "0,0.03,0.1", "--checkpoint-every", "0.02"
 
 
 @pytest.mark.usefixtures("needs_f64")
@@ -108,7 +108,7 @@ def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path, method):
     """Of a lattice and of a packing."""
     scene, count = (*SCENE, *COURSE), (16,)
     if method:
-        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.05"), (2, 16)
+        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.1"), (2, 31)
     undisturbed = bearings("run", *scene, "--out", tmp_path / "undisturbed", "--json")
     assert undisturbed.returncode == 0, undisturbed.stderr
     killed, draw = tmp_path / "killed", random.Random(7)
