@@ -45,6 +45,24 @@ def saving() -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Hold Ctrl-C and SIGTERM off during the few steps inside the block, which belong together; they are heard after
+    it. In threads other than the main one, which hear of no signals, nothing changes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {number: signal.signal(number, lambda one, _: came.append(one)) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for one in set(came):
+        signal.raise_signal(one)
+
+
+@contextlib.contextmanager
 def saying(sentence: str) -> Iterator[None]:
     """Have this sentence, on what is kept, printed if the process is ended inside the block."""
     _sentences.append(sentence)

@@ -193,23 +193,27 @@ def locked(path: Path, what: str) -> Iterator[bool]:
     """
     refuse_link_out(path)
     while True:
-        with writing(path.parent):
-            file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK)
-        with file:
+        with leaving.undisturbed():  # a file that is made is known as one to be removed
+            with writing(path.parent):
+                file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK)
             held = lock(file)
+            is_ours = held is not False and is_at(file, path)
+            if is_ours:
+                leaving.add_temporary(path)
+        with file:
             if held is False:
                 raise FileError(f"{what} is in use by another process; stop that or wait for its end")
-            if not is_at(file, path):
+            if not is_ours:
                 continue  # whoever had it before removed it after we opened it: others would lock a new one
-            leaving.add_temporary(path)
             try:
                 yield bool(held)
             finally:
-                leaving.forget_temporary(path)
-                if is_at(file, path):  # an exchanged directory takes its lock with it
-                    with contextlib.suppress(OSError):
-                        let_go(file)
-                        path.unlink()
+                with leaving.undisturbed():
+                    if is_at(file, path):  # an exchanged directory takes its lock with it
+                        with contextlib.suppress(OSError):
+                            let_go(file)
+                            path.unlink()
+                    leaving.forget_temporary(path)
         return
 
 

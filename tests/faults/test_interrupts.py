@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taichi_bearings import interrupts, leaving
+from taichi_bearings import interrupts, leaving, plain_files
 from taichi_bearings.conic import descent
 from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
@@ -239,3 +239,47 @@ __main__.main()
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "bearings: interrupted; nothing is kept but what was complete\n"
+
+
+@pytest.mark.filterwarnings("ignore:Exception ignored in. <_io.FileIO")  # closed when it is forgotten
+@pytest.mark.parametrize("what", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_at_any_step_of_a_lock_leaves_no_file_that_the_end_would_not_remove(tmp_path, what):
+    path, steps, ended = tmp_path / ".out.in-use", 0, False
+    plain = {plain_files.__file__, leaving.__file__}
+
+    def use(moment):
+        """Hold the lock, and send a signal at the step of this number; False if there are not so many."""
+        left = moment
+
+        def tracer(frame, event, _):
+            nonlocal left
+            frame.f_trace_opcodes = True
+            if event == "opcode" and frame.f_code.co_filename in plain:
+                left -= 1
+                if left == 0:
+                    sys.settrace(None)
+                    signal.raise_signal(what)
+            return tracer
+
+        sys.settrace(tracer)
+        try:
+            with plain_files.locked(path, "out"):
+                pass
+        finally:
+            sys.settrace(None)
+        return left <= 0
+
+    before = {number: signal.signal(number, signal.default_int_handler) for number in leaving.SIGNALS}
+    try:
+        while not ended:
+            steps += 1
+            try:
+                ended = not use(steps)
+            except KeyboardInterrupt:
+                assert not path.exists() or str(path) in leaving._temporary, steps
+            path.unlink(missing_ok=True)
+            leaving.forget_temporary(path)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert steps > 100
