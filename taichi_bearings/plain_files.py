@@ -110,7 +110,7 @@ Json = dict[str, Any]
 
 
 def read_json(path: Path) -> Any:
-    """Return what a file of JSON holds; FileError if it is no JSON, or would take much memory."""
+    """Return what a file of JSON holds; FileError if it is no JSON, or so large that it would take much memory."""
     try:
         return parse_json(read_whole(path, MOST_JSON).decode())
     except (ValueError, RecursionError) as error:
@@ -118,9 +118,13 @@ def read_json(path: Path) -> Any:
 
 
 def parse_json(text: str) -> Any:
-    """Return what a text of JSON holds; ValueError or RecursionError if it is no JSON, or would take much memory."""
+    """Return what a text of JSON holds.
+
+    Raises ValueError or RecursionError for a text that is no JSON, is longer than MOST_JSON characters, or has more
+    than MOST_PARTS lists and tables, which would take much memory.
+    """
     if len(text) > MOST_JSON or text.count("[") + text.count("{") > MOST_PARTS:
-        raise ValueError("the text is too long, or has too many lists and tables")
+        raise ValueError(f"it is longer than {MOST_JSON:,} characters or has more than {MOST_PARTS:,} lists and tables")
     return json.loads(text)
 
 

@@ -260,8 +260,8 @@ SAMPLES = _named(
         Quantity("separation_decades", "1", "powers of ten between two slip speeds: the smallest of a contact that"
                  " counts as slipping and the largest of one that counts as slipless",
                  _of_unique_slips(_decades)),
-        Quantity("slip_threshold", "length/time", "slip speed up to which a contact counts as slipless, if no"
-                 " proof decides",
+        Quantity("slip_threshold", "length/time", "threshold: slip speed up to which a contact counts as slipless;"
+                 " given by the user, or else chosen by the method and used only where no proof decides",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
         Quantity("largest_balance_residual", "force*length", "largest component of the net torque on a free"
                  " sphere, 0 where all torques balance; for packings divided by the radius of the sphere",
@@ -379,22 +379,25 @@ STRUCTURE = {
         Quantity("connected_pairs", "1", "number of pairs of a bottom and a top sphere that a slipless path over"
                  " free spheres joins",
                  lambda s: s.bottlenecks.betweenness.pairs),
-        Quantity("mean_distance", "contacts", "mean number of contacts on a shortest path from bottom to top",
+        Quantity("mean_distance", "contacts", "mean number of contacts on a shortest slipless path from a sphere of the"
+                 " bottom to one of the top",
                  lambda s: _if_spans(s, s.bottlenecks.betweenness.mean_distance), r"\langle \ell \rangle"),
-        Quantity("betweenness_is_exact", "1", "whether shortest paths were counted from all driven spheres, not from"
-                 " a random sample of them",
+        Quantity("betweenness_is_exact", "1", "whether shortest slipless paths were counted from all driven spheres,"
+                 " not from a random sample of them",
                  lambda s: s.bottlenecks.betweenness.is_exact),
-        Quantity("busiest_link_share", "1", "share of the shortest paths through the busiest contact",
+        Quantity("busiest_link_share", "1", "share of the shortest slipless paths from bottom to top that run"
+                 " through the busiest contact",
                  lambda s: _if_spans(s, s.bottlenecks.share.max(initial=0.0))),
         Quantity("backbone_links", "1", "number of contacts that lie on some slipless path from bottom to top",
                  lambda s: s.bottlenecks.backbone.sum()),
         Quantity("parting_links", "1", "number of contacts each of which, if removed, leaves no slipless path from"
                  " bottom to top (or between two driven bodies)",
                  lambda s: s.bottlenecks.parting.sum()),
-        Quantity("effective_links", "1", "effective number of contacts that share the shortest paths (participation"
-                 " number)",
+        Quantity("effective_links", "1", "effective number of contacts that the shortest slipless paths from bottom to"
+                 " top run through: (sum s)^2 / sum s^2 with the share s of these paths through each contact",
                  lambda s: s.bottlenecks.effective_links),
-        Quantity("most_loaded", "1", "the contacts that most shortest paths use, by lower sphere and axis (0 is x)",
+        Quantity("most_loaded", "1", "the contacts that most shortest slipless paths from bottom to top run through,"
+                 " by lower sphere and axis (0 is x)",
                  lambda s: s.bottlenecks.most_loaded()),
     ],
     "forces": [

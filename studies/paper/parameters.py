@@ -98,15 +98,21 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> dict[str, Any]:
-    """Return the values that figure and claims use of the relaxations, by name; each has an entry for each variant.
+    """Return the values that figure and claims use of the relaxations, by name.
 
-    runs : for each variant its relaxation.
-    bounds : for each normal force (R,) proven lower bounds on the least power, energy/time.
+    runs : for each variant (a choice of stiffness, damping and normal force F_n) its relaxation from the same spins.
+    bounds : for each normal force (R samples,), proven lower bounds on the least power, energy/time.
 
-    * `courses`: the relaxations with their times multiplied by F_n over the paper's F_n;
-    * `excess`: (T, R samples) power over the proven least one, less 1; `last`: (R,) at the end;
-    * `apart`: (R,) largest difference of power / initial power from the paper's variant;
-    * `ratio`: (R,) time until the minimum is reached, over that of the paper's variant.
+    With an entry for each variant:
+    * `courses`: the relaxation with its times multiplied by F_n over the paper's F_n;
+    * `excess`: (T times, R), power over its lower bound, less 1; `last`: (R,), the same at the end.
+
+    With an entry for each variant but the paper's:
+    * `apart`: (R,), largest difference of power / initial power from the paper's variant, at equal scaled times;
+    * `ratio`: (R,), time until the minimum is reached (`excess` stays below LATE), over that of the paper's variant.
+
+    Constants: `greater`, names of the variants with larger stiffness or damping; `loaded`, names of those with another
+    normal force; `late`, the number LATE.
     """
     forces = {name: VARIANTS[name][2] for name in runs}
     courses = {name: replace(run, time=run.time * (forces[name] / FORCE)) for name, run in runs.items()}

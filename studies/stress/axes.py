@@ -213,19 +213,20 @@ def _absent(case: Case, value: str, row: Row) -> Case:
 
 
 def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., Case]:
-    """Return a function that changes a case (a sample and how it is solved) to other units: all numbers that have
-    a unit change with them, so that its solution is the same in the new units.
+    """Return a function that rescales a case (a sample and how it is solved) to other units, such that one parameter
+    of its scene is multiplied by a given factor. The solution is the same in the new units.
 
-    force, length, time : exponents. Numbers that stand for a force (a length, a time) are multiplied by the factor of
-        the change, raised to this power.
+    force, length, time : whole exponents. Numbers that stand for a force (a length, a time) are multiplied by the
+        factor raised to this power, those of other units by the product of such powers.
     """
 
     def change(case: Case, value: float, row: Row, name: str) -> Case:
         """Return the case in other units.
 
-        value : factor of the number `name` of the scene; it is rounded to a power of two, so that no other rounding
-            arises.
-        name : the number that is multiplied by it.
+        case : the unchanged case.
+        value : the factor; it is rounded to a power of two, by which all numbers are multiplied without rounding.
+        row : row of the report; its method tells which options are rescaled.
+        name : parameter of the scene that is multiplied by the factor, such as "radius".
         """
         two = 2.0 ** round(np.log2(value))
         flow = two ** (force + time - length)  # factor of viscosities and dampers

@@ -33,19 +33,23 @@ UNFINISHED = {  # words for why a run ended early
 
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
-    """Return all warnings about an answer as sentences, each for all of its samples together. settings : those of its
-    run.
+    """Return all warnings about an answer as sentences, each for all of its samples together.
 
-    solution : the answer to all samples."""
-    of_packings = (_without_power, _too_wide, _not_proven, _untouched, _tied)
+    solution : the answer to all samples of a lattice or a packing.
+    settings : those of its run.
+    """
+    of_packings = (_without_power, _too_wide, _not_proven, _contacts_found_and_idle, _tied)
     is_lattice = solution.scene.network.lattice is not None
     of_kind = (_torque_between, *(CAVEATS if is_lattice else of_packings))
     return [sentence for of in of_kind for sentence in of(solution, settings)]
 
 
 def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a warning if the torque on the top is larger than friction is proven to hold, but not proven to be too
-    large.
+    """Yield a sentence for each sample in which the torque on the top lies between the largest one that friction is
+    proven to hold and the smallest one that it is proven not to hold.
+
+    solution : the answer to all samples, with findings on the torque if one was given.
+    settings : those of the run, with the torque.
     """
     found = solution.findings
     if settings.torque is None or "yields" not in found:
@@ -70,8 +74,14 @@ def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
             yield f"what is proven of the least power{f' of seed {seed}' * several}: {proof}"
 
 
-def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield how many contacts of a packing were found from its centres, and how many have no normal force."""
+def _contacts_found_and_idle(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Yield up to two sentences about the contacts of a packing: how many were found from the centres of its spheres,
+    only if the user gave a table of centres without a list of contacts; and how many have normal force 0 and so do not
+    act, only if there are any.
+
+    solution : the answer for the packing, with all samples.
+    settings : those of the run; they tell where the contacts come from.
+    """
     network, pressing = solution.scene.network, solution.scene.sample(0).normal_force
     if settings.has_table and settings.contacts is None:
         from taichi_bearings.scene.readers.found import TOLERANCE, contact_summary
@@ -98,7 +108,12 @@ def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield why the minimum of a packing is not certified to the tolerance, if the method stalled."""
+    """Yield why the gap of a packing is above the tolerance, if the method stalled: power and slips are so small that
+    they may be rounding alone, or else the method got no closer.
+
+    solution : the answer for the packing, with all samples.
+    settings : those of the run, with the tolerance.
+    """
     short = ~(solution.gap <= settings.tolerance)
     if not short.any() or solution.status is not Status.STALLED:
         return
@@ -149,7 +164,12 @@ def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield why a run ended early, and with which gap, time or torque."""
+    """Yield why a run ended before it was done, and what it had reached then: the proven gap of a minimisation, the
+    simulated time of a dynamics, and the torques that were left over if its motion was not at rest.
+
+    solution : the answer to all samples of a lattice.
+    settings : those of the run, with the tolerance and the duration that were asked for.
+    """
     reason, history = UNFINISHED.get(solution.status), solution.history
     if reason is None:
         return
@@ -188,8 +208,9 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         held = int((fast & ~bears_all).sum())
         passing = int((fast & bears_all & ~unresolved(solution)).sum())
         all_contacts = int((solution.state != ContactState.DRIVEN).sum())
+        faster = f"{solution.slip_threshold:.1e} (slip_threshold)"
         kinds = {
-            f"creep faster than {solution.slip_threshold:.1e} while their friction is below its limit": held,
+            f"creep faster than {faster} while their friction is below its limit": held,
             "are at their friction limit, and move too slowly to be told from rest": number - held - passing,
             "slip now, and are not known to slip at every minimum": passing,
         }
@@ -198,8 +219,12 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a warning if some slipping contacts slip less than ten times faster than what is resolved, or than slipless
-    ones.
+    """Yield warnings if slipping contacts are hard to tell from slipless ones on a lattice: some dissipate less than
+    ten times the part of the power that the gap leaves open, or the slowest one slips less than ten times faster than
+    the fastest slipless one.
+
+    solution : the answer to all samples.
+    settings : those of the run, with the tolerance.
     """
     near = (solution.gap <= settings.tolerance) & ~solution.states_proven
     if not solution.scene.law.holds or not near.any():

@@ -240,7 +240,9 @@ def _lattice(settings: RunSettings) -> Packing:
             found = read_coefficients(file, group, len(settings.shape))
             if Lattice.of(found).shape != settings.shape or found[0].ndim > len(settings.shape):
                 raise InputError(
-                    f"coefficients is {settings.coefficients!r}, which is of another lattice or has several samples"
+                    f"coefficients is {settings.coefficients!r}, whose arrays do not fit: they must hold a single "
+                    f"sample of a lattice of {' x '.join(map(str, settings.shape))} spheres; the array along x has the shape "
+                    f"{found[0].shape}"
                 )
             others[name] = np.concatenate([part.ravel() for part in found])
     return Packing.lattice("cubic" if len(settings.shape) == 3 else "square", settings.shape, **others)

@@ -216,7 +216,8 @@ class RunSettings:
     iterations: int | None = how(
         None,
         SEED,
-        "Limit on iterations (sweeps, which come in pairs, or time steps). Default: 1000000, none with --duration.",
+        "Limit on iterations (of a dynamics: time steps; of gradient-descent: sweeps over all contacts, made two at a "
+        "time). Default: 1000000, none with --duration.",
     )
     time_limit: float | None = how(
         None, POSITIVE, "Limit on the wall time of the solve, after which the result so far is written.", unit="s"
@@ -224,13 +225,15 @@ class RunSettings:
     duration: float | None = motion(
         None,
         POSITIVE,
-        "Simulated time at which a dynamics ends, whatever gap it has reached. Default: at the tolerance.",
+        "Simulated time at which a dynamics ends, whatever gap it has reached. Default: it ends once its gap is within "
+        "--tolerance.",
         unit="time",
     )
     record: str | None = motion(
         None,
         TIME_LIST,
-        "Simulated times at which the history gets a row, and one at the end. Default: at every check.",
+        "Simulated times at which a row is added to the history; one at the end of the run is added in any case. "
+        "Default: a row at each check for convergence.",
         unit="time",
         of_solving=True,
     )
@@ -249,7 +252,8 @@ class RunSettings:
     slip_threshold: float | None = how(
         None,
         POSITIVE,
-        "Slip speed up to which a contact counts as slipless. Default: what the method can resolve.",
+        "Slip speed up to which a contact counts as slipless, whatever is proven of it. Default: the smallest slip "
+        "that the method can tell from 0, used only where no proof decides.",
         unit="length/time",
         rare=True,
     )
@@ -530,7 +534,7 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
         import tomli as tomllib
     try:  # texts that would exhaust Python's stack, or take too much memory or time, are refused
         if len(text) > MOST_SETTINGS_TEXT:
-            raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} bytes")
+            raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} characters")
         is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
         if is_deep and max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED:
             raise ValueError("its brackets do not close")

@@ -226,11 +226,15 @@ class Driving:
         return carried
 
     def carried(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return laboratory spins omega in the form that solvers store, (components C, samples R, spheres *N): the
-        numbers s l omega - x0 with `sign` s, `length` l and `origin` x0. Driven spheres get their imposed values.
+        """Return laboratory spins omega in the form that solvers store: s l omega - x0, (components C, samples R,
+        spheres *N). The axis of the components comes first here. Driven spheres get their imposed values.
 
-        spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres. spin_axes : numbers of the C
-            components.
+        spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
+        spin_axes : numbers of the C components that the result has.
+
+        The factors are attributes: s is `sign`, (*N), +1 or -1, on lattices alternating between neighbours; l is
+        `length`, (*N), of packings the radius, so that the result is a surface speed, length/time; of lattices 1, so
+        that it is a spin, 1/time; x0 is `origin`, of lattices the staggered spins (s omega) of the bottom, else 0.
         """
         of_discs = spin.ndim == 1 + len(self.shape)
         parts = spin[..., None] if of_discs else spin if len(spin_axes) == 3 else spin[..., list(spin_axes)]
@@ -590,12 +594,13 @@ class Planes(Driving):
         return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])
 
     def _of_layers(self, state: BearingState, spin_axes: tuple[int, ...], shape: tuple[int, ...]) -> Pair:
-        """Return a bearing state A + C x at the spheres of the first layers along each axis, (C, *shape), 1/time, in
-        twice the precision: one array of doubles, one of what their rounding leaves out.
+        """Return an imposed bearing state A + C x at spheres of the lattice, 1/time, in twice the precision: two arrays
+        (components, *shape), one of doubles and one of what their rounding leaves out.
 
-        state : the vector A and the number C. spin_axes : numbers of the components. shape : number of layers along
-            each axis; without the height for the top plane, where the component along the height is that of the last
-            layer.
+        state : the vector A and the number C.
+        spin_axes : numbers of the components of the result.
+        shape : number of layers along each axis, counted from the first one. If the axis of the height is left out, the
+            values are those of the top plane.
         """
         found = np.empty((2, len(spin_axes), *shape))
         for slot, k in enumerate(spin_axes):
