@@ -239,10 +239,10 @@ def _lattice(settings: RunSettings) -> Packing:
         for name, group in zip(COEFFICIENTS, groups, strict=False):
             found = read_coefficients(file, group, len(settings.shape))
             if Lattice.of(found).shape != settings.shape or found[0].ndim > len(settings.shape):
+                sides = " x ".join(map(str, settings.shape))
                 raise InputError(
                     f"coefficients is {settings.coefficients!r}, whose arrays do not fit: they must hold a single "
-                    f"sample of a lattice of {' x '.join(map(str, settings.shape))} spheres; the array along x has the shape "
-                    f"{found[0].shape}"
+                    f"sample of a lattice of {sides} spheres; the array along x has the shape {found[0].shape}"
                 )
             others[name] = np.concatenate([part.ravel() for part in found])
     return Packing.lattice("cubic" if len(settings.shape) == 3 else "square", settings.shape, **others)
