@@ -158,9 +158,12 @@ class ExactlyRolling:
         return pieces(len(network.free), first[inner], second[inner])[self.friction_bounds.sphere[self.columns]]
 
     @cached_property
-    def others(self) -> np.ndarray:
-        """(k,), indices of the contacts of whose change of friction only a bound on the size is known: those that can
-        dissipate, except the exactly rolling ones and those in loops (`loop_pieces`), which have intervals."""
+    def bounded_contacts(self) -> np.ndarray:
+        """(k,), indices of the contacts of which only a bound on |change of friction| is known. The change is that from
+        the friction at hand to the friction at a minimum.
+
+        These are all contacts that can dissipate, except those that can roll exactly, and except those in
+        `loop_pieces`: there the friction that circulates along each loop is known to lie in an interval."""
         found = self.friction_bounds.network.counts & ~self.friction_bounds.exact.contacts
         for piece in self.loop_pieces:
             found[piece.contacts] = False
@@ -172,10 +175,10 @@ class ExactlyRolling:
         change, as two matrices.
 
         The first, (n, 2 k), has a column for either tangential component of friction on each of the k contacts
-        `others`. A unit of it also changes friction on loops, and the torques of that are in the column, too. The
+        `bounded_contacts`. A unit of it also changes friction on loops, and the torques of that are in the column, too. The
         second, (n, m), is for friction that circulates along each of the m loops.
         """
-        rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.others)
+        rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.bounded_contacts)
         place = np.full(rows.shape[0], -1)
         place[own] = np.arange(len(own))
         found, by_loops = [rows[own].T], [sparse.csr_array((len(self.columns), 0))]
@@ -192,7 +195,7 @@ class ExactlyRolling:
     def rounding(self) -> float:
         """Bound on the rounding error of any sum here, over the sum of the sizes of its terms: no sum has more than 2 k
         + n + 64 terms, for k other contacts and n unknowns, and 4 roundings are allowed for each."""
-        return float(4 * (2 * len(self.others) + len(self.columns) + 64) * EPS)
+        return float(4 * (2 * len(self.bounded_contacts) + len(self.columns) + 64) * EPS)
 
     @cached_property
     def unknown_torques(self) -> np.ndarray:
@@ -223,7 +226,8 @@ class ExactlyRolling:
         all loads, at their largest, must stay below the limit at every contact of a part; then the part rests. Springs
         are made weaker where contacts bear too much, and tried again, up to MOST_TRIALS times."""
         margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
-        springs, most_change = SpringsUnderLoad.of(self, margin**2), self.friction_bounds.most_change[self.others]
+        springs = SpringsUnderLoad.of(self, margin**2)
+        most_change = self.friction_bounds.most_change[self.bounded_contacts]
         found, last = np.zeros(len(margin), dtype=bool), np.inf
         overloaded, limit = found.copy(), self.friction_bounds.network.holding.least[self.contacts]
         if springs is None:
@@ -269,8 +273,11 @@ class ExactlyRolling:
         return found, overloaded
 
     def _faint(self, most_change: np.ndarray) -> np.ndarray:
-        """Return the mask (k,) of the contacts `others` whose loads are so small that they may be taken away together
-        with residuals, by a correction of friction of at most FAINT_LOADS of the least friction left.
+        """Return the mask (k,) of those contacts in `bounded_contacts` that load the exactly rolling ones so little
+        that no friction is computed for them: one correction takes all these loads away together.
+
+        These are as many as need a correction of friction of at most FAINT_LOADS times the least friction left at an
+        exactly rolling contact; and in any case all but the MOST_OTHERS contacts with the largest loads.
 
         most_change : (k,), bound on the change of the friction of each of the k contacts."""
         squares = np.asarray(self.loads[0].power(2).sum(axis=0)).reshape(-1, 2).sum(axis=1) * most_change**2
@@ -330,14 +337,18 @@ class SpringsUnderLoad:
         return None if factor is None else cls(loaded, weight, scale, factor)
 
     def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return friction on the q contacts that bears each of m loads, and a bound on the torques that it leaves over.
+        """Return friction forces at the q contacts that balance each of m loads, and a bound on the torques left over.
 
-        load : (n, m), torques on the n unknowns. The part of a load that would turn spheres without any slip cannot be
-            borne; it is left out, since these parts cancel in the sum of all loads.
-        most : (m,), the largest size of the number by which each load will be multiplied.
+        A load is a torque on each of the n unknown spin components. The caller uses sums of a_j load_j, with numbers
+        a_j of which only |a_j| <= most_j is known. Motions are changes of the spins that make no contact slip; no
+        friction can balance the part of a load along them. It is left out, since these parts cancel in the sum that the
+        caller uses.
 
-        Returns friction (3 q, m) for a unit of each load, three components of a contact after each other; and a bound
-        (n,) on the torques that are left over for all loads together, each multiplied by its largest number.
+        load : (n, m), torques.
+        most : (m,), bound on |a_j|.
+
+        Returns the friction (3 q, m) for a_j = 1, the three components of a contact after each other; and a bound (n,):
+        no sum of this form leaves a larger torque on an unknown.
         """
         rows, weight, scale = self.loaded.rows, np.repeat(self.weight, 3)[:, None], self.scale[:, None]
         force, (left, amounts) = np.zeros((rows.shape[0], load.shape[1])), self._without_motions(load)

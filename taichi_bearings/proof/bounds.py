@@ -37,23 +37,27 @@ PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} ti
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds on the least potential of each of R samples, in units of power of the network, and what they rest on.
+    """Bounds on the least potential (dissipation) of each of R samples with n spheres and m contacts in all, and the
+    friction from which they follow. Powers are in units of the network.
 
-    F is the stored friction, or, where components mix, what springs have made of it. It is multiplied by a factor s, at
-    most 1, so that s F is within the limits of all contacts without damping.
+    Components *mix* where a component of some slip depends on several spin components: contacts are not along the axes.
+    The torques that the stored friction leaves over on free spheres are then balanced by friction from fictitious
+    *springs* at the contacts. F is the friction after that, or else the stored friction. It is multiplied by a factor
+    s, at most 1, so that s |F| is within the friction limit of all contacts without damping.
 
-    upper, lower : (R,), the potential of the stored spins, rounded up, and what the friction proves, rounded down.
+    upper : (R,), the potential of the stored spins, rounded up.
+    lower : (R,), what the friction proves of the least potential, rounded down.
     excess : (R,), bound on the potential of the stored spins less what the friction proves, 0 or more.
-    size : (m,), s |F| of each of the m contacts.
-    worst : (R,), 1 / s.
+    size : (m,), s |F| of each contact.
+    worst : (R,), 1 / s: the largest |F| over its limit, at least 1.
     proof : (R,), PROVEN, or the words that restrict `lower` to slower spins.
-    largest_torque : (R,), largest torque over radius that the stored friction leaves over on a free sphere.
-    price : (R,), what these torques may cost at spins within the box of imposed spins.
-    unknown : (n spheres, 3) mask of the components of spins that springs hold, where components mix; None elsewhere, or
-        if no springs could be made.
-    friction : F by component after springs have balanced it, where components mix; else empty.
-    alone : the bounds of each sample by itself, where several samples do not go the same way; else empty. The fields
-        `unknown` and `friction` are then found in these alone.
+    largest_torque : (R,), largest torque over radius, a force, that the stored friction leaves over on a free sphere.
+    price : (R,), the most power that these torques may take from the lower bound if no component of a spin exceeds the
+        largest imposed one.
+    unknown : (n, 3) mask of the components of spins that springs hold; None if no springs were made.
+    friction : F by component, where components mix; else empty.
+    alone : one Bounds for each sample, where samples need different proofs (some with springs, some without); else
+        empty. The fields `unknown` and `friction` are then set in these alone.
     """
 
     network: JudgedNetwork
@@ -202,13 +206,14 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
 
 
 def _worst(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:
-    """Return for each of R samples the largest ratio |F| / (mu F_n) over the contacts `hard`, at least 1, (R,), rounded
-    up.
+    """Return for each of R samples the largest ratio of friction to its limit, |F| / (mu F_n), over the contacts
+    `hard`; 1 if that is less. The result is (R,), rounded up.
 
-    Only contacts whose ratio in doubles is about the largest are computed with enclosures.
+    Ratios are computed in doubles; those that are about the largest again with enclosures (intervals).
 
     network : R samples with m contacts in all.
-    size : (m,), |F| of all m contacts. hard : indices of the contacts without viscosity, whose friction has a limit."""
+    size : (m,), |F| of all m contacts.
+    hard : indices of the contacts without viscosity, whose friction has a limit."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
     about[hard] = size.high[hard] / network.holding.high[hard]
     most = about.reshape(network.count, -1).max(axis=1, initial=1.0)

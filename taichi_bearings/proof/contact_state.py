@@ -18,23 +18,27 @@ from taichi_bearings.scene.solution import Solution
 
 
 def decided(
-    indicated: np.ndarray, known: np.ndarray, is_present: bool = False, has_ended: bool = False
+    indicated: np.ndarray, known: np.ndarray, describes_motion: bool = False, has_ended: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state of every contact, (R, E contacts) uint8, and the mask (R, E) of those that are proven, for R
-    samples of E contacts.
+    """Return the state of every contact, (R, E) uint8 for R samples of E contacts, chosen from two arrays, and the mask
+    (R, E) of the contacts whose state is proven or that take no part. The state is
 
-    indicated : (R, E), states read from slip and friction. Contacts that are DRIVEN there take no part and count as
-        proven.
+    * if the states shall describe the minima: that in `known` where one is proven, else that in `indicated`;
+    * if they describe a motion: that in `indicated`;
+    * if they describe a motion that has ended: that in `indicated`; but a contact that is UNDECIDED there gets its
+      state from `known`, and one that slips in one array and rests in the other becomes UNDECIDED.
+
+    Contacts that are DRIVEN in `indicated` take no part and stay DRIVEN; TIED in it counts as UNDECIDED.
+
+    indicated : (R, E), states read from slip and friction.
     known : (R, E), states proven of all minima, UNDECIDED where nothing is proven.
-    is_present : True if the states shall describe a motion on its way, or follow from a slip threshold that the user
-        chose: then `indicated` is returned. False if they shall describe the minima: then `known` replaces it where a
-        state is proven.
-    has_ended : True if `is_present`, and the motion is proven to have come to a minimum. There no contact slips that
-        rests at every minimum, nor the other way round. So where `indicated` contradicts `known` the contact becomes
-        UNDECIDED, and one that `indicated` leaves UNDECIDED gets the known state."""
+    describes_motion : True if the states describe a motion on its way, or follow from a slip threshold that the user
+        chose; False if they describe the minima.
+    has_ended : True if `describes_motion`, and the motion is proven to have come to a minimum. There no contact slips
+        that rests at every minimum, nor the other way round."""
     indicated = np.where(indicated == ContactState.TIED, ContactState.UNDECIDED, indicated)
     acts, is_known = indicated != ContactState.DRIVEN, known != ContactState.UNDECIDED
-    state = indicated if is_present else np.where(acts & is_known, known, indicated)
+    state = indicated if describes_motion else np.where(acts & is_known, known, indicated)
     if has_ended:
         is_plain = (known == ContactState.SLIPLESS) | (known == ContactState.SLIPPING)
         decides = acts & is_plain & (state != known)

@@ -177,15 +177,21 @@ def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
 def _in_whole_numbers(
     bounds: Bounds, own: np.ndarray, ends: np.ndarray, above: np.ndarray, below: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decide in whole numbers the contacts near cuts that (nearly) tie. Returns a tuple: the positions (q,), 0 to m -
-    1, of these contacts; and two masks (q,), whether each is in some lightest cut, and in all of them.
+    """Decide with whole numbers, and so exactly, which contacts belong to lightest cuts, where several cuts have
+    (nearly) the same weight.
 
-    bounds : the network, its friction, and the excess of the power over what the friction proves.
+    A cut divides the spheres into two sides; its weight is the sum of the friction limits of the contacts between them.
+    Only contacts are decided that have an end which is neither in `above` nor in `below`. Samples are left out whose
+    excess, power less its proven lower bound, is above NEARLY_LEAST of the power, or that have more than MOST_COUNTED
+    such contacts.
+
+    bounds : the network, its friction, and the excess of each sample.
     own : (m,), indices in the network of the contacts that are looked at.
-    ends : (2, m), their spheres.
-    above, below : masks of all spheres that are surely on the one or the other side of every lightest cut.
+    ends : (2, m), the two spheres of each.
+    above, below : (spheres,), masks of the spheres that are surely above, surely below every lightest cut.
 
-    Samples far from their minimum, or with too many contacts to be counted, are left out."""
+    Returns the positions (q,) in `own` of the contacts that were decided; the mask (q,) of those that are in some
+    lightest cut; and the mask (q,) of those that are in all of them."""
     network, between = bounds.network, ~(above | below)
     near = np.flatnonzero(between[ends].any(axis=0))
     sample = network.sample_of(own[near])

@@ -130,9 +130,12 @@ class OnLattice:
         return self.lattice.parity.astype(float)
 
     def jump_at(self, component: int) -> Enclosure:
-        """Return for each of the R * N spheres the jump, what is imposed on the top measured from the bottom, of a spin
-        component in the layer of the sphere: an enclosure (R * N,) in units of `spin_unit`; a read-only view where all
-        layers have the same."""
+        """Return for each of the R * N spheres the jump of a spin component in its layer: the imposed signed spin of
+        the top less that of the bottom (signed: times +1 or -1, alternating between neighbours). The result is an
+        enclosure (R * N,) in units of `spin_unit`; a read-only view where all layers have the same.
+
+        component : number of the spin component.
+        """
         jump, count = self.jump[component], self.count * self.sublattice.size
         if len(jump.high) == 1:
             return jump.spread((count,))
@@ -150,12 +153,14 @@ class OnLattice:
         return np.indices(self.lattice.shape)[component].ravel()
 
     def leader(self, component: int) -> np.ndarray:
-        """Return for each of N spheres of R samples the two leaders of its layer, (2, R * N): the index of the first
-        sphere of the layer in the bottom plane, and of the first in the top plane. All driven spheres of one plane and
-        layer have the same component of the spin as their leader.
+        """Return for each of N spheres of R samples the indices of the two leaders of its layer, (2, R * N): of the
+        first sphere of the bottom plane and of the first of the top plane in it.
 
-        component : number of the spin component. A layer has the spheres with the same coordinate along its axis. Where
-            all layers are driven alike, they count as one.
+        A layer has the spheres of a sample with the same coordinate along the axis of the spin component; where all
+        layers are driven alike, they count as one. The driven spheres of one plane and layer have the same spin in this
+        component, so that the first of them, the leader, stands for all.
+
+        component : number of the spin component.
         """
         first = self.layer(component) * math.prod(self.lattice.shape[component + 1 :])
         low = (np.arange(self.count)[:, None] * first.size + first).ravel()
@@ -201,16 +206,22 @@ class OnLattice:
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """By spin component, (R * N,) for R samples of N spheres: for spheres of the top the imposed signed spin (times
-        the sign of the sublattice) less the stored one, both measured from the bottom; 0 for all other spheres. It is
-        far below the rounding of spins, but may exceed the smallest slips."""
+        """By spin component, (R * N,) for R samples of N spheres, in units of `spin_unit`: for spheres of the top plane
+        how much the imposed difference of signed spins between top and bottom exceeds the stored one; 0 for all other
+        spheres. (Signed: times +1 or -1, alternating between neighbours.) It is far below the rounding of spins, but
+        may exceed the smallest slips."""
         return {k: self._shift(k, stored) for k, stored in self.signed_spin.items()}
 
     def _shift(self, component: int, stored: Enclosure) -> Enclosure:
-        """Return for each sphere of the top the imposed signed spin less the stored one, both measured from the bottom,
-        in one spin component; 0 for all other spheres: (R * N,), in units of `spin_unit`.
+        """Return for each sphere of the top plane how much the imposed difference between top and bottom exceeds the
+        stored one, in one spin component: (R * N,), 0 for all other spheres, in units of `spin_unit`.
 
-        stored : (R * N,), the stored signed spins in this component."""
+        The difference is that of signed spins (spins times +1 or -1, alternating between neighbours), top less bottom,
+        within one layer (same coordinate along the component). It is computed for one sphere of the top and of the
+        bottom of each layer, its leaders, with all digits of the imposed decimal numbers.
+
+        component : number of the spin component.
+        stored : (R * N,), the stored signed spins in this component, in units of `spin_unit`."""
         jump, size = self.scene.exact_driving.jump[component], self.sublattice.size
         # Only leaders of the bottom and the top are needed, one pair for each sample and layer.
         first = np.arange(self.count)[:, None] * size

@@ -269,9 +269,14 @@ class Grid(Listed):
         return float(scene.lattice.radius * speed / speed_unit)
 
     def leader(self, k: int) -> np.ndarray:
-        """Return for each sphere two indices, (2, n spheres): of the first sphere of the bottom and of the first of the
-        top in the layer of the sphere, those with the same coordinate along component k. All driven spheres of a plane
-        and layer have the spin of this first one in component k, and are identified by it."""
+        """Return for each of n spheres the indices of two driven spheres, (2, n): the first sphere of the bottom plane
+        and the first of the top plane that lie in the same layer as the sphere.
+
+        A layer has all spheres of a sample with the same coordinate along the axis of the spin component; where all
+        layers are driven alike, they count as one. The driven spheres of one plane and layer have the same spin in this
+        component, so that the first of them stands for all.
+
+        k : position of the spin component among the C components."""
         return self.samples.leader(self.samples.components[k])
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:

@@ -281,7 +281,7 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
     if (threshold := settings.slip_threshold) is None:
         return found
     by_slip, known = by_threshold(found.slip, found.state, threshold), what_is_proven(found.state, found.proven)
-    state, proven = decided(by_slip, known, is_present=True)
+    state, proven = decided(by_slip, known, describes_motion=True)
     return replace(found, state=state, proven=proven, slip_threshold=threshold)
 
 

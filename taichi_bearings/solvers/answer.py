@@ -65,12 +65,16 @@ class Reached(ABC):
 
     @abstractmethod
     def force(self, slip: np.ndarray) -> np.ndarray:
-        """Return the sizes (R samples, E contacts) of the contact forces. slip : (R, E), slip speeds, length/time."""
+        """Return the sizes (R samples, E contacts) of the contact forces.
+
+        slip : (R, E), slip speeds, length/time, from which some scenes compute the forces.
+        """
 
     @abstractmethod
     def indicated(self, slip: np.ndarray) -> Indicated:
-        """Return what is said of the contacts before their states are proven. slip : (R, E), slip speeds,
-        length/time.
+        """Return what the method itself reports of the contacts, before anything is proven of their states.
+
+        slip : (R samples, E contacts), slip speeds, length/time.
         """
 
     @abstractmethod
@@ -83,11 +87,12 @@ class Reached(ABC):
 
     @abstractmethod
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
-        """Return the states (R samples, E contacts) that slips and forces show.
+        """Return the state of each contact (slipping, slipless, ...), (R samples, E contacts), as its slip and its force
+        in the answer show it. The caller combines it with what is proven.
 
-        answer : the answer so far, with the states that were indicated.
+        answer : the answer so far. Its `state` has what `indicated` returned before anything was proven.
         known : (R, E), the states that are proven, UNDECIDED where nothing is; None if no proof was tried, or if it was
-            given up.
+            given up. An implementation may use it to spare work on contacts whose state is proven.
         """
 
 

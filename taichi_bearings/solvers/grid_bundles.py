@@ -93,13 +93,19 @@ class GridBundles(Part):
         self.iteration = min(self.iteration + steps, len(self.bundles))
 
     def _solve(self, slot: int, planes: Planes) -> None:
-        """Solve for the free spins of a bundle, then refine them as long as the leftover torques fall.
+        """Solve for the free spins of one bundle, and write them into `spin` and `rest` (their low digits) in place.
+
+        A bundle is a set of planes whose linear systems are solved together; a plane is one layer of one sample, and no
+        contact that acts on the spin component leads out of it. At the solution viscous torques balance. The solution
+        is refined as long as the leftover torques fall; planes in which they do not fall stay as they are. If the
+        matrix cannot be factorised, nothing changes.
 
         slot : place of the spin component among those that are computed.
-        planes : numbers of the samples and of the layers of the planes.
+        planes : two arrays (B,) for B planes, the number of the sample and of the layer of each.
         """
         scene, component = self.scene, self.spin_axes[slot]
         plane = scene.lattice.across(component)
+        # (B, ...) each, viscosities of the contacts along the first and along the second axis of each plane
         first, second = (
             self.scene.lattice.by_plane(values, component)[planes]
             for axis, values in enumerate(scene.lattice.by_axis(scene.positive_coefficient))

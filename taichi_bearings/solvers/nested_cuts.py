@@ -75,9 +75,11 @@ def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarr
 
 
 def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
-    """Return the spins (unknowns,) of least power without the forces, rounded to doubles, in about half the time.
+    """Return u = radius * spin at a minimum of the power, (unknowns,), length/time, each rounded to a double.
 
-    system : the contacts that take part.
+    The contact forces are not computed; that takes about half the time of `least_power`, which computes both.
+
+    system : the contacts that take part. The unknowns are the components of u of their free spheres.
     packing : one sample.
     """
     cover, sign = _covered(system, packing, system.feels.argmax(axis=1))
@@ -151,12 +153,16 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
 
 
 def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, component: np.ndarray) -> Pair:
-    """Return the imposed u = radius * spin of n spheres, (n,), length/time, as sums of two doubles. For driven spheres
-    it is exact. Free spheres whose spin nothing determines have been fixed at a chosen double; for them it is that one.
+    """Return radius * spin, in one component, of n spheres whose spin is not an unknown, as a pair (high, low) of
+    arrays (n,), length/time; the value is high + low.
 
-    system : the contacts that take part; it knows the chosen spins. packing : the sample, with the driven spheres.
+    For a driven sphere it is the exact product of the radius and the imposed spin. For a free sphere whose spin nothing
+    determines, high is the number that `system.known` holds for it, and low is 0.
+
+    system : the contacts that take part; `system.known` has radius * spin of each sphere and component not unknown.
+    packing : the sample, with radii, imposed spins and driven spheres.
     spheres : (n,), numbers of the spheres.
-    component : (n,), number of the spin component of each.
+    component : (n,), which spin component of each sphere is asked for.
     """
     spin = packing.spin.reshape(system.known.shape)[spheres, component]
     high, low = two_product(np.asarray(packing.radius)[spheres], spin)

@@ -36,19 +36,21 @@ NOTHING = (0.0,)  # passed for constants that all copies of the lists share, as 
 
 
 class OnLists(Stepped):
-    """The contacts of one sample of a packing, as methods step them: in lists, on which kernels work.
+    """One sample of a packing, stored as flat lists of spheres and contacts, on which the kernels of methods that step
+    it work. A field is an array on the device with some numbers for each sphere, or for each contact.
 
     The field `force` holds the force on each contact as a vector; other fields of contacts hold components along its
-    tangents T.
+    unit tangents.
 
     scene : the packing, with those contacts alone that take part (that can dissipate).
     spin_axes : numbers of the axes of the C spin components that are computed.
     spec : the fields of spheres, and those of contacts: two tuples of pairs (name, numbers a sphere or contact).
-    points, forces : names of the fields that hold the spins of a gradient descent, and its contact forces.
+    points : names of the fields that hold the spins which a gradient descent changes.
+    forces : names of the fields that hold the contact forces of a gradient descent.
     bounds : the lower bounds on the objective that are proven so far.
     lists : the order of spheres and contacts in memory, once `allocate` was called.
-    fields : the numbers on the device, likewise; they may be a part of the fields of several samples that are stepped
-        together.
+    fields : the arrays on the device, once `allocate` was called; where several samples are stepped together, the part
+        of this sample in common arrays.
     """
 
     scene: Packing

@@ -92,7 +92,11 @@ class OnStrides(Stepped, WithMinima):
 
     @property
     def stores_predicted(self) -> bool:
-        """False on lattices that no cache holds: to sum up numbers that are read anyway costs less than to write it."""
+        """True if the spins that Gear's method predicts for the end of the next step have a field of their own.
+
+        False on lattices too large for the caches of a core. There the kernel adds up the Taylor series again, from
+        derivatives that it reads anyway, since that costs less than to write and read one more field.
+        """
         return self.scene.lattice.sites * self.scene.replicas < UNCACHED_SPHERES
 
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> FieldSpec:

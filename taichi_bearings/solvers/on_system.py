@@ -237,10 +237,15 @@ class OneByOne(Part):
         self.ends = [contacts.at_rest() if contacts.is_still else contacts.at_rest(method) for _ in contacts.samples]
 
     def advance(self, steps: int) -> None:
-        """Solve all samples that are not solved yet."""
+        """Solve one after another all samples that are not solved yet, and store their minima in `ends`.
+
+        If nothing is driven, all spins are 0 at the minimum, as `ends` has them from the start.
+
+        steps : not used, as a direct solver makes no steps.
+        """
         with one_thread():
             while self.solved < len(self.ends):
-                look_up()
+                look_up()  # raises GivenUp if the user or the time limit has ended the run
                 if not self.contacts.is_still:
                     self.ends[self.solved] = self.solve(self.solved)
                 self.solved += 1

@@ -131,7 +131,12 @@ class PackingPaths(Paths):
         return iteration + (MOST_STEPS if self.small else 1)
 
     def advance(self, steps: int) -> None:
-        """Take steps along the paths of all samples; where all paths have ended, settle what they lead to."""
+        """Take at most `steps` Newton steps along the path of each sample. A central path is the curve of spins and
+        forces that leads to the minimum of its sample.
+
+        Once every sample has reached the end of its path, or has made MOST_STEPS steps, the spins, forces and contact
+        states at the minimum are computed for each sample, and stored in `ends`.
+        """
         going = [sample for sample in self.samples if not sample.done]
         left = MOST_STEPS - max((sample.steps for sample in going), default=0)
         super().advance(min(steps, left))
@@ -238,13 +243,16 @@ def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatr
 
 
 def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:
-    """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those of the central
-    path.
+    """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those that the
+    interior-point method has computed on its central path.
 
-    Where no contact mixes spin components, the path multiplies spins by signs by which neighbours differ, and has other
-    force components; these are projected on the tangents. Otherwise forces are returned as they are.
+    Where no contact mixes spin components, the path is computed with staggered spins (times signs by which neighbours
+    differ), and only on the n of the A contacts that some unknown spin makes slip. Its forces are then vectors along
+    the axes; they are projected on the tangents here, and the other contacts have no force. Otherwise forces are
+    returned as they are.
 
-    system, contacts : the A contacts of the packing, and the n contacts of the path.
+    system : the A contacts of the packing that take part.
+    contacts : the n contacts of the path.
     forces : (components, n), forces as the path has them.
     """
     if contacts is system or contacts.sign is None:

@@ -253,14 +253,17 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
 
 
 def _is_only_one(system: ContactSystem, along: np.ndarray, state: np.ndarray) -> bool:
-    """Return True if one factorisation proves that all minima have the same slips; for oblique normals.
+    """Return True if one factorisation shows that all minima have the same slips. False shows nothing.
 
-    The matrix counts slips of slipless contacts, and slips of slipping contacts across their force. If it is regular,
-    no change of the spins avoids both.
+    A change of the spins from one minimum to another leaves slipless contacts slipless, and changes the slip of a
+    slipping contact only along its force. The matrix that is factorised adds up the squares of all other slips: those
+    of slipless contacts, and those of slipping contacts across their force. If it is regular, no change but zero makes
+    all of them 0. Only packings in which some contact couples several spin components are tried; where each contact
+    couples components one by one (normals along the axes) the result is False.
 
-    system : the A contacts that take part.
-    along : (2, A), directions of the forces.
-    state : (A,), states of the contacts.
+    system : the A contacts that take part, with two tangents each.
+    along : (2, A), unit vectors along the contact forces, by tangent.
+    state : (A,), states of the contacts, values of `ContactState`.
     """
     from taichi_bearings.conic.shared import surroundings_of  # and with it Taichi's kernels
 

@@ -16,12 +16,12 @@ solve = partial(tb.solve, threads=1)
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN, TIED = range(5)
 
 
-def word(told, known, is_present, has_ended):
+def word(told, known, describes_motion, has_ended):
     """State and whether it is proven, of one contact, sentence by sentence."""
     if told == DRIVEN:
         return DRIVEN, True
     told = UNDECIDED if told == TIED else told  # nobody but a proof says so
-    if not is_present:
+    if not describes_motion:
         return (told, False) if known == UNDECIDED else (known, True)
     if has_ended and {known, told} == {SLIPLESS, SLIPPING}:
         return UNDECIDED, False
@@ -30,11 +30,11 @@ def word(told, known, is_present, has_ended):
     return told, told == known and known != UNDECIDED
 
 
-@pytest.mark.parametrize(("is_present", "has_ended"), [(False, False), (True, False), (True, True)])
-def test_every_contact_has_the_word_that_is_written_in_the_handbook(is_present, has_ended):
+@pytest.mark.parametrize(("describes_motion", "has_ended"), [(False, False), (True, False), (True, True)])
+def test_every_contact_has_the_word_that_is_written_in_the_handbook(describes_motion, has_ended):
     told, known = np.array(list(product(range(5), (SLIPLESS, SLIPPING, UNDECIDED, TIED)))).T[:, None]
-    state, proven = decided(told, known, is_present, has_ended)
-    expected = [word(*pair, is_present, has_ended) for pair in zip(told[0], known[0], strict=True)]
+    state, proven = decided(told, known, describes_motion, has_ended)
+    expected = [word(*pair, describes_motion, has_ended) for pair in zip(told[0], known[0], strict=True)]
     assert list(zip(state[0].tolist(), proven[0].tolist(), strict=True)) == expected
 
 
