@@ -174,9 +174,9 @@ class ExactlyRolling:
         """Return the torques on the n unknowns of the exactly rolling contacts by a unit of what the other contacts may
         change, as two matrices.
 
-        The first, (n, 2 k), has a column for either tangential component of friction on each of the k contacts
-        `bounded_contacts`. A unit of it also changes friction on loops, and the torques of that are in the column, too. The
-        second, (n, m), is for friction that circulates along each of the m loops.
+        The first, (n, 2 k), has a column for either tangential component of friction on each of the k contacts in
+        `bounded_contacts`. A unit of it also changes friction on loops, and the torques of that are in the column, too.
+        The second, (n, m), is for friction that circulates along each of the m loops.
         """
         rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.bounded_contacts)
         place = np.full(rows.shape[0], -1)
@@ -325,8 +325,8 @@ class SpringsUnderLoad:
         """Make springs at the q exactly rolling contacts, and factorise the matrix by which they are solved; None if
         that fails.
 
-        loaded : the exactly rolling contacts, with the matrix of their slips. weight : (q,), stiffness of the spring at
-            each."""
+        loaded : the exactly rolling contacts, with the matrix of their slips.
+        weight : (q,), stiffness of the spring at each."""
         rows = sparse.csr_array(sparse.diags_array(np.sqrt(np.repeat(weight, 3))) @ loaded.rows)
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))

@@ -154,7 +154,8 @@ def _held_by_springs(
     leaves some torques; what they can cost is their size times the largest spins of some minimum. Where these spins are
     not known to be small, FASTEST_COMPARED times the fastest imposed speed is taken.
 
-    network : R samples with n spheres and m contacts in all. upper : (R,), potentials of the given spins.
+    network : R samples with n spheres and m contacts in all.
+    upper : (R,), potentials of the given spins.
 
     Returns a tuple, or None for several samples if some spin of one has no spring at all:
 
@@ -162,8 +163,7 @@ def _held_by_springs(
     2. torques that it leaves over, 3 components, enclosures (n,);
     3. mask (n, 3) of the components of spins that springs hold, None without springs;
     4. (R,), the words for which spins the bound is proven;
-    5. (R,), the price of the torques, which the lower bound loses.
-    """
+    5. (R,), the price of the torques, which the lower bound loses."""
     count, springs = network.count, Springs.of(network, np.maximum(upper, LEAST_POWER * natural(network)))
     if springs is None and count > 1:
         return None
@@ -184,8 +184,8 @@ def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
     """Return for each of R samples the largest size (R,) of one component of the torque on a free sphere that contacts
     connect to driven ones.
 
-    network : the R samples, with n spheres in all. torque : (n,), that component of the torque on each, an enclosure.
-    """
+    network : the R samples, with n spheres in all.
+    torque : (n,), that component of the torque on each, an enclosure."""
     if not torque.high.any():
         return np.zeros(network.count)
     return np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)

@@ -62,7 +62,8 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list
     the law needs.
 
     scene : R samples of a lattice with E contacts each.
-    force : (C components, R samples, E contacts), finite. spin_axes : the axes of the C components."""
+    force : (C components, R samples, E contacts), finite.
+    spin_axes : the axes of the C components."""
     balanced = balance(scene, force, spin_axes)
     found = [force, balanced] if scene.law.flows else []  # every force is admissible
     if scene.law.holds:
@@ -98,7 +99,8 @@ def certifying_forces(
     than `bound`, forces are returned that leave torques over, whose price is subtracted.
 
     scene : R samples of a lattice with E contacts each.
-    force : (C, R, E), friction to begin with. spin_axes : the axes of the C components.
+    force : (C, R, E), friction to begin with.
+    spin_axes : the axes of the C components.
     bound : (R,), energy/time, lower bound on the objective that the forces should prove.
     excess : (R,), objective less bound, if known: where no contact state can follow from it, forces that leave torques
         over are good enough, and are found at once.
@@ -148,7 +150,8 @@ def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     sphere. For laws of friction alone; the result is in plain doubles, with no allowance for rounding.
 
     scene : R samples of a lattice with E contacts each.
-    force : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
+    force : (C components, R samples, E contacts).
+    spin_axes : the axes of the C components."""
     top, work = scene.top_spin(spin_axes), np.zeros(scene.replicas)
     upward = scene.lattice.by_axis(force)[-1]
     for slot in tangential(scene.lattice.height_axis, spin_axes):
@@ -164,8 +167,9 @@ def _as_a_whole(
     bound (R,) that they prove, energy/time.
 
     scene : R samples of a lattice with E contacts each.
-    force : (C components, R samples, E contacts). worst : (R,), the largest |f| / (mu F_n) of each sample; only numbers
-        above 1 divide. spin_axes : the axes of the C components."""
+    force : (C components, R samples, E contacts).
+    worst : (R,), the largest |f| / (mu F_n) of each sample; only numbers above 1 divide.
+    spin_axes : the axes of the C components."""
     whole = _divided(force, worst)
     return whole, dual_value(scene, whole, spin_axes)
 
@@ -179,7 +183,8 @@ def _most_proving(
     best, reached : (C components, R samples, E contacts) forces, and the lower bounds (R,) that they prove.
     force : (C, R, E), from which other candidates are made, as :func:`lower_bound` does. A candidate is taken where it
         proves more.
-    spin_axes : the axes of the C components. bound : (R,), what the forces should prove, energy/time."""
+    spin_axes : the axes of the C components.
+    bound : (R,), what the forces should prove, energy/time."""
     if (reached >= bound * (1 - CERTIFIED_ERROR)).all():
         return best
     for candidate in _candidates(scene, force, spin_axes):
@@ -215,8 +220,8 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
     forces.
 
     scene : R samples of a lattice with E contacts each, whose law is Coulomb's.
-    balanced : (C components, R samples, E contacts), the forces. spin_axes : the axes of the C components.
-    """
+    balanced : (C components, R samples, E contacts), the forces.
+    spin_axes : the axes of the C components."""
     ratio = saturation(scene, balanced)
     return work_and_bound_within(scene, balanced, capped(balanced, ratio), ratio.max(axis=1), spin_axes)
 
@@ -228,13 +233,13 @@ def work_and_bound_within(
     bound that these prove after each is capped at its friction limit, or all are scaled to their limits, whichever
     proves more.
 
-    balanced : (C components, R samples, E contacts), the forces. within : (C, R, E), the same, capped at the friction
-        limits.
+    balanced : (C components, R samples, E contacts), the forces.
+    within : (C, R, E), the same, capped at the friction limits.
     worst : (R,), the largest force of each sample over its friction limit; it only decides whether scaled forces are
-        tried. spin_axes : the axes of the C components.
+        tried.
+    spin_axes : the axes of the C components.
     enough : torques are summed in plain doubles, which is quicker, where the allowance for their rounding is at most
-        this share of the distance between work and bound.
-    """
+        this share of the distance between work and bound."""
     work = _work_of_planes(scene, balanced, spin_axes)
     bound = dual_value(scene, within, spin_axes, plain=enough > 0)
     if enough > 0:
@@ -256,8 +261,9 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
     says nothing. It is then taken relative to a natural objective, if that is larger: that of all contacts slipping by
     the imposed jump, or, without one, by the imposed spin.
 
-    scene : the R samples. objective : (R,), power, or potential with viscosity, energy/time. bound : (R,), its proven
-        lower bound."""
+    scene : the R samples.
+    objective : (R,), power, or potential with viscosity, energy/time.
+    bound : (R,), its proven lower bound."""
     unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
     if idle.any():
         speed = np.full((), scene.slip_radius * (scene.jump or scene.sides[0]))
@@ -269,8 +275,9 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
 
 def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Return the largest torque (R,) that forces (C components, R samples, E contacts) leave on a free sphere, force *
-    length. spin_axes : the axes of the C components.
+    length.
 
+    spin_axes : the axes of the C components.
     scene : R samples of a lattice with E contacts each."""
     pull = np.abs(torques(force, scene.lattice, spin_axes)[..., 1:-1])
     return scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
@@ -282,8 +289,8 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...], plain: b
     an allowance for rounding.
 
     scene : R samples of a lattice with E contacts each.
-    force : (C components, R samples, E contacts), within their friction limits. spin_axes : the axes of the C
-        components.
+    force : (C components, R samples, E contacts), within their friction limits.
+    spin_axes : the axes of the C components.
     plain : sum the torques in plain doubles, which is quicker; the allowance then grows with the sum of all forces."""
     pull = torques(force, scene.lattice, spin_axes) if plain else precise_torques(scene, force, spin_axes)
     work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
@@ -312,14 +319,15 @@ def _sum_of_sizes(force: Forces) -> np.ndarray:
 
 
 def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the sum of the contact forces that pull on each sphere, (C, R, *N), as if summed in twice the precision.
+    """Return the sum of the contact forces that pull on each sphere, as if summed in twice the precision: (C
+    components, R samples, *N), with *N the shape of the lattice.
 
     Forces in balance cancel, so a plain sum has an error as large as the torque itself. Here each addition keeps what
     it rounds away (Knuth's two-sum): the relative error is that of one rounding, plus about 1e-32 of the forces.
 
     scene : R samples of a lattice with E contacts each.
-    force : (C components, R samples, E contacts). spin_axes : the axes of the C components. *N : the shape of the
-        lattice."""
+    force : (C components, R samples, E contacts).
+    spin_axes : the axes of the C components."""
     total = np.zeros((len(spin_axes), scene.replicas, *scene.lattice.shape))
     lost = np.zeros_like(total)
     for axis, vectors in enumerate(scene.lattice.by_axis(force)):
@@ -351,7 +359,9 @@ def parts_in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
 
 def capped(force: Forces, ratio: np.ndarray) -> Forces:
     """Return the forces (C components, R samples, E contacts), of which each that is longer than its friction limit is
-    shortened to it. ratio : (R, E), |force| over friction limit."""
+    shortened to it.
+
+    ratio : (R, E), |force| over friction limit."""
     return _changed(force, ratio, lambda f, share: f * share)
 
 
@@ -359,8 +369,8 @@ def _over_relaxed(force: Forces, ratio: np.ndarray) -> Forces:
     """Return the forces (C components, R samples, E contacts), those above their friction limit shortened by one and a
     half times what would bring them to the limit.
 
-    force : (C, R, E). ratio : (R, E), |force| over friction limit.
-    """
+    force : (C, R, E).
+    ratio : (R, E), |force| over friction limit."""
     return _changed(force, ratio, lambda f, share: f + 1.5 * (f * share - f))
 
 
@@ -368,10 +378,10 @@ def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.
     """Return the forces after a change to each, (C components, R samples, E contacts), computed in parts that fit the
     caches.
 
-    force : (C, R, E). ratio : (R, E), |force| over friction limit.
+    force : (C, R, E).
+    ratio : (R, E), |force| over friction limit.
     change : function that returns the new value of a component of forces. It takes the component, and for each force
-        the factor, at most 1, that brings it back to its friction limit (0 for a force of 0).
-    """
+        the factor, at most 1, that brings it back to its friction limit (0 for a force of 0)."""
     found = np.empty(force.shape)
     for part in parts_in_cache(ratio):
         share = inverse(ratio[part])
@@ -385,14 +395,16 @@ def scaled(scene: Scene, force: Forces) -> Forces:
     """Return the forces (C components, R samples, E contacts), those of each sample divided by the largest |f| / (mu
     F_n) of its contacts where that exceeds 1. So all are within their limits, and forces in balance stay so.
 
-    scene : the R samples, with their friction limits. force : (C, R, E), 0 at contacts that take no part.
-    """
+    scene : the R samples, with their friction limits.
+    force : (C, R, E), 0 at contacts that take no part."""
     return _divided(force, saturation(scene, force).max(axis=1))
 
 
 def _divided(force: Forces, worst: np.ndarray) -> Forces:
     """Return the forces (C components, R samples, E contacts), those of each sample divided by its number in `worst`
-    (R,) where that exceeds 1. force : (C, R, E)."""
+    (R,) where that exceeds 1.
+
+    force : (C, R, E)."""
     if (worst <= 1.0).all():
         return force
     return force * (1.0 / np.maximum(worst, 1.0))[:, None]
@@ -422,7 +434,8 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
     Component k is coupled only by the contacts that are not along k.
 
     scene : R samples of a lattice with E contacts each.
-    force : (C components, R samples, E contacts). spin_axes : the axes of the C components."""
+    force : (C components, R samples, E contacts).
+    spin_axes : the axes of the C components."""
     lattice = scene.lattice
     pull = torques(force, lattice, spin_axes)
     potential = np.zeros_like(pull)
@@ -436,5 +449,7 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
 
 def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
     """Return the forces (C components, R samples, E contacts), set to 0 at contacts that take no part: those without a
-    coefficient or without a free sphere. force : (C, R, E)."""
+    coefficient or without a free sphere.
+
+    force : (C, R, E)."""
     return np.where(scene.idle, 0.0, force)

@@ -49,8 +49,8 @@ def decided(
 def are_proven(state: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the mask (R, E), for R samples of E contacts, of those whose state is proven, or which take no part.
 
-    state : (R, E), states that are reported. known : (R, E), states proven of all minima, UNDECIDED where nothing is
-        proven."""
+    state : (R, E), states that are reported.
+    known : (R, E), states proven of all minima, UNDECIDED where nothing is proven."""
     return (state == ContactState.DRIVEN) | ((state == known) & (known != ContactState.UNDECIDED))
 
 
@@ -109,7 +109,8 @@ def separate(scene: Bearing, slip: np.ndarray, state: np.ndarray) -> Separation:
     """Compare the slips of slipless with those of slipping contacts, sample by sample.
 
     scene : the R samples.
-    slip : (R, E), slip speeds of the E contacts of R samples, length/time. state : (R, E), their states."""
+    slip : (R, E), slip speeds of the E contacts of R samples, length/time.
+    state : (R, E), their states."""
     still, moving = state == ContactState.SLIPLESS, state == ContactState.SLIPPING
     largest = np.where(still.any(axis=1), np.where(still, slip, 0.0).max(axis=1), np.nan)
     smallest = np.where(moving.any(axis=1), np.where(moving, slip, np.inf).min(axis=1), np.nan)
@@ -152,8 +153,8 @@ def too_uneven(solution: Solution) -> np.ndarray:
 def what_is_proven(state: np.ndarray, proven: np.ndarray) -> np.ndarray:
     """Return the states (R samples, E contacts) that are proven, and UNDECIDED for all other contacts.
 
-    state : (R, E), states that are reported. proven : (R, E) mask of those that are proven.
-    """
+    state : (R, E), states that are reported.
+    proven : (R, E) mask of those that are proven."""
     return np.where(proven, state, ContactState.UNDECIDED)
 
 
@@ -161,13 +162,16 @@ def by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.nd
     """Return states (..., E) of E contacts by slip alone: SLIPPING where a contact is faster than `threshold`, SLIPLESS
     elsewhere, but DRIVEN where it takes no part.
 
-    slip : (..., E), speeds. threshold : in the same unit, length/time. state : (..., E), DRIVEN for contacts that take
-        no part; other states are not read."""
+    slip : (..., E), slip speeds, length/time.
+    threshold : largest speed, length/time, of a contact that counts as slipless.
+    state : (..., E), DRIVEN for contacts that take no part; other states are not read."""
     state_by_slip = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
     return np.where(state == ContactState.DRIVEN, state, state_by_slip).astype(np.uint8)
 
 
 def counts(state: np.ndarray) -> np.ndarray:
     """Return (R, S), how many contacts of each of R samples are in each of the S states, in the order of
-    `ContactState`. state : (R, E), states of E contacts."""
+    `ContactState`.
+
+    state : (R, E), states of E contacts."""
     return np.stack([np.bincount(one, minlength=len(ContactState)) for one in state])

@@ -259,10 +259,10 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
     its curvature. So the minimum is within the radius rho = |g| / (0.72 tau), if slips change by no more than a quarter
     there.
 
-    contacts : slips at the spins that are tried. curvature : of the power at these spins.
+    contacts : slips at the spins that are tried.
+    curvature : of the power at these spins.
     last : True if no further trial follows. If False, tau is computed, which costs an elimination, only where the bound
-        would be small enough with the usual tau.
-    """
+        would be small enough with the usual tau."""
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
@@ -286,8 +286,9 @@ def rises(contacts: Slipping, relative_change: np.ndarray) -> bool:
     """Return True if the power is proven to have positive curvature along every motion of the unknowns, which are spins
     of free domains, in a neighbourhood of given slips.
 
-    contacts : the n slipping contacts, with the given slips and the unknowns. relative_change : (n,), the
-        neighbourhood: all spins at which |slip - given slip| / |given slip| of each contact is at most that."""
+    contacts : the n slipping contacts, with the given slips and the unknowns.
+    relative_change : (n,), the neighbourhood: all spins at which |slip - given slip| / |given slip| of each contact is
+        at most that."""
     curvature = Curvature.of(contacts) if contacts.unknowns else None
     return contacts.unknowns == 0 or (curvature is not None and curvature.is_positive_within(contacts, relative_change))
 
@@ -384,8 +385,8 @@ class Form:
         """Make the form |A x|^2 from a matrix: scale its columns to length 1, and order the elimination of A^T A.
         Return None where a column is 0 or not finite.
 
-        rows : (p, q), the matrix A of p rows for q unknowns before its columns are scaled. doubt : (p, q), bounds on
-            the errors of its entries.
+        rows : (p, q), the matrix A of p rows for q unknowns before its columns are scaled.
+        doubt : (p, q), bounds on the errors of its entries.
         place : (d, q), positions of the unknowns in d dimensions. If `of_rows` is True: (d, p), positions of the rows,
             and each unknown is put at the mean of its rows, weighted by the squares of their entries.
         parts : the groups in which unknowns are eliminated; None to find them.
@@ -455,16 +456,16 @@ class Curvature:
         """Return True if the power is proven to have a positive curvature along every motion, wherever slips are near
         those of `contacts`. Then there is at most one minimum there.
 
-        contacts : the n slipping contacts. relative_change : (n,), most that |slip - slip of `contacts`| may be, over
-            the size of the latter; the answer is False if it is above a quarter anywhere.
+        contacts : the n slipping contacts.
+        relative_change : (n,), most that |slip - slip of `contacts`| may be, over the size of the latter; the answer is
+            False if it is above a quarter anywhere.
 
         Two minima would differ by a motion that changes each slip by some w along its direction; at contacts with
         damping w is 0, as their power is strictly convex. With c the relative change, unit vectors along slips differ
         by 2 c at most, so the part of w across the slip of `contacts` is at most 2 c |w|. The curvature of this motion
         is at most the sum of (mu F_n / slip) (2 c |w|)^2, computed here as a diagonal form. It has to be below half of
         tau h, with h the diagonal of the curvature and tau h a proven lower bound of it; below all of it would be
-        enough.
-        """
+        enough."""
         # For either component of w, a row of `changes` with entries of sizes e (0 or 1), Cauchy and Schwarz give
         # w^2 <= (sum of e) (sum of e v^2).
         loss = np.zeros_like(relative_change)
@@ -476,8 +477,9 @@ class Curvature:
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
         """Return the change (unknowns,) of the spins of free domains that makes the slope vanish to first order; None
-        if rounding hides the curvature. Nothing about it is proven. slope : (unknowns,), derivatives of the power by
-        these spins."""
+        if rounding hides the curvature. Nothing about it is proven.
+
+        slope : (unknowns,), derivatives of the power by these spins."""
         root, factor = np.sqrt(self.form.squares), self.form.elimination.factorised()
         return None if factor is None else -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
@@ -536,8 +538,10 @@ def _with_values(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array
 def _row_scaled(
     values: np.ndarray, matrix: sparse.csr_array, of: Callable[[np.ndarray], np.ndarray] = np.asarray
 ) -> sparse.csr_array:
-    """Return the sparse matrix (k, n) with row i multiplied by values[i]. values : (k,). of : function applied to the
-    entries first, for instance np.abs."""
+    """Return the sparse matrix (k, n) with row i multiplied by values[i].
+
+    values : (k,).
+    of : function applied to the entries first, for instance np.abs."""
     return _with_values(matrix, np.repeat(values, np.diff(matrix.indptr)) * of(matrix.data))
 
 
@@ -548,8 +552,8 @@ def _curvature_rows(
     domains; a matrix of the same shape with bounds on the errors of the entries of A; and for each row the contact (0
     to n - 1) that it belongs to.
 
-    contacts : the n slipping contacts. changes : two matrices (n, unknowns) that give both components of the changes of
-        slips.
+    contacts : the n slipping contacts.
+    changes : two matrices (n, unknowns) that give both components of the changes of slips.
 
     A contact that slips in two components has one row, the change of its slip at right angles to the slip, times the
     root of mu F_n / slip. With damping every contact has two more, both components of the change of its slip times the
@@ -636,8 +640,9 @@ def _largest_eigenvalue(rows: sparse.csr_array, steps: int, samples: Samples) ->
     """Return for each of R samples an upper bound (R,) of the largest eigenvalue of W^T W, for a matrix W without
     negative entries: the largest of (W^T W x) / x, entry by entry, for any positive vector x (Collatz and Wielandt).
 
-    rows : W, (m, n). steps : number of power iterations that improve x, from ones. samples : the sample of each of the
-        n unknowns."""
+    rows : W, (m, n).
+    steps : number of power iterations that improve x, from ones.
+    samples : the sample of each of the n unknowns."""
     columns, vector = rows.T, np.ones(rows.shape[1])
     for _ in range(steps):
         vector = columns @ (rows @ vector)

@@ -45,8 +45,9 @@ def in_cache(made: Made) -> Made:
 
     @wraps(made)
     def in_parts(*given: Any) -> Any:
-        """Return the result of `made`, computed part by part if the arrays are large. given : enclosures, arrays and
-        numbers, which are broadcast to one shape."""
+        """Return the result of `made`, computed part by part if the arrays are large.
+
+        given : enclosures, arrays and numbers, which are broadcast to one shape."""
         shape = np.broadcast_shapes(*(np.shape(v.high if isinstance(v, Enclosure) else v) for v in given))
         if math.prod(shape) <= 2 * IN_CACHE:
             return made(*given)

@@ -126,7 +126,8 @@ class _Parts:
 
     network : all N spheres and E contacts.
     free : (N, 3) mask of the unknowns among the spin components of all N spheres.
-    ends : (2, A), indices of the spheres of the contacts. normal : (A, 3), their normals.
+    ends : (2, A), indices of the spheres of the contacts.
+    normal : (A, 3), their normals.
     rows : (3 A, n), slips from the unknowns: x components of all slips, then y, then z.
     of_unknown, of_contact : (n,) and (A,), the number of the part of each, 0 to count - 1.
     count : number of parts."""
@@ -145,8 +146,9 @@ class _Parts:
         """Collect the contacts that shall roll with the free spheres they join, and number the parts: groups of free
         spheres that these contacts connect.
 
-        network : N spheres and E contacts. free : (N, 3) mask of the spin components that are unknowns. contacts : (E,)
-            mask."""
+        network : N spheres and E contacts.
+        free : (N, 3) mask of the spin components that are unknowns.
+        contacts : (E,) mask."""
         ends = network.graph.contact[:, contacts]
         rows = sparse.csr_array(slip_rows(network, numbered(free))[np.flatnonzero(np.tile(contacts, 3))])
         rows.eliminate_zeros()
@@ -228,8 +230,8 @@ class _Choices:
     def of(cls, parts: _Parts, chosen: np.ndarray) -> _Choices | None:
         """List the numbers from which spins follow; None if some imposed spin is too small for exact products.
 
-        parts : the contacts, their unknowns, and the parts into which they fall. chosen : indices of the chosen
-            unknowns."""
+        parts : the contacts, their unknowns, and the parts into which they fall.
+        chosen : indices of the chosen unknowns."""
         network, contacts = parts.network, len(parts.of_contact)
         high, low, error = (
             np.stack(values, axis=1) for values in zip(*(p.parts for p in network.imposed), strict=True)
@@ -263,9 +265,11 @@ class _Solved:
     """Solves for the motions that follow from some of the q numbers in `choices`, in doubles by least squares: one
     vector of f unknowns, a column, for one choice or the sum of several.
 
-    parts : A contacts, their n unknowns, and the parts into which they fall. choices : the q numbers.
+    parts : A contacts, their n unknowns, and the parts into which they fall.
+    choices : the q numbers.
     follow : (f,), indices of the unknowns that follow from the others.
-    rows : (3 A, f), slips from these unknowns. factor : Cholesky factor of rows^T rows.
+    rows : (3 A, f), slips from these unknowns.
+    factor : Cholesky factor of rows^T rows.
     fewer : True if choices of one part are no longer to be solved for together, as too many of them were in one
         connected set of moving spheres."""
 
@@ -294,7 +298,8 @@ class _Solved:
         """Return the motions (f, columns) of the unknowns that follow: in each column the sum of those of its choices,
         with one refinement. Entries that are not finite are 0.
 
-        some : (k,), the choices. column : (k,), the column of each."""
+        some : (k,), the choices.
+        column : (k,), the column of each."""
         together = sparse.csr_array((np.ones(len(some)), (np.arange(len(some)), column)))
         sums = (self.choices.sums[:, some] @ together).toarray()
         normal = self.parts.normal.T[..., None]
@@ -307,7 +312,8 @@ class _Solved:
         """Return the motions `x` (f, columns) of columns with one choice of each part, as (3, entries): which of the f
         unknowns moves, for which choice, by how much; and no choice that is left, (0,).
 
-        some : (k,), the choices. column : (k,), the column of each."""
+        some : (k,), the choices.
+        column : (k,), the column of each."""
         choice = np.full((self.parts.count, x.shape[1]), -1)
         choice[self.choices.owner[some], column] = some
         at, among = np.nonzero(np.abs(x) > WHOLE)
@@ -323,7 +329,8 @@ class _Solved:
         What moves in a connected set with one choice in it makes no contact slip and has the value 1 at this choice
         alone; so it is the motion of this choice.
 
-        some : (k,), the choices. column : (k,), the column of each."""
+        some : (k,), the choices.
+        column : (k,), the column of each."""
         width, sphere = x.shape[1], np.nonzero(self.parts.free)[0]
         at, among = np.nonzero(np.abs(x) > WHOLE)
         # A node is a sphere in a column. Contacts join two of them if both spheres move in this column.
@@ -373,10 +380,12 @@ class _Motions:
         of moving spheres with one choice in it moves by the motion of this choice; choices in one connected set are
         tried again with fewer others.
 
-        parts : A contacts and their n unknowns. choices : the q numbers.
-        follow : (f,), indices of the unknowns that are not chosen. rows : (3 A, f), their columns of the matrix of
-            slips. factor : Cholesky factor of rows^T rows. place : (n,), place of each unknown in an order in which
-            unknowns close in space are mostly near each other."""
+        parts : A contacts and their n unknowns.
+        choices : the q numbers.
+        follow : (f,), indices of the unknowns that are not chosen.
+        rows : (3 A, f), their columns of the matrix of slips.
+        factor : Cholesky factor of rows^T rows.
+        place : (n,), place of each unknown in an order in which unknowns close in space are mostly near each other."""
         count, chosen = len(choices.slot), len(choices.chosen)
         solved = _Solved(parts, choices, follow, rows, factor)
         found = [np.zeros((3, 0))]
@@ -446,8 +455,8 @@ def _sum_of_spins(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:
     """Return the matrix (3 A, n) of 0 and 1 that gives u_i + u_j, the sum of the spins (times radius) of both spheres,
     for A contacts from n unknowns: x components first, then y, then z.
 
-    ends : (2, A), indices of the spheres of the contacts. number : (N spheres, 3), which unknown each spin component
-        is, -1 for one that is taken as 0."""
+    ends : (2, A), indices of the spheres of the contacts.
+    number : (N spheres, 3), which unknown each spin component is, -1 for one that is taken as 0."""
     at = number[ends].transpose(0, 2, 1).reshape(2, -1)
     end, row = np.nonzero(at >= 0)
     return sparse.csr_array((np.ones(len(row)), (row, at[end, row])), shape=(at.shape[1], number.max(initial=-1) + 1))
@@ -480,7 +489,8 @@ def _rolls(sums: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Return a mask (k,), True where the cross product of a sum of spins with a normal is proven to be exactly 0: in
     each of its components both products are equal as exact sums of two doubles.
 
-    sums : (3, k), integers as doubles. normal : (3, k), doubles."""
+    sums : (3, k), integers as doubles.
+    normal : (3, k), doubles."""
     found = np.asarray(((normal == 0) | (np.abs(normal) > FAINT)).all(axis=0) | (sums == 0).all(axis=0))
     for a, b in ((0, 1), (1, 2), (2, 0)):
         first, second = (Enclosure.exact(sums[i]).times(normal[j]) for i, j in ((a, b), (b, a)))

@@ -174,13 +174,15 @@ class JudgedNetwork:
 
     def parts_of(self, sphere: np.ndarray) -> list[Part]:
         """Return n unknowns in groups, in the order in which an elimination of a matrix of these unknowns takes them.
-        The matrix may couple two unknowns only if contacts join their spheres. sphere : (n,), the sphere to which each
-        unknown belongs."""
+        The matrix may couple two unknowns only if contacts join their spheres.
+
+        sphere : (n,), the sphere to which each unknown belongs."""
         return restricted(self.division, sphere, REGION_UNKNOWNS)
 
     def samples_of(self, sphere: np.ndarray) -> Samples:
-        """Return to which of the R samples each of n unknowns belongs, as an object for eliminations. sphere : (n,),
-        the sphere to which each unknown belongs."""
+        """Return to which of the R samples each of n unknowns belongs, as an object for eliminations.
+
+        sphere : (n,), the sphere to which each unknown belongs."""
         return Samples(sphere // (len(self.free) // self.count), self.count)
 
     def some(self, pick: slice) -> JudgedNetwork:
@@ -216,7 +218,9 @@ class JudgedNetwork:
         )
 
     def sample_of(self, contacts: np.ndarray) -> np.ndarray:
-        """Return for each of q contacts the number (q,), 0 to R - 1, of its sample. contacts : (q,), their indices."""
+        """Return for each of q contacts the number (q,), 0 to R - 1, of its sample.
+
+        contacts : (q,), their indices."""
         return contacts // (len(self.acts) // self.count)
 
     @cached_property
@@ -225,7 +229,9 @@ class JudgedNetwork:
         return {}
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return for each of the m contacts the value (m,) of its sample. values : (R,), a value for each sample."""
+        """Return for each of the m contacts the value (m,) of its sample.
+
+        values : (R,), a value for each sample."""
         return (
             np.broadcast_to(values, len(self.acts))
             if self.count == 1
@@ -233,8 +239,10 @@ class JudgedNetwork:
         )
 
     def by_sample(self, values: Enclosure, contacts: np.ndarray) -> Enclosure:
-        """Return for each of R samples the sum (R,) of those `values` that belong to its contacts. values : an
-        enclosure (q,), one for each of q contacts. contacts : (q,), their indices."""
+        """Return for each of R samples the sum (R,) of those `values` that belong to its contacts.
+
+        values : an enclosure (q,), one for each of q contacts.
+        contacts : (q,), their indices."""
         if not len(contacts):
             return nothing(self.count)
         whole = nothing(len(self.acts))
@@ -243,8 +251,9 @@ class JudgedNetwork:
 
     def slips(self, spin: list[Enclosure]) -> list[Enclosure]:
         """Return (u_i + u_j) x n of all m contacts by component, C enclosures (m,): the slip but for its sign, from the
-        spins times radius u of both spheres and the normal n. spin : u by component, C enclosures (n,) for the n
-        spheres."""
+        spins times radius u of both spheres and the normal n.
+
+        spin : u by component, C enclosures (n,) for the n spheres."""
         first, second = self.graph.contact
         return across([part.at(first) + part.at(second) for part in spin], self.graph.normal)
 
@@ -343,8 +352,8 @@ class JudgedNetwork:
         """Return (R,), for each sample the sum over contacts of mu F_n slip + `of_slope` eta slip^2, in units of the
         network: with 1 the power, with 1/2 the potential.
 
-        of_slope : a power of two. some : (m,) mask of the contacts that are summed; None for all with a coefficient and
-            a free end."""
+        of_slope : a power of two.
+        some : (m,) mask of the contacts that are summed; None for all with a coefficient and a free end."""
         held, flows = self._dissipated if some is None else self._sums(some)
         return held + flows.signed(of_slope)
 
@@ -483,7 +492,9 @@ class Domains(dict[int, np.ndarray]):
     resting contacts join. Each is computed when it is first asked for."""
 
     def __init__(self, motion: Motion) -> None:
-        """Begin without any component. motion : says which contacts rest, and computes the domains."""
+        """Begin without any component.
+
+        motion : says which contacts rest, and computes the domains."""
         self.motion = motion
 
     def __missing__(self, k: int) -> np.ndarray:

@@ -181,7 +181,9 @@ class Judgement:
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
         """Return bounds (R,) of the potential, in units of the network, as bounds of the objective (power, or potential
-        with viscosity), energy/time. towards : plus or minus infinity, the way in which they are rounded."""
+        with viscosity), energy/time.
+
+        towards : plus or minus infinity, the way in which they are rounded."""
         return rounded_out(values, self.network.power_unit * self.law.share, towards)
 
     @property
@@ -271,8 +273,8 @@ def rounded_out(values: np.ndarray, unit: np.ndarray, towards: float) -> np.ndar
     place are allowed, as the unit and the product are each rounded once. 0 stays 0, and a unit that is a power of two
     rounds only tiny numbers.
 
-    values, unit : (R,) each. towards : plus or minus infinity.
-    """
+    values, unit : (R,) each.
+    towards : plus or minus infinity."""
     found = values * unit
     for _ in range(2):
         inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)

@@ -38,16 +38,18 @@ class Listed:
     def __init__(self, place: np.ndarray, contact: np.ndarray, normal: np.ndarray, friction: np.ndarray) -> None:
         """Take arrays about n spheres in D dimensions and m contacts.
 
-        place : (n, D), centre of each sphere. contact : (2, m), indices of the first and the second sphere of each
-            contact. normal : (m, D), unit normals from the first to the second. friction : (m, C), friction on the
-            second, by C components."""
+        place : (n, D), centre of each sphere.
+        contact : (2, m), indices of the first and the second sphere of each contact.
+        normal : (m, D), unit normals from the first to the second.
+        friction : (m, C), friction on the second, by C components."""
         self._arrays = place, contact, normal, friction
 
     @classmethod
     def of_samples(cls, network: Network, friction: np.ndarray) -> Listed:
         """Return the contacts of R samples on one network, side by side: indices of spheres of sample r begin at r N.
 
-        network : N spheres and E contacts. friction : (R, E, C), on the second sphere of each contact, C components."""
+        network : N spheres and E contacts.
+        friction : (R, E, C), on the second sphere of each contact, C components."""
         count, contacts, components = friction.shape
         if count == 1:
             return cls(network.center, network.contact, network.normal, friction[0])
@@ -80,8 +82,9 @@ class Listed:
         return self._arrays[3]
 
     def some(self, pick: slice, count: int) -> Listed:
-        """Return the contacts of the samples in the slice `pick` of the R samples alone. count : R, the number of all
-        samples."""
+        """Return the contacts of the samples in the slice `pick` of the R samples alone.
+
+        count : R, the number of all samples."""
         begin, end, _ = pick.indices(count)
         if (begin, end) == (0, count):
             return self
@@ -109,7 +112,9 @@ class Listed:
         return ~(np.sort(np.abs(self.normal)) == (0, 0, 1)).all(axis=1)
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """Return the lengths (m,) of m vectors. parts : their components, C enclosures (m,)."""
+        """Return the lengths (m,) of m vectors.
+
+        parts : their components, C enclosures (m,)."""
         return length(parts)
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
@@ -130,7 +135,8 @@ class Listed:
         some minimum: the largest imposed size. It holds where each component of a slip depends on one component of the
         spins.
 
-        box : (C,), the largest imposed size of each component. sign : not used here."""
+        box : (C,), the largest imposed size of each component.
+        sign : not used here."""
         return [Enclosure.exact(np.full(len(self.place), size)) for size in box]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
@@ -145,7 +151,8 @@ class Listed:
 
     def are_whole(self, acts: np.ndarray, free: np.ndarray) -> bool:
         """Return True if it is known at once that contacts connect every free sphere to what is driven; here False.
-        acts : (m,) mask of the contacts that take part. free : (n,) mask of the free spheres."""
+        acts : (m,) mask of the contacts that take part.
+        free : (n,) mask of the free spheres."""
         return False
 
     def slip_speeds(self, spin: list[Enclosure], in_motion: Callable[[], Enclosure]) -> Enclosure:
@@ -161,47 +168,58 @@ class Listed:
         """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
         anything that `reach` allows: here anything between the bound and its negative, which gives |torque| |reach|.
 
-        torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for
-            others."""
+        torque, reach : (n,), one component of each.
+        some : (n,) mask of the spheres that count; 0 is returned for others."""
         return largest_work(torque, reach, some)
 
     def in_odd_loops(self, k: int, feels: np.ndarray) -> np.ndarray:
         """Return the mask (n,) of the spheres in parts with a loop of an odd number of contacts.
 
-        k : number of the spin component. feels : (m,) mask, which contacts it makes slip."""
+        k : number of the spin component.
+        feels : (m,) mask, which contacts it makes slip."""
         return signs(self.contact[:, feels], len(self.place))[1]
 
     def working(self, box: np.ndarray) -> list[bool]:
         """Return a list of C truth values by component: False if moments along it do no work whatever they are. Here
-        all are True. box : (C,), the largest imposed sizes; only its length is used."""
+        all are True.
+
+        box : (C,), the largest imposed sizes; only its length is used."""
         return [True] * len(box)
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
         """Return the stored friction of the contacts in the mask `counts` (m,) by component, C enclosures (m,); 0 for
-        others. moment : not used here."""
+        others.
+
+        moment : not used here."""
         return [Enclosure.exact(np.where(counts, part, 0.0)) for part in self.friction.T]
 
     def anchor(self, k: int) -> np.ndarray:
         """Return for each of n spheres the index (n,) of the sphere whose spin it shares in every motion, which here is
-        the sphere itself. (On lattices driven spheres of a plane and layer share that of the first.) k : number of the
-        spin component, not used here."""
+        the sphere itself. (On lattices driven spheres of a plane and layer share that of the first.)
+
+        k : number of the spin component, not used here."""
         return np.arange(len(self.place))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
         """Return spins times signs by which neighbours differ, (n,): so neighbours that do not slip have equal signed
         spins.
 
-        spin : (n,), spin times radius of n spheres in one component. sign : (n,), +1 or -1."""
+        spin : (n,), spin times radius of n spheres in one component.
+        sign : (n,), +1 or -1."""
         return spin.signed(sign)
 
     def shift(self, k: int) -> Enclosure | None:
         """Return None: there is nothing to add to stored spins of driven spheres, as they are the imposed ones. (On
-        lattices: (n,), imposed less stored spins.) k : number of the spin component, not used here."""
+        lattices: (n,), imposed less stored spins.)
+
+        k : number of the spin component, not used here."""
         return None
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
         """Return the mask (m,) of the contacts without any slip in the given spins, exactly. It has a meaning only for
-        discs and for normals along the axes. spin : spin times radius of n spheres by component, C enclosures (n,)."""
+        discs and for normals along the axes.
+
+        spin : spin times radius of n spheres by component, C enclosures (n,)."""
         (first, second), found = self.contact, np.ones(len(self.normal), dtype=bool)
         for part, feels in zip(spin, self.slips_with, strict=True):
             for of in part.parts[:2]:
@@ -215,15 +233,20 @@ class Listed:
         return np.asarray(begin + (end - begin) / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """Return a speed by which contacts might slip, in the unit of `box`: the largest imposed size. box : (C,), the
-        largest size of each imposed component, spin times radius. speed_unit : not used here."""
+        """Return a speed by which contacts might slip, in the unit of `box`: the largest imposed size.
+
+        box : (C,), the largest size of each imposed component, spin times radius.
+        speed_unit : not used here."""
         return float(box.max(initial=0.0))
 
 
 @in_cache
 def largest_work(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
     """Return |torque| |reach| for each of n spheres, (n,): the most that a torque takes from the work at a spin of size
-    `reach`. torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 for others."""
+    `reach`.
+
+    torque, reach : (n,), one component of each.
+    some : (n,) mask of the spheres that count; 0 for others."""
     return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
 
 
@@ -231,7 +254,8 @@ def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
     """Return the cross products v x n of vectors with unit normals, by component, C enclosures (m,); for discs (C = 1)
     the vectors as they are.
 
-    vectors : v by component, C enclosures (m,). normal : (m, D dimensions), n."""
+    vectors : v by component, C enclosures (m,).
+    normal : (m, D dimensions), n."""
     if len(vectors) == 1:
         return vectors
     n = normal.T
@@ -243,18 +267,20 @@ def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
     """Return the moments n x F of friction F, minus its torque over R on both spheres of a contact: by component, C
     enclosures (m,). For discs, whose friction and moment are one number, friction itself.
 
-    friction : F of m contacts by component, C enclosures (m,). normal : (m, D dimensions), unit normals n."""
+    friction : F of m contacts by component, C enclosures (m,).
+    normal : (m, D dimensions), unit normals n."""
     return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
 
 
 def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return three arrays (size,) about the connected parts that edges make of nodes: the label of the part; True for
     nodes in parts with a loop of an odd number of edges; and in all other parts signs +1 and -1 that differ between
-    neighbours. ends : (2, q), nodes 0 to size - 1 that each edge joins.
+    neighbours.
+
+    ends : (2, q), nodes 0 to size - 1 that each edge joins.
 
     The nodes are doubled, u+ and u-, and each edge joins u+ with v- and u- with v+. In a part without odd loops both
-    copies stay apart, which gives the signs; with an odd loop u+ is connected with u-.
-    """
+    copies stay apart, which gives the signs; with an odd loop u+ is connected with u-."""
     first, second = ends
     copy = pieces(2 * size, np.append(first, second), np.append(second, first) + size).reshape(2, -1)
     return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)

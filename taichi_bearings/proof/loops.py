@@ -199,9 +199,8 @@ class Piece:
         number of c to an interval.
 
         bounds : what is known of friction of all contacts before.
-        contacts : (q,), indices of the contacts of the piece. unknowns : (n,), numbers of the unknown spin components
-            of its spheres.
-        """
+        contacts : (q,), indices of the contacts of the piece.
+        unknowns : (n,), numbers of the unknown spin components of its spheres."""
         rows, most_change = bounds.rows[tangent_rows(contacts)][:, unknowns].toarray(), bounds.most_change
         touches = np.zeros(len(bounds.network.free), dtype=bool)
         touches[bounds.sphere[unknowns]] = True
@@ -266,9 +265,9 @@ def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -
     split into loops L and the rest. It is the size of D as doubles give it, and a bound on the rounding of the sums by
     which they do: EPS for each term, and 64 EPS more.
 
-    rows : M, (2 q, n), slips of q contacts. loops : L, (2 q, m), friction along m loops. inverse : Y, (n, 2 q), about
-        the pseudo-inverse of M.
-    """
+    rows : M, (2 q, n), slips of q contacts.
+    loops : L, (2 q, m), friction along m loops.
+    inverse : Y, (n, 2 q), about the pseudo-inverse of M."""
     found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
     of_along = np.abs(loops)
     return found + terms * EPS * (np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse))

@@ -81,8 +81,10 @@ class CutGraph:
 
     @classmethod
     def of(cls, bounds: Bounds, k: int) -> CutGraph:
-        """Make the graph for component k of the spins. bounds : bounds on the power, with the network and its friction,
-        which is divided such that none exceeds its limit."""
+        """Make the graph for component k of the spins.
+
+        bounds : bounds on the power, with the network and its friction, which is divided such that none exceeds its
+            limit."""
         network, count = bounds.network, len(bounds.network.free)
         own = np.flatnonzero(network.feels[k])
         first, second = network.graph.contact[:, own]
@@ -206,7 +208,10 @@ def _in_whole_numbers(
 
 def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
     """Return the mask (nodes,) of the nodes that can be reached along the edges of a directed graph from any of some
-    nodes, these included. follows : the graph, (nodes, nodes). starts : indices of the nodes to begin with."""
+    nodes, these included.
+
+    follows : the graph, (nodes, nodes).
+    starts : indices of the nodes to begin with."""
     size = follows.shape[0]
     ends = (np.full(len(starts), size), starts)
     source = sparse.csr_array((np.ones(len(starts), dtype=np.int8), ends), shape=(size + 1, size + 1))

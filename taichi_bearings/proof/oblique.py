@@ -305,8 +305,10 @@ class Centre:
             found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
 
     def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Centre:
-        """Return a copy of spins and friction after one step of Newton's method. step : (n,), added to the unknown
-        spins. less_friction : (3, T), subtracted from the friction of the T resting contacts."""
+        """Return a copy of spins and friction after one step of Newton's method.
+
+        step : (n,), added to the unknown spins.
+        less_friction : (3, T), subtracted from the friction of the T resting contacts."""
         moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
         moved[self.number >= 0], less[:, self.resting] = step, -less_friction
         spin, resting = (
@@ -333,8 +335,9 @@ class Centre:
         return self.network.sample_of(self.slipping)
 
     def _norms(self, values: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """Return for each of R samples the Euclidean norm (R,) of the values (q,) that belong to it. sample : (q,), the
-        number of the sample of each value."""
+        """Return for each of R samples the Euclidean norm (R,) of the values (q,) that belong to it.
+
+        sample : (q,), the number of the sample of each value."""
         return np.sqrt(np.bincount(sample, values**2, self.network.count))
 
     def _norms_on_spheres(self, values: np.ndarray, some: np.ndarray) -> np.ndarray:
@@ -345,7 +348,9 @@ class Centre:
 
     def _of_all(self, holds: np.ndarray, sample: np.ndarray) -> np.ndarray:
         """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are True; also of those
-        without any entry. sample : (q,), the sample of each entry."""
+        without any entry.
+
+        sample : (q,), the sample of each entry."""
         return np.bincount(sample, ~holds, self.network.count) == 0
 
     @property

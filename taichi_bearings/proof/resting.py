@@ -148,9 +148,8 @@ def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.n
     only if they ask for none.
 
     network : a packing with N spheres and E contacts, whose slips do not mix the components of the spins.
-    rests : (E,) mask of the contacts that are tried. torque : (N,), bound on the torque on each sphere that they have
-        to take up.
-    """
+    rests : (E,) mask of the contacts that are tried.
+    torque : (N,), bound on the torque on each sphere that they have to take up."""
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
     ends, imposed = network.graph.contact[:, own], network.imposed[k]
     # Parts of X: each contact with a driven end gets a node of its own there, so that parts do not join through it.

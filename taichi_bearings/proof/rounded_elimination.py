@@ -41,14 +41,17 @@ own)."""
 class Samples:
     """The R samples to which n unknowns belong that are eliminated together.
 
-    of : (n,), the number of the sample of each unknown. count : R."""
+    of : (n,), the number of the sample of each unknown.
+    count : R."""
 
     of: np.ndarray
     count: int
 
     @classmethod
     def one(cls, unknowns: int) -> Samples:
-        """Return the object for n unknowns that all belong to one sample. unknowns : n."""
+        """Return the object for n unknowns that all belong to one sample.
+
+        unknowns : n."""
         return cls(np.zeros(unknowns, dtype=np.intp), 1)
 
     def largest(self, values: np.ndarray) -> np.ndarray:
@@ -286,8 +289,8 @@ def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
     update of each front, which is what its elimination changes in the matrix of its border (later unknowns), has to go
     into one later front that contains the whole border. Nothing else about the order matters for the proof.
 
-    order : (n,), the unknown at each place of the order of elimination. fronts : all fronts, children before parents.
-    """
+    order : (n,), the unknown at each place of the order of elimination.
+    fronts : all fronts, children before parents."""
     parent = np.full(len(fronts), -1)
     for number, front in enumerate(fronts):
         if (parent[front.children] >= 0).any() or any(child >= number for child in front.children):
@@ -332,8 +335,9 @@ class Factor:
     failed: np.ndarray
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Return the solution x of L L^T x = right, with the unknowns in their original order. right : (n,), or (n, m)
-        for m right-hand sides; the result has its shape."""
+        """Return the solution x of L L^T x = right, with the unknowns in their original order.
+
+        right : (n,), or (n, m) for m right-hand sides; the result has its shape."""
         x, own = right.reshape(len(right), -1)[self.order], [slice(f.first, f.first + f.own) for f, _ in self.columns]
         # Forward with L, then backward with its transpose.
         for (front, (pivots, below)), at in zip(self.columns, own, strict=True):

@@ -36,8 +36,9 @@ class Grid(Listed):
         self.samples = samples
 
     def some(self, pick: slice, count: int) -> Grid:
-        """Return the contacts of the samples in the slice `pick` of the R samples alone. count : not used here; the
-        number of samples, which contacts in lists need."""
+        """Return the contacts of the samples in the slice `pick` of the R samples alone.
+
+        count : not used here; the number of samples, which contacts in lists need."""
         return Grid(self.samples.some(pick) if self.samples.count > 1 else self.samples)
 
     @cached_property
@@ -86,7 +87,8 @@ class Grid(Listed):
     def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
         """Return for each of m contacts what `made` gives for the values of its two spheres, (m,).
 
-        made : a function of two arrays that NumPy applies element by element. values : (n,), one for each sphere.
+        made : a function of two arrays that NumPy applies element by element.
+        values : (n,), one for each sphere.
         kind : type of the result."""
         found: np.ndarray = np.empty(self.contacts, dtype=kind)
         spheres = self.on_spheres(values)
@@ -144,9 +146,10 @@ class Grid(Listed):
         return found
 
     def moment(self, acts: np.ndarray) -> list[Enclosure]:
-        """Return the moments n x F of the stored friction F, minus its torque over R on both spheres of a contact:
-        by spin component, C enclosures (m,), in `force_unit` of the samples. acts : (m,) mask of the contacts that
-        take part; others get 0."""
+        """Return the moments n x F of the stored friction F, minus its torque over R on both spheres of a contact: by
+        spin component, C enclosures (m,), in `force_unit` of the samples.
+
+        acts : (m,) mask of the contacts that take part; others get 0."""
         samples, nothing = self.samples, np.broadcast_to(0.0, self.contacts)  # takes no memory
         found, acting = (
             np.zeros((len(samples.components), *samples.scene.coefficient.shape)),
@@ -172,7 +175,9 @@ class Grid(Listed):
 
     def imposed(self, component: int) -> Enclosure:
         """Return the imposed spin times radius (n,) of one spin component, measured from the bottom: 0 except on the
-        top plane, where it is the jump times the sign of the sublattice. component : its axis, 0 to 2."""
+        top plane, where it is the jump times the sign of the sublattice.
+
+        component : its axis, 0 to 2."""
         found, jump = nothing(self.spheres), self.samples.jump_at(component)
         for whole, part, sign in zip(found.parts, jump.parts, (1, 1, 0), strict=True):
             signs = self.samples.sublattice[..., -1] if sign else 1.0
@@ -194,26 +199,33 @@ class Grid(Listed):
         spin (times radius) of each sphere in it. The spin of the bottom is 0; the other end is the jump, the spin of
         the top in the layer of the sphere, times the sphere's `sign`.
 
-        box : not used here. sign : signs by component, C arrays (n,).
-        """
+        box : not used here.
+        sign : signs by component, C arrays (n,)."""
         return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, sign, strict=True)]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
         """Return the places k of the components along which some minimum may slip: those with a jump between the
         planes, except the one about the height, as each layer may turn freely about it.
 
-        box : (C,), the largest imposed size of each component. differs : not used here."""
+        box : (C,), the largest imposed size of each component.
+        differs : not used here."""
         samples = self.samples
         return [k for k, of in enumerate(samples.components) if box[k] > 0 and of != samples.lattice.height_axis]
 
     def are_whole(self, acts: np.ndarray, free: np.ndarray) -> bool:
         """Return True if there are free spheres, and all contacts with a free end take part: then contacts connect
-        every sphere to both planes. acts : (m,) mask of the contacts that take part. free : (n,) mask."""
+        every sphere to both planes.
+
+        acts : (m,) mask of the contacts that take part.
+        free : (n,) mask."""
         return bool(free.any() and (acts == self.any_end(free)).all())
 
     def slip_speeds(self, spin: list[Enclosure], in_motion: Callable[[], Enclosure]) -> Enclosure:
         """Return the slip speeds (m,) of the motion in which contacts without slip rest exactly: what is imposed on the
-        top differs a little from what is stored. spin : not used here. in_motion : function that returns them."""
+        top differs a little from what is stored.
+
+        spin : not used here.
+        in_motion : function that returns them."""
         return in_motion()
 
     def taken(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
@@ -221,24 +233,29 @@ class Grid(Listed):
         anything between 0 and `reach`: |torque| |reach|, but 0 where both surely have the same sign, as the torque then
         adds to the work.
 
-        torque, reach : (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for
-            others."""
+        torque, reach : (n,), one component of each.
+        some : (n,) mask of the spheres that count; 0 is returned for others."""
         return _largest_work_between(torque, reach, some)
 
     def in_odd_loops(self, k: int, feels: np.ndarray) -> np.ndarray:
         """Return the mask (n,) of the spheres in parts with a loop of an odd number of contacts: none, as neighbours
-        lie on different sublattices. k, feels : not used here."""
+        lie on different sublattices.
+
+        k, feels : not used here."""
         return np.broadcast_to(np.False_, self.spheres)
 
     def working(self, box: np.ndarray) -> list[bool]:
         """Return a list of C truth values by component: True where the two planes are driven differently, so that
-        moments do work. box : (C,), the largest imposed size of each component, measured from the bottom."""
+        moments do work.
+
+        box : (C,), the largest imposed size of each component, measured from the bottom."""
         return [bool(size > 0) for size in box]
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
         """Return vectors as long as the friction of each of m contacts: the moments n x F themselves.
 
-        moment : n x F by component, C enclosures (m,), 0 where contacts take no part. counts : not used here."""
+        moment : n x F by component, C enclosures (m,), 0 where contacts take no part.
+        counts : not used here."""
         return moment
 
     def anchor(self, k: int) -> np.ndarray:
@@ -258,12 +275,16 @@ class Grid(Listed):
 
     def middle(self, some: np.ndarray) -> np.ndarray:
         """Return the positions (q, D) in D dimensions, in lattice sites, of the middles of q contacts; those of
-        contacts across a periodic side lie half a site beyond it. some : (q,), their indices."""
+        contacts across a periodic side lie half a site beyond it.
+
+        some : (q,), their indices."""
         return np.asarray(self.place[self.contact[0, some]] + self.normal[some] / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
         """Return the surface speed of the jump between the planes, or of the bottom's spin if there is no jump, in
-        units of `speed_unit`. box : not used here."""
+        units of `speed_unit`.
+
+        box : not used here."""
         scene = self.samples.scene
         speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
         return float(scene.lattice.radius * speed / speed_unit)
@@ -281,8 +302,9 @@ class Grid(Listed):
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
         """Return the mask (m,) of the contacts without any slip: the signed spins of both spheres (spin times the sign
-        by which neighbours differ) are equal in all components that make the contact slip. spin : signed spins of n
-        spheres by component, C enclosures (n,)."""
+        by which neighbours differ) are equal in all components that make the contact slip.
+
+        spin : signed spins of n spheres by component, C enclosures (n,)."""
         found = np.ones(self.contacts, dtype=bool)
         into = self.by_axis(found)
         parts = [[self.on_spheres(of) for of in part.parts[:2] if of.any()] for part in spin]
@@ -327,8 +349,9 @@ class Grid(Listed):
         return Enclosure(*(self.on_spheres(part) for part in values.parts))
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """Return the lengths (m,) of vectors across the normals of m contacts. parts : their C components, enclosures
-        (m,); the one along the normal is not read."""
+        """Return the lengths (m,) of vectors across the normals of m contacts.
+
+        parts : their C components, enclosures (m,); the one along the normal is not read."""
         found = nothing(self.contacts)
         into = [self.by_axis(part) for part in found.parts]
         there = {
@@ -374,15 +397,18 @@ def nothing(count: int) -> Enclosure:
 
 
 def size_of(parts: list[Enclosure]) -> Enclosure:
-    """Return the length of vectors, an enclosure: the absolute value if they have one component. parts : their one or
-    two components, enclosures of one shape, which may be any."""
+    """Return the length of vectors, an enclosure: the absolute value if they have one component.
+
+    parts : their one or two components, enclosures of one shape, which may be any."""
     return abs(parts[0]) if len(parts) == 1 else _length_of_two(*parts)
 
 
 @in_cache
 def _largest_work_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return |torque| |reach| for each of n spheres, (n,), but 0 where both surely have the same sign. torque, reach :
-    (n,), one component of each. some : (n,) mask of the spheres that count; 0 is returned for others."""
+    """Return |torque| |reach| for each of n spheres, (n,), but 0 where both surely have the same sign.
+
+    torque, reach : (n,), one component of each.
+    some : (n,) mask of the spheres that count; 0 is returned for others."""
     gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
     return largest_work(torque, reach, some & ~gives)
 

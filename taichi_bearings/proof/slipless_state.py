@@ -103,8 +103,8 @@ def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
     """Return True if spins exist at which some contacts roll exactly: by Gaussian elimination in fractions, without any
     rounding. False if there are none, or if there are more than MOST_IN_FRACTIONS free spheres.
 
-    network : a packing with E contacts. contacts : (E,) mask of the contacts, which free spheres join to one part.
-    """
+    network : a packing with E contacts.
+    contacts : (E,) mask of the contacts, which free spheres join to one part."""
     spheres = np.unique(network.graph.contact[:, contacts])
     spheres = spheres[network.free[spheres]]
     if len(spheres) > MOST_IN_FRACTIONS:
@@ -131,7 +131,8 @@ def _equations(network: JudgedNetwork, contact: int, unknown: dict[int, int]) ->
     dictionary: coefficients by the number of the unknown spin component, and the constant term, from imposed spins,
     under the key IMPOSED.
 
-    contact : index of the contact. unknown : for each free sphere the number of the first of its three unknowns."""
+    contact : index of the contact.
+    unknown : for each free sphere the number of the first of its three unknowns."""
     normal = [Fraction(float(value)) for value in network.graph.normal[contact]]
     rows = list[dict[int, Fraction]]()
     for a, b in ((1, 2), (2, 0), (0, 1)):

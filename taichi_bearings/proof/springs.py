@@ -170,8 +170,8 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
     """Return the mask (R,) of the samples in which the slips at some spheres are proven to be independent: the spins of
     these spheres can give any slips to all of their contacts that can dissipate.
 
-    network : R samples of a packing, with N spheres in all. some : (N,) mask of the spheres.
-    """
+    network : R samples of a packing, with N spheres in all.
+    some : (N,) mask of the spheres."""
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
     own = network.counts & some[network.graph.contact].any(axis=0)
@@ -216,7 +216,8 @@ def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarr
     contacts if they share a moving sphere: by nested dissection of these contacts.
 
     network : a packing with N spheres.
-    moves : (N,) mask of the spheres that move. contact : (n,), the contact of each slip component."""
+    moves : (N,) mask of the spheres that move.
+    contact : (n,), the contact of each slip component."""
     own, node = np.unique(contact, return_inverse=True)
     ends = network.graph.contact[:, own]
     at = np.nonzero(moves[ends])

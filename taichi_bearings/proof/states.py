@@ -133,10 +133,10 @@ def proven_states(bounds: Bounds) -> list[States]:
 def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
     """Return an object for each of R samples with its part of the given states.
 
-    network : the R samples, with m contacts in all. states : (m,), contact states, UNDECIDED where nothing is proven.
+    network : the R samples, with m contacts in all.
+    states : (m,), contact states, UNDECIDED where nothing is proven.
     reason : words that say why states are missing, the same for all samples.
-    unique : True if all minima of a sample have the same slips, False if not, None if not known; the same for all.
-    """
+    unique : True if all minima of a sample have the same slips, False if not, None if not known; the same for all."""
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
 
 
@@ -186,8 +186,9 @@ def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
-    """Return an object for each of R samples in which all contacts are UNDECIDED. reason : words that say why.
+    """Return an object for each of R samples in which all contacts are UNDECIDED.
 
+    reason : words that say why.
     network : the R samples."""
     return _samples(network, np.full(len(network.acts), UNDECIDED), reason, None)
 
@@ -382,8 +383,8 @@ def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
     """Return True if the stored friction of all slipping contacts of a lattice is nearly at its limit, as it is near a
     minimum: off it by no more than the share MISSED_LIMIT. Always True for packings.
 
-    network : what is judged. contacts : the slipping contacts.
-    """
+    network : what is judged.
+    contacts : the slipping contacts."""
     if not network.graph.friction_is_at_limit:
         return True
     parts = [part.high[contacts.own] for part in network.moment]

@@ -127,7 +127,9 @@ class Pulls:
 
     def touches(self, label: np.ndarray, value: int) -> np.ndarray:
         """Return a mask (n,): for slipping contacts, whether exactly one of their two spheres is in the domain `value`;
-        for contacts that do not slip, whether any is. label : (spheres,), labels of domains."""
+        for contacts that do not slip, whether any is.
+
+        label : (spheres,), labels of domains."""
         ends = label[self.lower] == value, label[self.upper] == value
         return np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
 
@@ -256,8 +258,8 @@ def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, s
     """Return a directed graph, a sparse matrix (size, size), with the shortest of all edges from one node to another.
     An entry 0 is an edge of length 0, a missing entry no edge.
 
-    tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length. size : number of
-        nodes; more if the edges need more."""
+    tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length.
+    size : number of nodes; more if the edges need more."""
     size = max(size, int(max(tail.max(initial=0), head.max(initial=0))) + 1)
     order = np.lexsort((length, head, tail))
     first = np.append(True, (np.diff(tail[order]) != 0) | (np.diff(head[order]) != 0))[: len(order)]
@@ -288,7 +290,8 @@ class BetweenTwo:
         """Find the domains (groups of spheres that turn as one) that lie between two others which pull them with the
         same friction in opposite directions.
 
-        pulls : the n contacts that bear all their friction. contacts : slips of those of them that slip."""
+        pulls : the n contacts that bear all their friction.
+        contacts : slips of those of them that slip."""
         label = pulls.same_in_both  # of each sphere: its domain in both components at once
         known = [pulls.known_pulls_cancel_at(pulls.slipless_domain[slot], slot) for slot in range(2)]
         # contacts that slip in both components, between two domains in either
@@ -351,7 +354,8 @@ def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> di
     """Return a dictionary: by label of a domain, the set of the contacts that lead from it to another one, as indices
     in `pulls`.
 
-    label : (spheres,), the label of each. some : (n,) mask of the contacts of `pulls` to look at."""
+    label : (spheres,), the label of each.
+    some : (n,) mask of the contacts of `pulls` to look at."""
     found: dict[int, set[int]] = {}
     own = np.flatnonzero(some & (label[pulls.lower] != label[pulls.upper]))
     for end in (pulls.lower, pulls.upper):
@@ -455,9 +459,9 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
     """Return the contacts of one sample that bear all their friction, and the domains that these and the resting
     contacts make. A domain is a group of spheres that turn as one.
 
-    motion : which contacts rest. contacts : those that slip. saturated : those that do not slip and yet bear all their
-        friction.
-    """
+    motion : which contacts rest.
+    contacts : those that slip.
+    saturated : those that do not slip and yet bear all their friction."""
     network, in_c = motion.network, np.flatnonzero(saturated.mask)
     components = len(network.needed)
     own = np.append(contacts.own, in_c)
@@ -497,8 +501,9 @@ def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | 
     domains is held, one that does not lie between two others. Domains between two others are held as well, in one
     component each.
 
-    pulls : the contacts that bear all their friction. label : (2, spheres), labels of the domains that are to be held.
-        between : domains that lie between two others."""
+    pulls : the contacts that bear all their friction.
+    label : (2, spheres), labels of the domains that are to be held.
+    between : domains that lie between two others."""
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
         welded, inner = pulls.welded_domains(label, slot), np.isin(pulls.slipless_domain[slot], between.labels[slot])
@@ -517,8 +522,9 @@ def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> di
     """Return by spin component k the labels (spheres,) of domains, replaced by 0, that of the bottom, for spheres that
     are held.
 
-    motion : says which components k matter. label : (2, spheres), labels of domains, for both. held : (2, spheres)
-        mask."""
+    motion : says which components k matter.
+    label : (2, spheres), labels of domains, for both.
+    held : (2, spheres) mask."""
     return {k: np.where(h, 0, own) for k, own, h in zip(motion.network.needed, label, held, strict=True)}
 
 
@@ -535,10 +541,10 @@ def _minimum_with_held(
     minimum, and for each a bound on |slip there - slip| / |slip|.
 
     motion : the stored spins and which contacts rest.
-    pulls : the contacts that bear all their friction. between : domains that lie between two others.
+    pulls : the contacts that bear all their friction.
+    between : domains that lie between two others.
     saturated : contacts without slip at their friction limit.
-    held : (2, spheres) mask of the spheres whose domain is held where it is, by component.
-    """
+    held : (2, spheres) mask of the spheres whose domain is held where it is, by component."""
     rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()
     near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:
@@ -589,7 +595,8 @@ def _states_by_paths(
     not known. At a minimum contacts may slip less or more than at another one, but never backwards; shortest paths
     along slips say how far.
 
-    pulls : the n contacts that bear all their friction. between : domains that lie between two others.
+    pulls : the n contacts that bear all their friction.
+    between : domains that lie between two others.
     contacts, relative_change : the slipping contacts close to a minimum, and for each a bound on |slip there - slip| /
         |slip|.
     may_differ : True if some domain can move at no cost, so that minima may differ. If nothing is tied there is one

@@ -87,8 +87,8 @@ class Reached(ABC):
 
     @abstractmethod
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
-        """Return the state of each contact (slipping, slipless, ...), (R samples, E contacts), as its slip and its force
-        in the answer show it. The caller combines it with what is proven.
+        """Return the state of each contact (slipping, slipless, ...), (R samples, E contacts), that its slip and its
+        force in the answer show. The caller combines it with what is proven.
 
         answer : the answer so far. Its `state` has what `indicated` returned before anything was proven.
         known : (R, E), the states that are proven, UNDECIDED where nothing is; None if no proof was tried, or if it was
@@ -119,7 +119,10 @@ def answered(reached: Reached, ended: Ended, while_wanted: Callable[[], Abstract
     has_ended = moves and threshold is None and status is Status.CERTIFIED
 
     def with_states(known: np.ndarray | None) -> Solution:
-        """Return the answer with final states. known : (R samples, E), the states that are proven, or None."""
+        """Return the answer with final states.
+
+        known : (R samples, E), the states that are proven, or None.
+        """
         undecided = np.full(answer.state.shape, ContactState.UNDECIDED)
         seen, proven = reached.observed(answer, known), undecided if known is None else known
         state, is_proven = decided(seen, proven, moves or threshold is not None, has_ended)

@@ -238,7 +238,8 @@ class Stepped(Contacts):
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
         """Call a kernel as often, and with the constants, as a launch says.
 
-        team : threads. sweeps : the kernel.
+        team : threads.
+        sweeps : the kernel.
         """
 
     @abstractmethod

@@ -128,9 +128,11 @@ def solve(
 class _Asked:
     """What was asked of a solve, the same for all samples.
 
-    stop : when to end. monitors : functions that are called with a `Report` each time that the progress is read.
+    stop : when to end.
+    monitors : functions that are called with a `Report` each time that the progress is read.
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless; None for the smallest slip that
-        the method can resolve. recording : simulated times at which a dynamics is recorded.
+        the method can resolve.
+    recording : simulated times at which a dynamics is recorded.
     """
 
     stop: StopRule
@@ -163,9 +165,11 @@ def _apart(
     As many samples as pays are stepped side by side. After Ctrl-C the answer holds only the samples that were begun;
     with checkpoints, from which the others can be continued, KeyboardInterrupt is raised instead if some are missing.
 
-    scene : the packing. method : what solves it. spin : (R samples, N spheres, 3), of discs (R, N), laboratory spins to
-        start from, 1/time. checkpoints : where the state is saved, or None. asked : when to end, who is told, and what
-        is recorded.
+    scene : the packing.
+    method : what solves it.
+    spin : (R samples, N spheres, 3), of discs (R, N), laboratory spins to start from, 1/time.
+    checkpoints : where the state is saved, or None.
+    asked : when to end, who is told, and what is recorded.
     """
     from taichi_bearings.solvers.together import samples_at_once  # and with it the lists of packings
 
@@ -303,8 +307,9 @@ class Course:
         """Begin at the start, or where a checkpoint leaves off; raise FileError if that does not fit the method.
 
         method : one whose `begin` was called.
-        stop : when to end. recording : simulated times at which a dynamics is recorded. checkpoints : where the state
-            is saved, and from which to continue; None for none.
+        stop : when to end.
+        recording : simulated times at which a dynamics is recorded.
+        checkpoints : where the state is saved, and from which to continue; None for none.
         interrupt : tells whether Ctrl-C was pressed.
         """
         self.scene, self.method, self.stop, self.recording = method.scene, method, stop, recording
@@ -476,7 +481,10 @@ class _Best:
     """
 
     def __init__(self, method: Method) -> None:
-        """Begin without any state, and with empty forces and bounds. method : the one whose states will be compared."""
+        """Begin without any state, and with empty forces and bounds.
+
+        method : the one whose states will be compared.
+        """
         self.scene, self.method, self.keeps_best = method.scene, method, not isinstance(method, Dynamics)
         self.progress: Progress
         self.proof: Forces = np.zeros(0)  # none yet

@@ -173,7 +173,10 @@ class Dynamics(Method):
         self.contacts.restore(state)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return further results at the end by name, (R samples,) each; here none. last : not used."""
+        """Return further results at the end by name, (R samples,) each; here none.
+
+        last : not used.
+        """
         return {}
 
     def may_be_at_rest(self, found: Progress) -> bool:

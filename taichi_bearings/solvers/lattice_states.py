@@ -45,7 +45,8 @@ class LatticeReached(Reached):
         """Judge the spins and the forces of a run that ended. Samples of a minimisation whose least power is 0 get the
         state without slip, and no forces.
 
-        scene : the lattice with its R samples. ended : how the run ended, with the best spins and forces it reached.
+        scene : the lattice with its R samples.
+        ended : how the run ended, with the best spins and forces it reached.
         """
         final, forces, self.options = ended.best, ended.proof, ended.options
         # samples whose least power is 0 (`idle`), whatever the method came to
@@ -83,7 +84,9 @@ class LatticeReached(Reached):
 
     def force(self, slip: np.ndarray) -> np.ndarray:
         """Return the sizes (R samples, E contacts) of the contact forces: those of a dynamics now, or those that prove
-        the bound. slip : (R, E), slip speeds, length/time.
+        the bound.
+
+        slip : (R, E), slip speeds, length/time.
         """
         return self._of_motion(slip) if self.options.is_dynamics else vector_length(self.proof)
 
@@ -107,7 +110,9 @@ class LatticeReached(Reached):
 
     def indicated(self, slip: np.ndarray) -> Indicated:
         """Return the states that method, slips and forces indicate, with the slip speeds up to which contacts count as
-        slipless. slip : (R samples, E), slip speeds, length/time.
+        slipless.
+
+        slip : (R samples, E), slip speeds, length/time.
         """
         known = _known_by_contact(self.judgement, self.options.is_dynamics)
         state, each, of_all = _states_and_thresholds(self.scene, slip, self.final, self.threshold, known, self.proof)

@@ -58,7 +58,10 @@ class Method(ABC):
         self.scene, self.spin_axes = self.contacts.scene, self.contacts.spin_axes
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next. iteration : the one at which it was read now."""
+        """Return the iteration at which to read the progress next.
+
+        iteration : the one at which it was read now.
+        """
         return iteration + 1
 
     @abstractmethod
@@ -94,8 +97,9 @@ class Method(ABC):
         return self.scene.differences(staggered, self.spin_axes)
 
     def pulls(self, force: np.ndarray) -> np.ndarray:
-        """Return the sum (C components, R samples, *N spheres) of the contact forces on each sphere. force : (C, R, E
-        contacts), contact forces.
+        """Return the sum (C components, R samples, *N spheres) of the contact forces on each sphere.
+
+        force : (C, R, E contacts), contact forces.
         """
         return self.scene.pulls(force, self.spin_axes)
 
@@ -180,7 +184,10 @@ class Minimiser(Method):
         return self.part.iteration
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next. iteration : the one at which it was read now."""
+        """Return the iteration at which to read the progress next.
+
+        iteration : the one at which it was read now.
+        """
         return self.part.next_check(iteration)
 
     def advance(self, steps: int) -> None:

@@ -187,7 +187,8 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
 
     A limit is friction coefficient times normal force; a normal force that all contacts have is part of the unit.
 
-    packing : one sample. contact : (n,), numbers of the contacts; the limits are (n,), dtype object.
+    packing : one sample.
+    contact : (n,), numbers of the contacts; the limits are (n,), dtype object.
     """
     normal = np.broadcast_to(packing.normal_force, packing.contacts)[contact]
     same = bool((normal == normal[:1]).all())

@@ -131,7 +131,9 @@ class OnLists(Stepped):
     def run(self, team: Team, sweeps: Sweeps, launch: Launch) -> None:
         """Call a kernel as often, and with the constants, as a launch says.
 
-        team : threads. sweeps : the kernel. launch : how often (`turns`) and with which constants (`numbers`).
+        team : threads.
+        sweeps : the kernel.
+        launch : how often (`turns`) and with which constants (`numbers`).
         """
         self.load_numbers(launch)
         sweeps.run(self.fields, team, launch.turns, NOTHING)
@@ -317,7 +319,10 @@ class StepsReached(PackingReached):
         self.acting, self.last, self.iterations = bounds.acting, last, ended.iterations
 
     def force(self, slip: np.ndarray) -> np.ndarray:
-        """Return the sizes (1, E contacts) of the contact forces of the last state. slip : not used."""
+        """Return the sizes (1, E contacts) of the contact forces of the last state.
+
+        slip : not used.
+        """
         force = super().force(slip)
         force[:, self.acting] = vector_length(self.last.force)
         return force

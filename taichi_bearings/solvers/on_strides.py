@@ -41,8 +41,8 @@ class OnStrides(Stepped, WithMinima):
     spin_axes : numbers of the axes of the C spin components that are computed.
     points, forces : names of the fields that hold the spins of a gradient descent, and its forces (none, as its sweeps
         compute forces anew).
-    fields : the numbers on the device, once `allocate` was called. stencil : constants for which kernels are compiled,
-        likewise.
+    fields : the numbers on the device, once `allocate` was called.
+    stencil : constants for which kernels are compiled, likewise.
     """
 
     scene: Scene
@@ -183,8 +183,9 @@ class OnStrides(Stepped, WithMinima):
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
         """Call a kernel as often, and with the constants, as a launch says.
 
-        team : threads. sweeps : the kernel. launch : how often (`turns`), from which turn on (`first`), and with which
-            constants (`numbers`).
+        team : threads.
+        sweeps : the kernel.
+        launch : how often (`turns`), from which turn on (`first`), and with which constants (`numbers`).
         """
         sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
 

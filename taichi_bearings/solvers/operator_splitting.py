@@ -308,12 +308,14 @@ class TorqueBalance:
 
     On a GPU the solve is one launch. On a CPU the products with the sines are made by the BLAS library (see `solve`).
 
-    fields : the fields of the method. kernels : the kernels of the solve.
+    fields : the fields of the method.
+    kernels : the kernels of the solve.
     weight : stiffness of the springs sideways.
     products : type of the numbers in the products on a CPU: single precision, or that of the fields if that is less.
     sines : matrix of the sine transform along a column of nz spheres: (nz, nz), 0 for driven ones; on a GPU (nz - 2, nz
-        - 2). chains : flat, inverse pivots by which the chains, one for each mode, are solved. modes : flat, the
-        transformed field, where solutions replace pulls.
+        - 2).
+    chains : flat, inverse pivots by which the chains, one for each mode, are solved.
+    modes : flat, the transformed field, where solutions replace pulls.
     measures : whole numbers by which kernels find spheres: length of a row in memory, strides and the like.
     workers, each : number of threads, 0 on a GPU; and a function like `map` that shares calls among them.
     pulls, potentials : for each thread a list of pairs: some planes of `pull`, or of `potential`, and the same planes

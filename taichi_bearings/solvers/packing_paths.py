@@ -126,7 +126,9 @@ class PackingPaths(Paths):
 
     def next_check(self, iteration: int) -> int:
         """Return the iteration at which to read the progress next: that after the next step, but in small samples that
-        at the end. iteration : the one at which it is read now.
+        at the end.
+
+        iteration : the one at which it is read now.
         """
         return iteration + (MOST_STEPS if self.small else 1)
 
@@ -147,7 +149,10 @@ class PackingPaths(Paths):
                         self.ends[number] = self._end(number)
 
     def _path_of(self, number: int) -> Sample:
-        """Return the path of a sample that has one. number : of the sample."""
+        """Return the path of a sample that has one.
+
+        number : of the sample.
+        """
         return self.samples[list(self.strengths).index(number)]
 
     def _end(self, number: int) -> Found:

@@ -77,11 +77,17 @@ class PackingReached(Reached):
         }
 
     def force(self, slip: np.ndarray) -> np.ndarray:
-        """Return the sizes (R samples, E contacts) of the contact forces that were found. slip : not used."""
+        """Return the sizes (R samples, E contacts) of the contact forces that were found.
+
+        slip : not used.
+        """
         return np.stack([forces_of(self.system, _finite(of.force))[0] for of in self.found])
 
     def indicated(self, slip: np.ndarray) -> Indicated:
-        """Return the contacts that take no part, and no state of the others. slip : not used."""
+        """Return the contacts that take no part, and no state of the others.
+
+        slip : not used.
+        """
         state = np.where(self.judgement.acts, UNDECIDED, DRIVEN)
         if len(self.found) == 1:
             return Indicated(state)
@@ -154,7 +160,10 @@ def _finite(force: np.ndarray) -> np.ndarray:
 def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:
     """Return the state in which no contact slips and none bears a force, to the rounding of sums of two doubles.
 
-    system : contacts that take part. packing : one sample. found : spins and forces of a method, to be replaced."""
+    system : contacts that take part.
+    packing : one sample.
+    found : spins and forces of a method, to be replaced.
+    """
     from taichi_bearings.conic.rolling import rolled  # and with it Taichi's kernels
 
     start = exactly(np.zeros(system.unknowns))

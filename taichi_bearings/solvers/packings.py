@@ -84,7 +84,9 @@ def least_power(
 
 
 def _able(scene: Bearing, method: str) -> str:
-    """Return the name of the method that solves a packing. method : its name, or "auto" for the quickest one.
+    """Return the name of the method that solves a packing.
+
+    method : its name, or "auto" for the quickest one.
 
     Exact cuts need a law with friction alone and contacts that each couple one spin component.
     """

@@ -19,7 +19,10 @@ class Part(ABC):
     iteration: int
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next. iteration : the one at which it was read now."""
+        """Return the iteration at which to read the progress next.
+
+        iteration : the one at which it was read now.
+        """
         return iteration + 1
 
     @abstractmethod

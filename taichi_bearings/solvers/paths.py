@@ -74,7 +74,9 @@ def _settled(state: Mapping[str, np.ndarray], number: int, now: Iterate) -> Reso
     """Return the settled minimum of a sample (spins, forces and which contacts slip) from the arrays of a checkpoint;
     raise ValueError if they do not fit it.
 
-    state : all arrays of the checkpoint, by name. number : index of the sample. now : its point on the path.
+    state : all arrays of the checkpoint, by name.
+    number : index of the sample.
+    now : its point on the path.
     """
     begin = f"{number}/settled/"
     given: dict[str, Any] = {n: np.array(state[begin + n]) for n in OF_A_MINIMUM if begin + n in state}

@@ -140,7 +140,8 @@ class Look:
         samples : which of the R samples it is of, r in number. Arrays have the shape (r, n, ...) of the piece; lists
             have one for each component that makes these contacts slip.
         weight : stiffness of these springs over `stiffness`.
-        spins : the components of the lower and of the upper spheres. trial : those of the trial forces.
+        spins : the components of the lower and of the upper spheres.
+        trial : those of the trial forces.
         found : where the components of friction, of spring forces, and of capped spring forces are written.
         limit : coefficient of each contact, 0 where it takes no part, and the inverse of its friction limit, likewise.
         """

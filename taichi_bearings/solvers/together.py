@@ -102,7 +102,8 @@ def _contacts(method: "Swept") -> OnLists:
 def _rest_of_plan(launch: Launch | None, turns: int, plan: Iterator[Launch]) -> Launch | None:
     """Return what is left of a launch after `turns` turns, else the next launch of the plan; None at its end.
 
-    launch : some calls of a kernel with the same constants; None to begin. turns : how many of them were made.
+    launch : some calls of a kernel with the same constants; None to begin.
+    turns : how many of them were made.
     plan : the launches that follow.
     """
     if launch is None or launch.turns == turns:
