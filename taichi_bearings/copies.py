@@ -33,7 +33,7 @@ def context_of_workers() -> Any:
 class Original:
     """The process that is copied to make workers. Elsewhere than under Linux there is none, and workers start anew.
 
-    It is started with the first worker, or before by :meth:`begin`. Whoever has it sees to it that one thread at a time
+    It is started with the first worker, or before by :meth:`begin`. The owner must see to it that one thread at a time
     starts workers.
     """
 
@@ -55,10 +55,13 @@ class Original:
             leaving.add_helper(self._server._forkserver_pid)
 
     def start(self, target: Callable[..., None], arguments: tuple[Any, ...], name: str) -> BaseProcess:
-        """Return a new worker process that calls `target` with these arguments. It ends with this one, and never hears
-        of Ctrl-C and SIGTERM.
+        """Return a new worker process, started. It ends with this process, and never hears of Ctrl-C and SIGTERM.
 
-        Raises EOFError or OSError if there is none, as after :meth:`give_up`.
+        target : function that the worker calls.
+        arguments : what it is called with.
+        name : name of the worker process.
+
+        Raises EOFError or OSError if no process can be started, as after :meth:`give_up`.
         """
         process: BaseProcess = context_of_workers().Process(target=target, args=arguments, daemon=True, name=name)
         if self._server is None:
@@ -112,8 +115,9 @@ _begun: list[Original] = []  # the process that `begun_early` has started, until
 
 @contextlib.contextmanager
 def begun_early() -> Iterator[None]:
-    """Start the process that is copied to make workers, so that it loads the program while this process does. It is for
-    whoever first calls :func:`take_original` inside the block; else it ends with the block."""
+    """Context at whose begin the process starts that is copied to make workers, so that it loads the program while this
+    process does. The first call of :func:`take_original` inside the block returns it; if there is no such call, it is
+    ended with the block."""
     original = Original()
     original.begin()
     _begun.append(original)
@@ -126,8 +130,12 @@ def begun_early() -> Iterator[None]:
 
 
 def take_original() -> Original:
-    """Return the process that :func:`begun_early` has started and nobody has yet, or a new one, which is not started.
-    The caller has to end it."""
+    """Return the process that :func:`begun_early` has started, if no caller has taken it yet; otherwise a new one that
+    is not started.
+
+    An `Original` is a process that has loaded the program and does nothing else: worker processes are copies of it. The
+    caller has to end it.
+    """
     return _begun.pop() if _begun else Original()
 
 

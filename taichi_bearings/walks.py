@@ -79,16 +79,24 @@ class _Kept:
     """The walks that one process finds in a folder and adds to it. A walk is the sequence of calls of the compiler's
     core by which the source of a kernel becomes intermediate code.
 
-    core : the compiled part of Taichi. reader : the module of Taichi that defines the class of kernels.
-    folder : where the files of walks lie. writes : True if new walks are kept.
+    core : the compiled module of Taichi.
+    reader : the Python module of Taichi that turns the source of kernels into calls of the core.
+    folder : where files of walks are stored.
+    writes : True if walks that are not stored yet are recorded there.
     """
 
     def __init__(self, core: Any, reader: Any, folder: Path, writes: bool) -> None:
-        """Take the compiler's core, its module of kernels, the folder, and whether new walks (recorded calls of the
-        core that translate a kernel) are written into it.
+        """Prepare to repeat stored walks and to record new ones; a walk is the list of calls of Taichi's compiled core
+        that translate one kernel.
+
+        core : the compiled module of Taichi.
+        reader : the Python module of Taichi that turns the source of kernels into calls of the core.
+        folder : where files of walks are stored.
+        writes : True if walks that are not stored yet are recorded there.
         """
         self.core, self.reader, self.folder, self.writes = core, reader, folder, writes
-        # one walk at a time is made; the compiler's settings as texts, by the `id` of Taichi's program
+        # `_lock` : held while a walk is made, so that there is one at a time
+        # `_settings` : settings of the compiler as texts, by the `id` of Taichi's program
         self._lock, self._settings = threading.Lock(), dict[int, list[str]]()
 
     def materialize(self) -> Callable[..., None]:
@@ -103,8 +111,10 @@ class _Kept:
             A walk is this translation, as the list of calls of the compiler's core. `kernel.walked` is Taichi's method;
             `_repeated` uses a file, and `_walked` calls Taichi's method and writes a file.
 
-            kernel : as `self` in Taichi's method. key : under which Taichi finds the compiled kernel again.
-            args : the arguments. arg_features : what the compiler looks at in each of them.
+            kernel : the kernel, `self` of Taichi's method.
+            key : key under which Taichi finds the compiled kernel again.
+            args : arguments with which the kernel is called.
+            arg_features : for each argument what the compiler looks at in it, such as the type of an array.
             """
             kernel.runtime.materialize()
             if key in kernel.compiled_kernels:
@@ -144,7 +154,9 @@ class _Kept:
         """Make the intermediate code of a kernel by the walk in a file: repeat the calls of the compiler's core that
         an earlier process recorded. Return False if there is no such file, or none that can be used.
 
-        key : under which Taichi finds the compiled kernel again. place : path of the file.
+        kernel : the kernel of Taichi.
+        key : key under which Taichi finds the compiled kernel again.
+        place : path of the file.
         """
 
         def generator(made: Any) -> None:
@@ -167,7 +179,9 @@ class _Kept:
         """Have the compiler walk through a kernel's source, which translates it into intermediate code, and write the
         calls of the core that it makes to a file, if `self.writes`.
 
-        wishes : the arguments of `Kernel.materialize`. place : path of the file.
+        kernel : the kernel of Taichi.
+        wishes : the arguments of `Kernel.materialize`: key, arguments of the kernel, and features of these.
+        place : path of the file.
 
         Errors of the walk are raised, as without this module. Errors of writing it down are not: then no file is kept.
         """
@@ -227,7 +241,10 @@ class _Record:
     """
 
     def __init__(self, core: Any) -> None:
-        """Begin without calls. core : the compiled part of Taichi."""
+        """Begin without recorded calls.
+
+        core : the compiled module of Taichi.
+        """
         # The rest is what `walk` makes of the calls. The place of a value is the number, from 0, of the step that
         # returns it, or a negative number for an object that every walk begins with (`_given`, by type) or for a
         # constant (`_constants`, by how it is stored). `_places` has it by the `id` of the value. `_steps` are the

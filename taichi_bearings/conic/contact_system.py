@@ -107,11 +107,12 @@ class ContactSystem:
     ) -> "ContactSystem":
         """Return the system of some contacts of a network over some of its spins, with rows along the tangents.
 
-        contact : (n,), numbers of the contacts. known : (N, C), u of the spheres where it is imposed.
-        wanted : (N, C) mask of the unknowns. number : number of motions without slip that were taken out already; None
-            if undecided.
-
-        Letters: n contacts, C spin components, N spheres.
+        network : the spheres and their contacts.
+        contact : (n,), numbers of the n contacts of the system.
+        known : (N, C), u = radius * spin of N spheres with C spin components where it is imposed, length/time.
+        wanted : (N, C) mask of the spins that are unknown.
+        number : number of independent motions that make no contact slip, which were taken out already; None if that is
+            undecided.
         """
         spins, sphere = known[network.contact[:, contact]].sum(axis=0), np.nonzero(wanted)[0]
         moved = np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
@@ -226,8 +227,11 @@ class ContactSystem:
         return np.where(self.moved >= 0, own if self.sign is None else self.sign * own, self.known)
 
     def to_all_digits(self, spins: np.ndarray) -> np.ndarray:
-        """Return the slips (d, n) for unknowns `spins` (unknowns,), with the relative precision of doubles even where
-        terms cancel. Letters: n contacts with up to d slip components."""
+        """Return the slips (d, n) of n contacts with up to d components, with the relative precision of doubles even
+        where terms cancel.
+
+        spins : (unknowns,), values of the unknown spins.
+        """
         if self.ends is not None:
             return self.differences(spins)
         first, second = self.all_spins(spins)[self.network.contact[:, self.contact]]
@@ -284,18 +288,27 @@ class ContactSystem:
         return ContactSystem(self.unknowns * count, offset, felt, ends, place=place)
 
     def change(self, step: np.ndarray) -> np.ndarray:
-        """Return the change of the slips (d, n) for a change `step` (unknowns,) of the spins: K times the step. Of S
-        samples, (unknowns, S) gives (d, n, S). Letters: n contacts with up to d slip components, S samples."""
+        """Return the change of the slips that a change of the spins makes, (d, n), of n contacts with up to d
+        components: K times the step, where K is the matrix that turns unknown spins into slips.
+
+        step : (unknowns,), change of the spins; (unknowns, S) of S samples gives (d, n, S).
+        """
         return (self.operator @ step).reshape(*self.offset.shape, *step.shape[1:])
 
     def differences(self, spins: np.ndarray) -> np.ndarray:
-        """Return the slips (d, n) for spins (unknowns,): K times the spins, plus what imposed spins contribute.
-        Letters: n contacts with up to d slip components."""
+        """Return the slips (d, n) of n contacts with up to d components: K, the matrix that turns unknown spins into
+        slips, times the spins, plus what imposed spins contribute.
+
+        spins : (unknowns,), values of the unknown spins.
+        """
         return self.change(spins) + self.offset
 
     def torques(self, forces: np.ndarray) -> np.ndarray:
-        """Return the torques (unknowns,) of forces (d, n) on the contacts: K^T times the forces. Of S samples, (d, n,
-        S) gives (unknowns, S). Letters: n contacts with up to d slip components."""
+        """Return the torques (unknowns,) that contact forces exert: K^T times the forces, where K is the matrix that
+        turns unknown spins into slips.
+
+        forces : (d, n), on n contacts with up to d slip components; (d, n, S) of S samples gives (unknowns, S).
+        """
         return self.transposed @ forces.reshape(-1, *forces.shape[2:])
 
     def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
@@ -329,13 +342,18 @@ class ContactSystem:
         return count, piece
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return all terms of the matrix K^T S K, with a symmetric stiffness (d, d) of each contact in S, as four
-        arrays of the same length: first and second unknown (each pair once), index in the `stacked` stiffnesses,
-        factor.
+        """Return all terms of the matrix K^T S K, as four arrays (terms,). An entry of the matrix is the sum of its
+        terms, each a factor times a stiffness.
 
-        An entry of the matrix is the sum of its terms, factor times stiffness.
+        K, (d*n, unknowns), turns the unknown spins into slips of n contacts with up to d components. S is block
+        diagonal, with one symmetric stiffness (d, d) for each contact. `stacked` stiffnesses are its d (d + 1) / 2
+        distinct entries, one after another, each for all contacts.
 
-        Letters: d slip components.
+        returns : four arrays (terms,):
+            number of the first unknown, which gives the row of the entry;
+            number of the second unknown, which gives its column; each pair of unknowns is in one order only;
+            index of the stiffness in the `stacked` stiffnesses;
+            factor of the stiffness.
         """
         d, count = self.offset.shape
         found, ends = [], [self._unknowns_of(slip) for slip in range(d)]
@@ -349,9 +367,11 @@ class ContactSystem:
         return first, second, source, factor
 
     def _unknowns_of(self, slip: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return which unknown spins make slip component number `slip` (0 to d - 1) of each of n contacts, as a list of
-        pairs of arrays (n,): first unknown and its factor, 0 if there is none; second unknown and its factor; and so
-        on."""
+        """Return which unknown spins make one slip component of each of n contacts, as a list of pairs of arrays (n,):
+        number of a first unknown and its factor, 0 if there is none; a second unknown and its factor; and so on.
+
+        slip : number of the slip component, from 0.
+        """
         if self.ends is None:
             count = self.offset.shape[1]
             return _ends(self.operator[slip * count : (slip + 1) * count])
@@ -363,8 +383,11 @@ class ContactSystem:
 
 
 def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return for each row of the matrix `slips` (n, unknowns) its unknowns and factors, as a list of pairs of arrays
-    (n,): first unknown and its factor, 0 if there is none; second unknown and its factor; and so on."""
+    """Return the entries of a sparse matrix row by row, as a list of pairs of arrays (n,): column of the first entry of
+    each row and its value, 0 if there is none; column of the second entry and its value; and so on.
+
+    slips : (n, unknowns), the matrix that turns unknown spins into one slip component of n contacts.
+    """
     counts = np.diff(slips.indptr)
     row, most = np.repeat(np.arange(len(counts)), counts), int(counts.max(initial=1))
     place = np.arange(len(row)) - slips.indptr[row]
@@ -395,25 +418,34 @@ def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def free_spins(staggered: np.ndarray) -> np.ndarray:
-    """Return the spins (R samples, unknowns) of the free spheres of a lattice, from staggered spins (C, R, *N) of all.
-    The component varies fastest. Driven are the first and the last plane along the last axis. Letters: C spin
-    components, R samples, N the shape of the lattice."""
+    """Return the staggered spins of the free spheres of a lattice, (R, unknowns); the component varies fastest.
+
+    staggered : (C, R, *N), spins of all spheres with the sign flipped on every second one, with C components, R samples
+        and N the shape of the lattice. The first and the last plane along the last axis are driven, the others free.
+    """
     return np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(staggered.shape[1], -1)
 
 
 def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndarray) -> None:
-    """Write spins (unknowns,) of the free spheres of sample number `replica`, or (R, unknowns) of a slice of samples,
-    into staggered spins (C, R, *N): the inverse of :func:`free_spins`. Letters: C spin components, R samples, N the
-    shape of the lattice."""
+    """Write the spins of free spheres into an array over all spheres of a lattice, in place: the inverse of
+    :func:`free_spins`.
+
+    staggered : (C, R, *N), the array: spins with the sign flipped on every second sphere, with C components, R samples
+        and N the shape of the lattice.
+    replica : number of the sample, or a slice of samples.
+    spins : (unknowns,) staggered spins of that sample, or (samples, unknowns) of the slice.
+    """
     free = staggered[:, replica, ..., 1:-1]
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 
 
 def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:
-    """Return the system of all contacts of a lattice that can slip, with slips as differences of staggered spins.
+    """Return the system of all contacts of a lattice that can slip, with slips as differences of staggered spins: spins
+    with their sign flipped on every second sphere.
 
-    spin_axes : the C spin components that are unknown. The number of an unknown is that of its free sphere times C,
-        plus the position of its component in `spin_axes`.
+    lattice : the spheres and contacts.
+    spin_axes : numbers of the C spin components that are unknown. The number of an unknown is that of its free sphere
+        times C, plus the position of its component in `spin_axes`.
     jump : (C, *plane), staggered spin of the top, measured from the bottom; (C,) if it is the same on the whole top.
     """
     sphere, unknowns = number_free(lattice.shape), int(np.prod(lattice.free_shape)) * len(spin_axes)

@@ -63,8 +63,8 @@ class Step:
 class Unknowns(ABC):
     """The spins of a bearing that contacts can turn, as one vector.
 
-    system : the contacts, with imposed spins in the unit of spin.
-    order : order in which the unknowns are eliminated.
+    system : the contacts, as a function of the unknowns; imposed spins are in the unit of spin.
+    order : (unknowns,), numbers of the unknowns in the order in which a Cholesky factorisation eliminates them.
     rows : number of components of the force on a contact.
     """
 
@@ -74,25 +74,42 @@ class Unknowns(ABC):
 
     @abstractmethod
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the unknowns (R, unknowns) of all samples, from spins (C, R, *N) by component, sample and sphere.
-        Letters: C spin components, R samples, N the shape of the lattice."""
+        """Return the unknowns of all samples, (R, unknowns).
+
+        staggered : (C, R, *N), spins by component, sample and sphere, with C components, R samples and N the shape of
+            arrays over the spheres.
+        """
 
     @abstractmethod
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Write the unknowns `spins` (unknowns,) of sample number `replica` into spins (C components, R, *N), in place.
-        Letters: C spin components, R samples, N the shape of the lattice."""
+        """Write the unknowns of one sample into an array over all spheres, in place.
+
+        staggered : (C, R, *N), the array: spins by component, sample and sphere, with C components, R samples and N the
+            shape of arrays over the spheres.
+        replica : number of the sample.
+        spins : (unknowns,), what is written.
+        """
 
 
 class OfLattice(Unknowns):
     """All free spins of a lattice in some components; all other components are at rest.
 
-    spin_axes : numbers of these components, 0 to 2. height : axis from the bottom plane to the top plane.
+    Staggered spins are spins with their sign flipped on every second sphere, so that neighbours which roll on each
+    other have equal ones.
+
+    spin_axes : numbers of the components that are unknown, 0 to 2.
+    height : number of the axis from the bottom plane to the top plane.
+    system : the contacts that these components make slip.
+    order : (unknowns,), numbers of the unknowns in their order of elimination.
+    rows : number of components of the force on a contact: one for each entry of `spin_axes`.
     """
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float) -> None:
-        """Take some spin components of a scene on a lattice.
+        """Make the contact system of some spin components on a lattice, and find an order of elimination.
 
-        spin_axes : their numbers, 0 to 2. unit : difference of spins that is counted as one, 1/time.
+        scene : the bearing, whose spheres are on a lattice.
+        spin_axes : numbers of the spin components, 0 to 2.
+        unit : difference of spins that is counted as one, 1/time.
         """
         self.system = lattice_system(scene.lattice, spin_axes, scene.top_spin(spin_axes) / unit)
         self.order, self.spin_axes, self.height = (
@@ -103,15 +120,24 @@ class OfLattice(Unknowns):
         self.rows = len(spin_axes)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the spins (R, unknowns) of the free spheres in R samples, from staggered spins (C, R, *N) of all, with
-        C components and N the shape of the lattice.
+        """Return the staggered spins of the free spheres as one vector for each sample, (R, unknowns).
+
+        staggered : (C, R, *N), spins of all spheres with the sign flipped on every second one, with C components, R
+            samples and N the shape of the lattice.
         """
         return free_spins(staggered)
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Write the unknowns `spins` (unknowns,) of sample number `replica` into staggered spins (C, R, *N). The mean
-        of each layer about the height stays as it was, since no contact changes it; rounding must not either. Letters:
-        C spin components, R samples, N the shape of the lattice."""
+        """Write the spins of the free spheres of one sample into an array over all spheres, in place.
+
+        staggered : (C, R, *N), the array: spins with the sign flipped on every second sphere, with C components, R
+            samples and N the shape of the lattice.
+        replica : number of the sample.
+        spins : (unknowns,), the staggered spins to be written.
+
+        No contact changes the mean, over a layer, of the spin component along the height axis. So that mean is restored
+        here, lest rounding change it.
+        """
         before = staggered[:, replica, ..., 1:-1].copy()
         place_free_spins(staggered, replica, spins)
         if self.height in self.spin_axes:
@@ -124,8 +150,12 @@ class OfNetwork(Unknowns):
     """Free spins of any network, each multiplied by the root of its inertia over the mean one, so that all are equally
     hard to turn. Components that turn no contact are left out.
 
-    sphere, component : (unknowns,), sphere and spin component of each unknown.
+    sphere : (unknowns,), number of the sphere of each unknown.
+    component : (unknowns,), number of the spin component of each unknown.
     root : (unknowns,), root of the sphere's inertia over the mean inertia.
+    system : the contacts as a function of the unknowns.
+    order : (unknowns,), numbers of the unknowns in their order of elimination.
+    rows : number of components of the force on a contact: one for each tangent direction.
     """
 
     def __init__(self, bearing: Bearing, unit: float, inertia: np.ndarray) -> None:
@@ -157,28 +187,38 @@ class OfNetwork(Unknowns):
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
         """Return the unknowns (R, unknowns) of R samples: u = radius * spin of each free sphere and component, times
-        the root of its inertia over the mean one. staggered : u of all N spheres, (C, R, N), with C components.
+        the root of its inertia over the mean one.
+
+        staggered : (C, R, N), u of all N spheres, with C spin components; no signs are flipped in a packing.
         """
         return np.asarray(self.root * np.moveaxis(staggered, 1, 0)[:, self.component, self.sphere])
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Write the unknowns `spins` (unknowns,) of sample number `replica`, divided by the roots of the inertia, into
-        spins (C, R, N). Letters: C spin components, R samples, N spheres."""
+        """Write the spins of one sample into an array over all spheres, in place.
+
+        staggered : (C, R, N), the array: u = radius * spin, with C spin components, R samples and N spheres.
+        replica : number of the sample.
+        spins : (unknowns,), values of u times the root of inertia over mean inertia; they are divided by that root.
+        """
         staggered[self.component, replica, self.sphere] = spins / self.root
 
 
 class ProximalSteps:
-    """Implicit Euler steps in time of the samples of a bearing, each solved as a minimum.
+    """Makes implicit Euler steps in time of the samples of a bearing, each solved as a minimum.
 
-    scene : the bearing. unknowns : its spins as one vector.
-    unit : difference of spins that is counted as one. inertia : mean moment of inertia of the spheres; over radius
-        squared if the unknowns are :class:`OfNetwork`.
+    scene : the bearing.
+    unknowns : its spins as one vector.
+    unit : difference of spins that is counted as one, 1/time; of u = radius * spin, length/time, if the unknowns are
+        :class:`OfNetwork`.
     """
 
     def __init__(self, scene: Bearing, unknowns: Unknowns, unit: float, inertia: float) -> None:
         """Scale coefficients and inertia of every sample, and analyse the Newton matrix.
 
-        scene : the bearing. unknowns : its spins as one vector. unit : difference of spins counted as one, 1/time.
+        scene : the bearing.
+        unknowns : its spins as one vector.
+        unit : difference of spins that is counted as one, 1/time; of u = radius * spin, length/time, if the unknowns
+            are :class:`OfNetwork`.
         inertia : mean moment of inertia of the spheres; over radius squared if the unknowns are :class:`OfNetwork`.
         """
         self.scene, self.unknowns, self.unit = scene, unknowns, unit
@@ -236,7 +276,8 @@ class ProximalSteps:
         Newton steps begin without forces of friction, at the spins before the step (or at those at which viscous
         forces balance). The bounds of the slips begin above them by about the root mean square of all slips.
 
-        friction, viscosity : (n,), over the mean coefficient of the sample; no viscosity: None.
+        friction : (n,), coefficients of friction of the n contacts, over their mean in the sample.
+        viscosity : (n,), viscosities in units of the sample; None without viscous forces.
         inertia : what resists a change of the spins; its `origin` (unknowns,) is the spins before the step.
 
         Letters: n contacts.

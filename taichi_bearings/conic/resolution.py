@@ -401,26 +401,31 @@ def _smooth_minima(
 
 
 class _SmoothPower:
-    """The power of some samples as a function of the spins while all contacts that do not slip are tied. It is smooth.
+    """Minimises the power of some samples while all contacts that do not slip are tied: their slip is held at zero, and
+    all spins that they join become one unknown. The power of the other contacts is a smooth function of the unknowns.
 
-    iterates, samples : for each sample the point of the central path with its frictions; number of samples.
+    iterates : for each sample the point of the central path with its frictions (the central path leads from a smoothed
+        power to the power itself).
+    samples : number of samples.
     slipping : for each sample a mask (n,) of its n contacts that slip.
-    tied : the contacts that are left, and the unknowns: one for each set of spins that tied contacts make equal.
-    matrix : second derivative of the power, factorised sample by sample.
-    friction, viscosity : (kept,), of the contacts that are left, `kept` in number, all samples one after the other; no
-        viscosity: None.
-    spins : (unknowns left,), where the samples are, as sums of two doubles. difference : (d, kept), the slips there.
-    balanced : (samples,) mask of those that have come to the minimum of this function.
+    tied : the contacts that are left, `kept` in number in all samples together, and the unknowns that are left.
+    matrix : second derivative of the power by the unknowns, factorised sample by sample.
+    friction : (kept,), friction of the contacts that are left, all samples one after the other.
+    viscosity : (kept,), viscosities of the contacts that are left; None if there are none.
+    spins : (unknowns left,), the spins reached so far, as a pair of arrays of which the sum is meant.
+    difference : (d, kept), the slips at these spins, with up to d components.
+    balanced : (samples,) mask of those in which all torques balance: they have come to the minimum.
     """
 
     def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], shared: Surroundings) -> None:
         """Tie all contacts that do not slip, which makes the spins across each of them equal, and analyse the matrix of
-        second derivatives.
+        second derivatives of the power by the unknowns that are left.
 
         iterates : for each sample the point of the central path, whose frictions and viscosities are used.
-        slipping : for each sample a mask (n,) of its contacts that slip.
+        slipping : for each sample a mask (n,) of its n contacts that slip.
         shared : what all samples share: system of contacts, order of elimination, Newton matrix.
         """
+        # `tied.kept` : numbers of the contacts that are left, all samples one after the other
         self.iterates, self.samples, whole = iterates, len(iterates), shared.system.copies(len(iterates))
         self.tied = Contraction(whole, shared.order, ~np.concatenate(slipping), self.samples)
         self.slipping = self.everywhere(np.ones(len(self.tied.kept), dtype=bool))
@@ -429,7 +434,9 @@ class _SmoothPower:
         self.friction = np.concatenate([iterate.friction for iterate in iterates])[self.tied.kept]
         viscosity = [iterate.viscosity for iterate in iterates if iterate.viscosity is not None]
         self.viscosity = np.concatenate(viscosity)[self.tied.kept] if viscosity else None
+        # `balanced` : (samples,), True where all torques balance
         self.balanced = np.zeros(self.samples, dtype=bool)
+        # set by `descend` : the spins (unknowns left,) as a pair of arrays to be added; and the slips (d, kept) there
         self.spins: Pair
         self.difference: np.ndarray
 
@@ -474,8 +481,8 @@ class _SmoothPower:
 
     @property
     def dual(self) -> np.ndarray:
-        """(d, kept), minus the friction forces: all friction of each contact left, along its slip. Letters: d slip
-        components."""
+        """(d, kept), minus the friction forces on the contacts that are left, `kept` in number: the full friction of
+        each, along its slip. Letters: d slip components."""
         return -self.friction * self.difference / length(self.difference)
 
     def resolved(self, top: Pair | None) -> list[Resolved | None]:

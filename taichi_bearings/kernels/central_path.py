@@ -421,11 +421,12 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
 
 
 def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return two tuples of the rows of memory that a pass over the contacts writes, one for contacts with one slipping
-    component and one for contacts with two. A row has one number of every contact.
+    """Return two tuples with the numbers of the rows that a pass over all contacts writes: for contacts with one
+    slipping component, and for contacts with two, whose vectors take more rows. A row of memory has one number of every
+    contact.
 
-    rows : for each quantity that is written a pair: its first row, and how many rows it has, itself a pair of numbers:
-        for contacts with one component, and with two.
+    rows : for each quantity that is written a pair: number of its first row; and how many rows it has, itself a pair,
+        for contacts with one component and with two.
     """
     one, two = (tuple(first + k for first, counts in rows for k in range(counts[kind])) for kind in (0, 1))
     return one, two
@@ -450,19 +451,22 @@ def walk(
     values: ti.template(), blocks: ti.template(), found: ti.template(), law: ti.template(), length, block,
     slots: ti.template(), writes: ti.template(), finds: ti.template(), like: ti.template(), numbers: ti.template(),
 ):  # fmt: skip
-    """Apply a law to a block of contacts: write what it returns into rows, and add up or take the least of the rest.
+    """Call law(contact) for every contact of one block (BLOCK contacts with neighbouring numbers), write the first
+    numbers that it returns into rows, and reduce each of the others to a sum or a least number.
 
-    values, blocks : all rows, flat, and the same memory in blocks.
-    found : (FOUND, n) blocks, flat: sums and least numbers for each place of a block. Blocks of contacts take turns
-        among the n, so that each sample has sums of its own, in the same order however many samples there are.
+    values : numbers of the iterate and of two steps, flat, row by row; a row has one number of every contact.
+    blocks : the same memory as vectors of BLOCK numbers.
+    found : (FOUND, n) vectors of BLOCK numbers, flat: sums and least numbers, one for each contact of a block. Blocks
+        take turns among the n, so that each sample has sums of its own, in the same order however many samples there
+        are.
     law : function of one contact that returns a list of numbers, such as `prepared`.
     length : length of a row.
     block : number of the block.
-    slots : which of the two steps is read, and which is written, 0 or 1.
-    writes : rows of the iterate, and rows of the step, that the law writes.
-    finds : for each number that the law returns after those that are written, its place in `found`; below LEAST_FOUND
-        the least is taken, else the sum.
-    like : a list with as many entries as slipping components.
+    slots : two numbers, 0 or 1: which of the two steps is read, and which is written.
+    writes : pair of tuples: rows of the iterate, and rows of the step, into which the first numbers of the list go.
+    finds : for each further number of the list, its index (0 to FOUND - 1) in the first axis of `found`; below
+        LEAST_FOUND the least is taken, else the sum.
+    like : a list with 1 or 2 entries, of which only the length counts: the slipping components of a contact.
     numbers : what the law takes besides, such as the length of a step.
     """
     # where the numbers of the block's first contact stand, in the rows of the iterate and of the two steps
@@ -489,27 +493,29 @@ def walk(
 def _pass(
     law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
 ) -> tuple[Callable, Callable]:
-    """Return two kernels that apply a law to contacts: one to those with one slipping component, one to those with two.
+    """Return two kernels that call law(contact) for many contacts: one for contacts with one slipping component, one
+    for those with two. Each is compiled only where there are such contacts.
 
-    Each is compiled only where there are such contacts.
+    law : function of one contact that returns a list of numbers, such as `prepared`: first the new values of the rows
+        that it writes, then numbers that are reduced over all contacts. A row has one number of every contact.
+    iterate : rows of the iterate that the law writes, as two tuples: for contacts with one slipping component, and for
+        contacts with two, whose vectors take more rows.
+    step : rows of the step that the law writes, as two such tuples; their values follow those of `iterate`.
+    finds : for each number to be reduced, the index (0 to FOUND - 1) of its result; below LEAST_FOUND the least number
+        over all contacts is taken, else the sum."""
+    return _kernel_of(law, (iterate[0], step[0]), finds, (0,)), _kernel_of(law, (iterate[1], step[1]), finds, (0, 1))
+
+
+def _kernel_of(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
+    """Return a kernel that calls law(contact) for every contact of a range of blocks, BLOCK contacts each, and stores
+    the numbers that it returns: first new numbers of the iterate and of the step, then numbers to be reduced.
 
     law : function of one contact that returns a list of numbers, such as `prepared`.
-    iterate, step : rows of the iterate, and of the step, that the law writes, each a pair of tuples for the two kinds
-        of contacts. They come first in the list.
-    finds : for each number that follows in the list, the place (0 to FOUND - 1) of the sum, or least number, over all
-        contacts to which it is added."""
-    return _walked(law, (iterate[0], step[0]), finds, (0,)), _walked(law, (iterate[1], step[1]), finds, (0, 1))
-
-
-def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
-    """Return a kernel that makes a pass over contacts which all have the same number of slipping components: it applies
-    a function, the law, to each of them, and writes what it returns.
-
-    law : function of one contact that returns a list of numbers, such as `prepared`.
-    writes : pair of tuples: rows of the iterate, and rows of the step, into which the first of these numbers go.
-    finds : for each further number that the law returns, the place of its sum, or of its least value, over all
-        contacts.
-    like : a list with as many entries as these contacts have slipping components, 1 or 2.
+    writes : (rows of the iterate, rows of the step), two tuples in the order of the list; a row has one number of every
+        contact.
+    finds : for each remaining number of the list, the index (0 to FOUND - 1) of its result; below LEAST_FOUND the least
+        number over all contacts is taken, else the sum.
+    like : tuple with 1 or 2 entries, of which only the length counts: the slipping components that each contact has.
     """
 
     @ti.kernel
@@ -517,10 +523,12 @@ def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable
         values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first: int, end: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
-        """Apply the law to the blocks of contacts first ... end-1.
+        """Call the law for the contacts of the blocks first ... end-1, BLOCK contacts each.
 
-        values, blocks : all rows, flat, and the same memory in blocks; a row has one number of every contact.
-        found : flat array of sums and least numbers over contacts, a number for each place of a block; it is changed.
+        values : numbers of the iterate and of two steps, flat, row by row; a row has one number of every contact.
+        blocks : the same memory as vectors of BLOCK numbers.
+        found : flat array of sums and least numbers, each a vector with one number for each contact of a block; it is
+            changed.
         numbers : what the law takes besides, such as the length of a step.
         length : length of a row.
         read_slot, write_slot : which of the two steps in memory is read, and which is written, 0 or 1.

@@ -146,10 +146,12 @@ def gather(
 
     alone : True for one matrix, False for LANES of them.
     unit : number of rows that make a vector; columns are cleared from a multiple of it on.
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
     first, end : the columns first ... end-1 are filled.
-    entries : entries of the matrix.
-    numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows, which are read and written."""
+    entries : entries of the matrix, in the order of the tables.
+    numbers : entries of all fronts, one by one; read and written.
+    vectors : the same entries as vectors of `unit` rows."""
     # set the columns to zero, from the diagonal down
     columns, height, step = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP]
     column = first
@@ -190,10 +192,11 @@ def gather(
 
 @ti.func
 def corner(numbers: ti.template(), shape: ti.template(), j, wide: ti.template()):
-    """Return the lower triangle where `wide` neighbouring columns meet the diagonal, row by row in a list.
+    """Return the lower triangle where `wide` neighbouring columns of a front (a dense block of the factorisation) meet
+    the diagonal, row by row in a list.
 
-    What the columns before contribute is subtracted. If these are own columns the triangle is factorised; its diagonal
-    then holds the inverse pivots, which the substitutions need.
+    What the columns before contribute is subtracted. If these are own columns (of unknowns that this front eliminates)
+    the triangle is factorised; its diagonal then holds the inverse pivots, which the substitutions need.
 
     numbers : entries of all fronts.
     shape : six numbers: index where the own columns before these begin, where they end, and the distance between them;
@@ -233,12 +236,15 @@ def block(
     columns before contribute, and divide own columns (of unknowns that are eliminated here) by their triangle at the
     diagonal.
 
-    numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
+    numbers : entries of all fronts (dense blocks of the factorisation), one by one.
+    vectors : the same entries as vectors of `unit` rows.
+    unit : rows that make a vector; 1 if each entry is a vector of LANES matrices.
     shape : six numbers: index where the own columns before these begin, where they end, and the distance between them;
         index where row 0 of these columns would stand, and the distance between them; True if they are own columns.
     j : number of the first of the columns in the front.
     i : number of the first vector of rows.
-    first : the triangle at the diagonal, row by row in a list, with inverse pivots."""
+    first : the triangle of these columns at the diagonal, row by row in a list, with inverse pivots.
+    wide, tall : number of columns, and of vectors of rows, that are finished."""
     source, end, height, start, pitch, own = shape
     to = [(start + c * pitch) // unit + i for c in ti.static(range(wide))]
     found = [vectors[to[c] + r] for c in ti.static(range(wide)) for r in ti.static(range(tall))]
@@ -273,9 +279,13 @@ def panel(
     Own columns are those of unknowns that are eliminated in this front; the others belong to its update, which is left
     for later unknowns.
 
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
-    numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
-    j : number of the first of the columns in the front."""
+    tables : integers that say where the entries of all fronts (dense blocks of the factorisation) stand.
+    at : position in `tables` of the row of integers of this front.
+    numbers : entries of all fronts, one by one.
+    vectors : the same entries as vectors of `unit` rows.
+    unit : rows that make a vector; 1 if each entry is a vector of LANES matrices.
+    j : number of the first of the columns in the front.
+    wide : how many columns, PANEL or 1."""
     own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + OWN_COLUMNS]
     pitch = height if j < own else tables[at + UPDATE_HEIGHT] - sheets_before(tables, at, j)
     start = column_of(tables, at, j)
@@ -296,12 +306,15 @@ def panel(
 
 @ti.func
 def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
-    """Eliminate the own unknowns of a front, PANEL columns at a time, and compute its update: the matrix that is left
-    for the later unknowns of the front.
+    """Eliminate the own unknowns of one front in place (Cholesky), PANEL columns at a time, and leave its update: the
+    matrix for the later unknowns of the front.
 
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
-    numbers, vectors : entries of all fronts, one by one, and as vectors: the same array if each is a vector of LANES
-        matrices; else `unit` rows of one matrix make a vector. What stands above the diagonal has no meaning."""
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
+    numbers : entries of all fronts, one by one; only lower triangles are used.
+    vectors : the same entries as vectors of `unit` rows.
+    unit : rows that make a vector: LANES for a single matrix; 1 for LANES matrices at a time, where each entry is
+        itself a vector with a lane for each matrix, and `vectors` is `numbers`."""
     own, rows, j = tables[at + OWN], tables[at + OWN] + tables[at + BORDER], 0
     while j < rows:
         if j + PANEL <= own or (j >= own and j + PANEL <= rows):
@@ -352,12 +365,12 @@ def eliminate_branches(
 
     A branch is a subtree: a sequence of fronts (dense matrices of unknowns that are eliminated together).
 
-    tables : integers that say where all entries stand; the table of branches holds for each the first front and the
-        end.
+    tables : integers that say where the entries of all fronts stand; its table of branches holds, for each branch, the
+        index of its first front and of the front after its last.
     entries : entries of the matrix, in the order of these tables.
-    numbers, vectors : entries of all fronts, overwritten by the factor: one by one, and as vectors of LANES rows in the
-        same memory.
-    begin, end : the branches begin ... end-1 are worked on.
+    numbers : entries of all fronts, one by one, overwritten by the factor.
+    vectors : the same memory as vectors of LANES rows.
+    begin, end : the branches begin ... end-1 of the table are worked on.
     """
     for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):
         if item % LEAST_CHUNK == 0:
@@ -377,14 +390,14 @@ def _assembly(serial: bool) -> Callable:
 
     @ti.kernel
     def run(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS, begin: int, end: int):
-        """Fill columns of fronts with entries of the matrix and with what their children leave.
+        """Fill columns of fronts with entries of the matrix and with what the fronts below them leave.
 
-        tables : integers that say where all entries stand. A table in it has items of work: front, first column, end of
-            columns.
-        entries : entries of the matrix.
-        numbers, vectors : entries of all fronts, which are written: one by one, and as vectors of LANES rows in the
-            same memory.
-        begin, end : the items begin ... end-1 are done.
+        tables : integers that say where the entries of all fronts stand. Its table of work items has three integers for
+            each: index of a front, first column, and the column after the last.
+        entries : entries of the matrix, in the order of the tables.
+        numbers : entries of all fronts, one by one; columns of the fronts are overwritten.
+        vectors : the same memory as vectors of LANES rows.
+        begin, end : the work items begin ... end-1 are done.
         """
         if ti.static(serial):
             ti.loop_config(serialize=True)

@@ -58,14 +58,20 @@ class Team:
     """
 
     def __init__(self, size: int) -> None:
-        """Begin with all workers. The first launch takes TRIAL_SECONDS, so that the team can soon be made smaller; that
-        of a single worker, which cannot be, takes PIECE_SECONDS.
+        """Begin with all workers.
+
+        The first launch of several workers is planned to take TRIAL_SECONDS, short because the team can be made smaller
+        only between launches; that of one worker, which cannot be made smaller, PIECE_SECONDS.
 
         size : number of workers, threads of the CPU that wait for each other; 0 on a GPU.
         """
+        # `arrived` : counter of the barrier, how often workers have arrived there in this launch
         self.size, self.arrived = size, np.zeros(1, np.int32) if size else ti.ndarray(ti.i32, 1)
+        # `workers` : how many work in the next launch; `piece` : seconds that it is planned to take
         self.workers, self.piece = size, TRIAL_SECONDS if size > 1 else PIECE_SECONDS
+        # `rest_until` : time of the clock until which a smaller team goes on; `rest` : seconds of its next such stretch
         self.rest_until, self.rest = 0.0, FIRST_REST
+        # `seconds` : seconds of one step in the last launch; infinity before the first launch
         self.seconds = math.inf
 
     def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0, together: int = 1) -> None:
@@ -136,14 +142,18 @@ def meet(arrived: ti.template(), target):
 @lru_cache
 def made_once(kind: Callable[..., Made], *configuration: Any) -> Made:
     """Return kind(*configuration), the same object in every call with equal arguments, so that its kernels are compiled
-    once. kind : a class of kernels. configuration : what it is made with."""
+    once.
+
+    kind : a class of kernels.
+    configuration : arguments with which an object of this class is made.
+    """
     return kind(*configuration)
 
 
 @lru_cache(maxsize=16)
 def _constants(numbers: tuple[float, ...]) -> Any:
-    """Return an array on the device with numbers that are the same for all sites, kept for the next call with equal
-    numbers.
+    """Return an array on the device that holds `numbers`, the constants of a kernel; the same array in a later call
+    with equal numbers.
     """
     return on_device(np.array(numbers, dtype=np.float64))
 
@@ -185,16 +195,22 @@ class Sweeps:
         self.join(self.looks_up and not periodic and not self.on_gpu)  # a ring closes at a lower neighbour
 
     def join(self, joined: bool) -> None:
-        """Say whether both parts of a block are made one after the other. joined : True if so."""
+        """Set whether a worker makes both parts of a step for one block (a group of neighbouring sites) before it goes
+        on to the next block; sets `parts` and `repeats` accordingly.
+
+        joined : True if so; False if one part is made for all blocks before the other begins.
+        """
         self.joined = joined
         kind = type(self)
         self.parts, self.repeats = (1, 2) if joined else (kind.parts, kind.repeats)
 
     def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
-        """Make `turns` turns: in one launch or, where launches have to be short, in several.
+        """Make a number of turns, each one step of the method over all sites: in one launch or, where launches have to
+        be short, in several.
 
         fields : the fields that are read and changed.
-        team : threads that make them.
+        team : threads that make the turns.
+        turns : number of turns.
         numbers : constants of the kernel, as many as `Sweeps.numbers` says.
         first : number of the first turn, for kernels in which turns differ.
         """
@@ -202,7 +218,11 @@ class Sweeps:
         team.launch(self.turns, turns, *arguments, first=first, together=self.together)
 
     def compile(self, fields: Fields, team: Team) -> None:
-        """Compile the kernel for these fields, without a turn. team : threads that will run it."""
+        """Compile the kernel for some fields, without making a step.
+
+        fields : arrays that the kernel will read and change; they stay as they are.
+        team : threads that will run it.
+        """
         self.run(fields, team, 0, (0.0,) * self.numbers)
 
     @ti.func

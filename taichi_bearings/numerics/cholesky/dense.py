@@ -24,8 +24,10 @@ from taichi_bearings.numerics.cholesky.layout import update_size
 
 
 def _routine(module: object, name: str) -> Callable[..., None]:
-    """Return a routine of SciPy's compiled BLAS or LAPACK as a function of ctypes. module : cython_blas or
-    cython_lapack.
+    """Return a routine of SciPy's compiled BLAS or LAPACK as a function of ctypes.
+
+    module : cython_blas or cython_lapack of SciPy.
+    name : name of the routine, such as "dgemm".
     """
     capsule = module.__pyx_capi__[name]  # type: ignore[attr-defined]
     read_name, read_pointer = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
@@ -52,12 +54,16 @@ def _count(number: int) -> Any:
 
 @dataclass(frozen=True)
 class Task:
-    """A piece of work on a front, that a thread can do.
+    """A piece of work on a front (a dense block of the sparse matrix) that one thread can do.
 
-    urgency, position : tasks are begun in order of urgency, then position, smallest first. Urgency 0: panels; 1: sheets
-        of large fronts; 2: whole small fronts. Panels of several fronts so alternate and wait for each other least;
-        tasks that nothing waits for fill the end.
-    work : does the task; returns False if a pivot is not positive.
+    urgency : 0 for a panel (some own columns of a large front), 1 for a sheet (some columns of what its elimination
+        leaves for later unknowns), 2 for a whole small front. Tasks with the smallest number are begun first.
+    position : order of tasks of the same urgency, smallest first. For a panel its number in the front, so that the
+        panels of several fronts alternate; otherwise minus the operations of its front, so that the largest come first.
+    work : does the task; returns False if a pivot is not positive or the elimination was stopped.
+
+    Panels come first since other tasks wait for them; small fronts, for which nothing waits, fill idle threads at the
+    end.
     """
 
     urgency: int
@@ -66,7 +72,8 @@ class Task:
 
 
 Call = tuple[int | None, Callable[..., None], tuple[Any, ...]]
-"""A call of LAPACK or BLAS: the panel that has to be done before (-1 the last one, None none); routine; arguments."""
+"""A call of LAPACK or BLAS on a front: number of the panel (group of own columns) that has to be complete before it, -1
+for the last panel, None for no wait; the routine; its arguments."""
 
 
 class DenseFront:
@@ -83,16 +90,21 @@ class DenseFront:
     def __init__(self, own: int, border: int, height: int, pitch: int, columns: int, update: int) -> None:
         """Prepare the calls of LAPACK and BLAS; nothing is computed yet.
 
-        own, border : numbers of own unknowns, and of unknowns of the border.
-        height, pitch : distance from one own column, and from one column of the update, to the next, in doubles.
-        columns, update : addresses of the first diagonal entry of the own columns, and of the update. Only lower
-            triangles are used.
+        own : number of own unknowns, which are eliminated in this front.
+        border : number of later unknowns that they are coupled to.
+        height : distance from one own column to the next, in doubles.
+        pitch : distance from one column of the update (the block of the border) to the next, in doubles.
+        columns : address of the first diagonal entry of the own columns; only their lower triangle is used.
+        update : address of the first diagonal entry of the update; only its lower triangle is used.
         """
-        # `cost` counts operations; `_fault` is set by LAPACK at a pivot that is not positive
+        # `cost` : operations of the elimination
+        # `_fault` : set by LAPACK to a number other than 0 at a pivot that is not positive
+        # `_stopped` : True once the elimination is given up
         self.cost = own**3 / 3 + own**2 * border + own * border**2
         self._fault, self._stopped = ctypes.c_int(0), False
         firsts = range(0, own, tuning.PANEL_COLUMNS)
-        # calls by panel (some own columns) and by sheet (some columns of the update)
+        # `_panels` : for each panel (PANEL_COLUMNS own columns) the calls that factorise it
+        # `_sheets` : for each sheet (SHEET_COLUMNS columns of the update) the calls that subtract from it
         self._panels = [
             _panel_calls(first, own, own + border - first, height, columns, self._fault) for first in firsts
         ]
@@ -100,13 +112,16 @@ class DenseFront:
         for first in range(0, border, tuning.SHEET_COLUMNS):
             left, place = columns + DOUBLE_BYTES * (own + first), update + DOUBLE_BYTES * update_size(first, pitch)
             self._sheets.append(_sheet_calls(own, border - first, height, left, pitch - first, place))
-        # events, set when the panel is complete; none for a small front, all of which is done by one thread
+        # `_done` : for each panel an event that is set when it is complete; empty for a small front, all of which is
+        # done by one thread
         self._done = [Event() for _ in self._panels] if self.cost > tuning.SHARED_FRONT_OPERATIONS else []
 
     def tasks(self) -> list[Task]:
-        """Return the tasks that eliminate the front: a single one for a small front, else one for each panel of own
-        columns and for each sheet of the update. Threads may share the tasks of several fronts, if they are begun in
-        their order."""
+        """Return the tasks that eliminate the front: a single one for a small front, else one for each panel (some own
+        columns) and one for each sheet (some columns of the update, the block of the later unknowns).
+
+        Threads may share the tasks of several fronts, if the tasks are begun in the order of urgency and position.
+        """
         if not self._done:
             return [Task(2, -self.cost, lambda: all(map(self._work, self._panels + self._sheets)))]
         tasks = [Task(0, n, partial(self._work, calls, n)) for n, calls in enumerate(self._panels)]
@@ -151,13 +166,15 @@ class DenseFront:
 
 
 def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fault: ctypes.c_int) -> list[Call]:
-    """Return the calls that factorise a panel: some own columns of a front, from `first` on. They subtract products
-    with the panels before it, factorise its diagonal block, and divide what is below by that.
+    """Return the calls that factorise one panel, up to PANEL_COLUMNS own columns of a front: they subtract products
+    with the panels before it, factorise its diagonal block, and divide the rows below by that block.
 
     A front is a dense symmetric matrix: the columns of its own unknowns first, then those of the later unknowns that
     they are coupled to. Each call is a tuple: number of the panel that it waits for, or None; routine; arguments.
 
-    own, rows : number of own columns, and of rows from the diagonal of this panel down.
+    first : number of the panel's first column in the front.
+    own : number of own columns of the front.
+    rows : number of rows from the panel's first diagonal entry down.
     height : doubles from one column to the next.
     columns : address of the first diagonal entry of all own columns.
     fault : set by LAPACK where a pivot is not positive.
@@ -185,9 +202,12 @@ def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target
     they are coupled to; the block of the later ones is the update. Each call is a tuple: number of the panel of own
     columns that it waits for, -1 for the last one, None for none; routine; arguments.
 
-    own, rows : number of own columns, and of rows of the sheet.
-    height, pitch : doubles from one own column, and from one column of the sheet, to the next.
-    left, target : addresses of the sheet's first row in the own columns, and of the sheet.
+    own : number of own columns of the front.
+    rows : number of rows from the sheet's first diagonal entry down.
+    height : doubles from one own column to the next.
+    left : address, in the first own column, of the row in which the sheet begins.
+    pitch : doubles from one column of the sheet to the next.
+    target : address of the sheet's first diagonal entry.
     """
     width, ld, to = min(tuning.SHEET_COLUMNS, rows), _count(height), _address(target)
     square = (
@@ -207,8 +227,10 @@ def _product(
 ) -> tuple[Any, ...]:
     """Return the arguments of BLAS' `dgemm` for target (rows, width) -= left (rows, depth) right (width, depth)^T.
 
-    left, right, target : addresses of the three matrices, stored column by column. ld, ld_target : distance from one
-        column of left and right, and of target, to the next, in doubles.
+    rows, width, depth : the numbers in these shapes.
+    left, right, target : addresses of the three matrices, each stored column by column.
+    ld : distance from one column of `left`, and of `right`, to the next, in doubles.
+    ld_target : distance from one column of `target` to the next, in doubles.
     """
     return (
         _LEFT_OUT, _TRANSPOSED, _count(rows), _count(width), _count(depth), _MINUS_ONE, left, ld, right, ld, _ONE,

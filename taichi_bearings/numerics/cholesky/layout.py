@@ -25,11 +25,11 @@ class Batch:
     eliminated together, with the later unknowns that they are coupled to.
 
     fronts : (fronts of the batch,), the index of each among all fronts.
-    numbers : memory that they need, in doubles.
-    items : (begin, end) of the work items that assemble these fronts, in the list of all items. An item is some
-        columns of one front, which one thread fills with matrix entries and with what earlier fronts leave. Of
-        branches, subtrees that a kernel works on as a whole: their begin and end in the table of branches.
-    whole : True for branches.
+    numbers : doubles of memory that the fronts need.
+    items : (begin, end) in the list of all work items: those that assemble these fronts. A work item is some columns
+        of one front, which one thread fills with matrix entries and with what earlier fronts leave. If `whole`, (begin,
+        end) in the table of branches instead.
+    whole : True if the batch consists of branches: subtrees of fronts, each of which one kernel call does completely.
     """
 
     fronts: np.ndarray
@@ -153,7 +153,7 @@ class Layout:
 
 
 def whole(count: np.ndarray, unit: int) -> np.ndarray:
-    """Return the counts rounded up to multiples of the unit."""
+    """Return `count`, an array of whole numbers, with each rounded up to a multiple of `unit`."""
     return -(-count // unit) * unit
 
 
@@ -171,8 +171,12 @@ def update_size(border: Integers, height: Integers) -> Integers:
 
 
 def _relatives(parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first child of each front in the elimination tree, and the next child of the same parent, (fronts,)
-    each, -1 for none. parent : (fronts,) index of the front above each, or -1; children come before parents."""
+    """Return two arrays (fronts,): the first child of each front in the elimination tree, and the next child of the
+    same parent; -1 for none.
+
+    parent : (fronts,) index of the front above each front, -1 for none; children come before parents. A front is a
+        dense block of the factorisation.
+    """
     child, sibling = np.full((2, len(parent)), -1)
     for n, above in reversed(list(enumerate(parent.tolist()))):
         if above >= 0:
@@ -220,9 +224,11 @@ def _branches(pattern: Pattern) -> np.ndarray:
 
 
 def _branch_of(fronts: int, branches: np.ndarray) -> np.ndarray:
-    """Return for each of the fronts (their number) the index of the branch that it is in, (fronts,), -1 for none.
+    """Return (fronts,) the index of the branch that each front is in, -1 for a front in no branch.
 
-    branches : (n, 2), first front and end of each branch, a subtree.
+    fronts : number of fronts, the dense blocks of a factorisation.
+    branches : (n, 2), index of the first front of each branch (a subtree of fronts with neighbouring indices), and of
+        the front after its last.
     """
     found = np.full(fronts, -1)
     for number, (first, end) in enumerate(branches.tolist()):
