@@ -59,7 +59,9 @@ class Owners:
 def _largest(samples: int, owner: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the largest of the values of each sample, (samples,), 0 if it has none.
 
-    samples : their number. owner : (k,) number of the sample of each value, ascending. values : (k,), none negative.
+    samples : number of samples.
+    owner : (k,), number of the sample of each value, ascending.
+    values : (k,), the values, none negative.
     """
     begins, found = np.searchsorted(owner, np.arange(samples + 1)), np.zeros(samples)
     some = begins[1:] > begins[:-1]
@@ -86,9 +88,12 @@ class Contraction:
     def __init__(self, whole: ContactSystem, order: np.ndarray, tied: np.ndarray, samples: int = 1) -> None:
         """Tie some contacts of a system: make the spins at the two ends of each equal.
 
-        whole : contacts of all samples. tied : (n,) mask of those to tie. samples : number of samples, of equal size.
-        order : order in which the unknowns of one sample are eliminated.
+        whole : the n contacts of all samples.
+        order : (unknowns of a sample,), order in which the unknowns of one sample are eliminated.
+        tied : (n,) mask of the contacts to tie.
+        samples : number of samples, of equal size.
         """
+        # `kept` : numbers in `whole` of the contacts that are left; `system` : these contacts over the new unknowns
         self.whole, self._order = whole, order
         self._label(whole, tied, samples)
         self.kept, self.system = self._left(whole, np.flatnonzero(~tied))

@@ -117,10 +117,13 @@ class FrictionStage:
         spin_scale: float,
         force_scale: float,
     ) -> None:
-        """Take a system of contacts and its Newton matrix; nothing is factorised yet.
+        """Prepare to solve stages over one system of contacts; nothing is factorised yet.
 
-        radius : of the spheres, length. spin_scale, force_scale : typical sizes of spins (1/time) and forces, by which
-            rounding is judged.
+        system : the contacts.
+        matrix : Newton matrix of the system.
+        radius : radius of the spheres, length.
+        spin_scale : typical size of spins, 1/time, by which rounding is judged.
+        force_scale : typical size of forces, by which rounding is judged.
         """
         self.system, self.matrix, self.radius = system, matrix, radius
         self.spin_scale, self.force_scale = spin_scale, force_scale
@@ -292,8 +295,11 @@ class FrictionStage:
         contacts have forces that depend on spins to more digits than doubles have.
 
         friction : laws of the n contacts.
-        base, spins : (unknowns,), spins from which inertia acts, and spins now. trial, force : (d, n), before and after
-            the limit. scale : torque by which the rest is judged.
+        base : (unknowns,), spins from which inertia acts, 1/time.
+        spins : (unknowns,), spins now, 1/time.
+        trial : (d, n), forces of the springs before friction limits them.
+        force : (d, n), the contact forces after that, with their viscous part.
+        scale : torque by which the rest is judged.
 
         Letters: n contacts with up to d slip components.
         """

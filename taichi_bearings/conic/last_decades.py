@@ -55,10 +55,11 @@ class LastDecades:
     def __init__(self, iterate: Iterate, spins: Pair, difference: np.ndarray, matrix: NewtonMatrix) -> None:
         """Begin at a point of the path.
 
-        iterate : the point; not changed. matrix : Newton matrix of its system.
-        spins : (unknowns,), sums of two doubles, and difference : (d, n), slips: more precise than those of `iterate`.
-
-        Letters: n contacts with up to d slip components.
+        iterate : the point; not changed.
+        spins : (unknowns,), the spins there as sums of two doubles, more precise than those of `iterate`.
+        difference : (d, n), the slips there, of n contacts with up to d components, more precise than those of
+            `iterate`.
+        matrix : Newton matrix of the system of contacts.
         """
         self._large, self._matrix = spins[0], matrix  # (unknowns,), high parts of the spins, which stay
         bound = iterate.bound - length(iterate.difference) + length(difference)

@@ -149,9 +149,9 @@ class NewtonMatrix:
         return bool(np.linalg.norm(vector) < 1 / SURELY_REGULAR)  # False for NaN
 
     def solve(self, right: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
-        """Return the solutions of the factorised systems for right-hand sides (unknowns,), or (unknowns, S) of S
-        samples side by side.
+        """Return the solutions of the factorised systems, in the shape of the right-hand sides.
 
+        right : (unknowns,), right-hand side; (unknowns, S) of S samples side by side.
         wanted : (S,) mask, where samples are parts of one system; the solutions of the others are 0. None for all.
         """
         columns = _side_by_side(right)
@@ -204,8 +204,11 @@ class NewtonMatrix:
         """Return forces (d, n) that balance, up to rounding: `dual` plus the forces of springs at the contacts, after
         their ends have moved until the torques of all forces are `load`.
 
-        dual : (d, n), forces to begin with. stiffness : (d, d, n) of the springs. load : (unknowns,) torques that are
-            to stay, or 0. Raises NotPositiveDefinite if the springs do not hold every spin.
+        dual : (d, n), forces to begin with.
+        stiffness : (d, d, n), stiffness matrix of the spring at each contact.
+        load : (unknowns,), torques that are to stay, or 0.
+
+        Raises NotPositiveDefinite if the springs do not hold every spin.
 
         Letters: n contacts with up to d slip components.
         """
@@ -259,6 +262,9 @@ def _compile(engine: Engine, samples: int) -> None:
 
 
 def resisted(stiffness: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return the forces (d, n) of contacts with stiffnesses (d, d, n) against a change (d, n) of their slips. Letters:
-    n contacts with up to d slip components."""
+    """Return the forces (d, n) of n contacts against a change of their slips.
+
+    stiffness : (d, d, n), stiffness matrix of each contact, for up to d slip components.
+    change : (d, n), change of the slips.
+    """
     return np.einsum("ijn,jn->in", stiffness, change)

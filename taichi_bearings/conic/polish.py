@@ -71,9 +71,11 @@ def _balanced(
     """Reduce the torques by Newton's method as far as that goes. Return the unknowns then, and a mask (samples,) of the
     samples in which a point was reached at which no slip is 0.
 
-    system : slips and torques in twice the precision. matrix : Newton matrix. strengths : friction and viscosity (n,)
-        of n contacts.
-    unknown : (unknowns,), where to begin, sum of two doubles. going : (samples,) mask of samples to try.
+    system : computes slips and torques in twice the precision.
+    matrix : Newton matrix of the contacts that are left.
+    strengths : friction and viscosity, (n,) each, of n contacts; no viscosity: None.
+    unknown : (unknowns,), spins to begin with, as sums of two doubles.
+    going : (samples,) mask of the samples to try.
     """
     owners, strongest = system.owners, system.owners.largest(strengths[0])
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
@@ -196,8 +198,12 @@ def _forces(strengths: Strengths, difference: Pair) -> Pair:
 
 
 def _along(friction: np.ndarray, difference: Pair) -> Pair:
-    """Return friction (n,) times the direction of the slip `difference` (d, n), as sums of two doubles: exact where the
-    slip has one component only. Letters: n contacts with up to d slip components."""
+    """Return friction times the direction of the slip, (d, n), as sums of two doubles; exact where the slip has one
+    component only.
+
+    friction : (n,), largest friction force of each of n contacts.
+    difference : (d, n), slips with up to d components, as sums of two doubles.
+    """
     found = exactly(friction * np.sign(difference[0]))
     both = np.flatnonzero((difference[0] != 0).all(axis=0))
     if len(difference[0]) == 2:
@@ -211,8 +217,8 @@ def _along(friction: np.ndarray, difference: Pair) -> Pair:
 
 
 def _chosen(mask: np.ndarray, one: Pair, other: Pair) -> Pair:
-    """Return sums of two doubles: those of `one` where the mask is True, those of `other` elsewhere. All have one
-    shape."""
+    """Return the numbers of `one` where `mask` is True, and those of `other` elsewhere. Each number is a sum of two
+    doubles, and all arrays have one shape."""
     if mask.all():
         return one
     return np.where(mask, one[0], other[0]), np.where(mask, one[1], other[1])

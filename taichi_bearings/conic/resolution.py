@@ -155,8 +155,8 @@ class Resolved:
 class Surroundings:
     """What the samples of one network share. Samples differ in the friction of their contacts alone.
 
-    system : the contacts of one sample.
-    order : (unknowns,), order in which its unknowns are eliminated.
+    system : the contacts of one sample, as a function of its unknown spins.
+    order : (unknowns,), numbers of the unknowns in the order in which a factorisation eliminates them.
     matrix : Newton matrix of one sample, or of several at once.
     top : for each spin of a sample the imposed spin of the top sphere above it, as a sum of two doubles; None where
         imposed spins are doubles.
@@ -233,7 +233,8 @@ def _seem_to_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
     the share of friction that is left, is far above their slip, and in the last step of the path the slip fell while
     the margin did not.
 
-    iterate, before : the point of the path after this step, and before it.
+    iterate : the point of the path after this step: slips, margins and forces of all n contacts.
+    before : the point before this step.
     """
     slip, slip_before = length(iterate.difference), length(before.difference)
     apart = iterate.margin > DECIDED_RATIO * slip

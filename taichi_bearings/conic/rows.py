@@ -148,16 +148,21 @@ class ContactRows:
         self._add_up(self._torques, self._flat, self.spins, row * self._contacts, 0)
 
     def add_stiffnesses(self, entries: np.ndarray) -> None:
-        """Compute the entries of the Newton matrix K^T (stiffness) K from the stiffnesses of the contacts, which stand
-        in three rows, and write them into `entries` (entries or more, S)."""
+        """Compute the entries of the Newton matrix K^T (stiffness) K, where K is the matrix from spins to slips, from
+        the stiffnesses of the contacts, which stand in three rows of this memory.
+
+        entries : (entries or more, S), array for S samples that is overwritten.
+        """
         self._add_up(self._stiffnesses, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
 
     def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
         """Compute the product of a sparse matrix with numbers of the memory, and write it to `found`.
 
         sums : the matrix; or, if its entries are all 1 or -1, two tables that say which numbers to add and to subtract.
-        values, first : array of numbers of contacts or spins, of which those from the index `first` on are multiplied.
-        found, to : array of the result, which is written to the index `to` and on.
+        values : array of numbers of contacts or of spins.
+        found : array that the result is written into.
+        first : index in `values` of the first number that is multiplied.
+        to : index in `found` of the first number of the result.
         """
         key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
         if isinstance(sums, sparse.csr_array):
@@ -180,24 +185,41 @@ class ContactRows:
             end[row, self._second :] = begin[row, self._second :]
 
     def add(self, row: int, other: int, to: int) -> None:
-        """Add the vectors in two rows from `row` on to those in two rows from `other` on, and write the sums to the two
-        rows from `to` on."""
+        """Add vectors on all contacts to others, and write the sums. A vector has two components, which stand in two
+        rows, one after the other; a row has one number of every contact and sample.
+
+        row, other : first row of each of the vectors that are added.
+        to : first row of the sums, which are written there.
+        """
         np.add(self.values[row], self.values[other], out=self.values[to])
         with_two = slice(self._second, None)
         np.add(self.values[row + 1, with_two], self.values[other + 1, with_two], out=self.values[to + 1, with_two])
 
     def put(self, row: int, sample: int, values: np.ndarray) -> None:
-        """Write numbers (n,) of one sample into row `row`, or vectors (d, n) into the d rows from there on. Letters: n
-        contacts with up to d slip components."""
+        """Write numbers or vectors on the contacts of one sample into rows, in place; a row has one number of every
+        contact and sample.
+
+        row : row that is written; for vectors the first one.
+        sample : number of the sample.
+        values : (n,), a number for each of n contacts; or (d, n), vectors with d components, which fill d rows.
+        """
         self.values[row : row + (len(values) if values.ndim == 2 else 1), self._at, sample] = values
 
     def numbers(self, row: int, sample: int) -> np.ndarray:
-        """Return the numbers (n,) of one sample in a row. Letters: n contacts."""
+        """Return the numbers (n,) that n contacts of one sample have in a row.
+
+        row : number of the row, which has one number of every contact and sample.
+        sample : number of the sample.
+        """
         return self.values[row, self._at, sample]
 
     def vectors(self, row: int, sample: int, count: int) -> np.ndarray:
-        """Return vectors (count, n) of one sample: the components that stand in `count` rows from `row` on. Letters: n
-        contacts."""
+        """Return vectors (count, n) on the n contacts of one sample.
+
+        row : row of the first component; the others stand in the rows that follow.
+        sample : number of the sample.
+        count : number of components.
+        """
         return self.values[row : row + count, :, sample].take(self._at, axis=1)
 
     def two(self, row: int) -> np.ndarray:

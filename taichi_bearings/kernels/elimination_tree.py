@@ -13,7 +13,8 @@ def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, ma
     Row k of the factor has entries in the columns on the paths up the tree, from the columns in which row k of the
     matrix has entries.
 
-    starts, rows : pattern of the matrix: column k has entries in rows[starts[k] : starts[k + 1]].
+    starts : (n + 1,), where the entries of each of the n columns of the matrix begin in `rows`.
+    rows : (entries,), row of each entry of the matrix, column by column.
     parent : (n,) result: the first row below the diagonal in which each column of the factor has an entry; -1 for none.
     count : (n,) result: entries of each column of the factor, the diagonal included.
     mark : (n,) scratch.
@@ -36,9 +37,11 @@ def price(own, border, part, column, update):
     """Return the cost of eliminating a front, a group of columns that are eliminated together: the number of arithmetic
     operations, and measured costs of handling (numerics/cholesky/tuning.py) in the same unit.
 
-    own, border : number of columns of the front, and of rows below its diagonal block.
-    part, column, update : cost of handling a front, each entry of its own columns, and each entry of its update, which
-        is what it leaves for later columns."""
+    own : number of columns of the front.
+    border : number of rows below its diagonal block.
+    part : cost of handling a front, in operations.
+    column : cost of handling each entry of its own columns, in operations.
+    update : cost of handling each entry of its update, the matrix that it leaves for later columns, in operations."""
     m, b = ti.cast(own, ti.f64), ti.cast(border, ti.f64)
     return m * (b * (b + m) + m * m / 3.0) + part + column * m * (m + b) + update * b * b / 2.0
 
@@ -57,8 +60,9 @@ def join(
         later columns, as :func:`price` takes them.
     parent, count : (n,), the parent in the tree and the length of each column of the factor, from :func:`grow`.
     home : (n,) result: the last column of the front that each column is in.
-    own, child, sibling : (n,) results, of use for last columns of fronts: columns in the front; last column of its
-        first child; last column of the next child of its parent. -1 for none.
+    own : (n,) result: for the last column of a front, the number of columns in the front.
+    child : (n,) result: for the last column of a front, the last column of its first child in the tree; -1 for none.
+    sibling : (n,) result: for the last column of a front, the last column of the next child of its parent; -1 for none.
     """
     # at first each column is a front of its own; children are listed by their links, the smallest first
     ti.loop_config(serialize=True)

@@ -48,7 +48,8 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
     where : list of seven integers: in `numbers`, the index of the first pivot, and the distance from one column to the
         next; in `vector`, the index of the first of these unknowns, the end of the front's own ones, and the begin of
         what is left for the border; the length of the border; and 1, hidden from the compiler so that it does not
-        unroll the loops."""
+        unroll the loops.
+    wide : number of these own unknowns, PANEL or 1."""
     start, height, row, end, rest, border, step = where
     # the triangle at the diagonal, with inverse pivots
     value = [vector[row + c] for c in ti.static(range(wide))]
@@ -85,7 +86,8 @@ def backward(numbers: ti.template(), vector: ti.template(), where: ti.template()
     vector : what the forward solve has left, replaced by the solution.
     where : list of seven integers: in `numbers`, the index of the first pivot, and the distance from one column to the
         next; in `vector`, the index of the first of these unknowns, the end of the front's own ones, and the begin of
-        the border's; the length of the border; and 1, hidden from the compiler so that it does not unroll the loops."""
+        the border's; the length of the border; and 1, hidden from the compiler so that it does not unroll the loops.
+    wide : number of these own unknowns, PANEL or 1."""
     start, height, row, end, rest, border, step = where
     # subtract what the border and the later own unknowns contribute
     left = [vector[row + c] for c in ti.static(range(wide))]
@@ -118,7 +120,8 @@ def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template()
     border; its children are the fronts that leave it something.
 
     alone : True for one matrix, False for LANES of them.
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
     numbers : the Cholesky factor, flat.
     vector : right-hand sides, replaced by the solution."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
@@ -153,7 +156,8 @@ def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template())
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border; its parent is the front to which it leaves something.
 
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
     numbers : the Cholesky factor, flat.
     vector : what the forward solve has left, replaced by the solution."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
@@ -187,9 +191,10 @@ def _substitution(together: bool) -> Callable:
     def run(tables: INTEGERS, numbers: kind, vector: kind):
         """Solve forward for all fronts (groups of unknowns that are eliminated together), then backward, in place.
 
-        tables : integers that say where all entries stand.
-        numbers : the Cholesky factor.
-        vector : right-hand sides, then solutions.
+        tables : integers that say where the entries of all fronts stand.
+        numbers : the Cholesky factor, flat.
+        vector : right-hand sides of the unknowns, replaced by the solutions, and after them what fronts leave for later
+            unknowns.
         """
         ti.loop_config(serialize=True)
         for turn in range(2 * tables[FRONTS]):
@@ -212,11 +217,13 @@ def forward_vectors(
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to.
 
-    memory : list of two, the Cholesky factor number by number and as vectors of LANES rows.
-    vector, vectors : right-hand sides of the rows of all fronts, in the same two ways.
+    memory : list of two arrays: the Cholesky factor number by number, and the same memory as vectors of LANES rows.
+    vector : right-hand sides of the rows of all fronts, number by number; replaced by the solution.
+    vectors : the same memory as vectors of LANES rows.
     where : list of five integers: in the factor, the index of the first pivot, and the distance from one column to the
         next; in `vector`, the index of the first of these unknowns, and the end of the front; and 1, hidden from the
-        compiler so that it does not unroll the loops."""
+        compiler so that it does not unroll the loops.
+    wide : number of these own unknowns, LANES or 1."""
     numbers, blocks = ti.static(memory)
     start, height, row, end, step = where
     # the triangle at the diagonal, with inverse pivots
@@ -252,12 +259,13 @@ def backward_vectors(
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to.
 
-    memory : list of two, the Cholesky factor number by number and as vectors of LANES rows.
-    vector, vectors : what the forward solve has left in the rows of all fronts, in the same two ways, replaced by the
-        solution.
+    memory : list of two arrays: the Cholesky factor number by number, and the same memory as vectors of LANES rows.
+    vector : what the forward solve has left in the rows of all fronts, number by number; replaced by the solution.
+    vectors : the same memory as vectors of LANES rows.
     where : list of five integers: in the factor, the index of the first pivot, and the distance from one column to the
         next; in `vector`, the index of the first of these unknowns, and the end of the front; and 1, hidden from the
-        compiler so that it does not unroll the loops."""
+        compiler so that it does not unroll the loops.
+    wide : number of these own unknowns, LANES or 1."""
     numbers, blocks = ti.static(memory)
     start, height, row, end, step = where
     whole = (row + wide + LANES - 1) // LANES
@@ -293,9 +301,11 @@ def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.te
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border; its children are the fronts that leave it something.
 
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
-    memory : list of two, the Cholesky factor number by number and as vectors of LANES rows.
-    vector, vectors : right-hand sides, and after them the rows of each front, in the same two ways."""
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
+    memory : list of two arrays: the Cholesky factor number by number, and the same memory as vectors of LANES rows.
+    vector : right-hand sides, and after them the rows of each front, number by number; changed in place.
+    vectors : the same memory as vectors of LANES rows."""
     own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
     step, begin, i = tables[STEP], tables[at + OWN_COLUMNS], 0
     # begin with the right-hand sides and nothing for the border, and take what the children have left for theirs
@@ -335,10 +345,12 @@ def up_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.temp
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border; its parent is the front to which it leaves something.
 
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
-    memory : list of two, the Cholesky factor number by number and as vectors of LANES rows.
-    vector, vectors : right-hand sides, replaced by the solution, and after them the rows of each front as the forward
-        solve has left them, in the same two ways."""
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
+    memory : list of two arrays: the Cholesky factor number by number, and the same memory as vectors of LANES rows.
+    vector : right-hand sides, replaced by the solution, and after them the rows of each front as the forward solve has
+        left them, number by number.
+    vectors : the same memory as vectors of LANES rows."""
     own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
     step, begin, slots, i = tables[STEP], tables[at + OWN_COLUMNS], tables[SLOTS] + tables[at + BATCH_SHARE], 0
     # copy the border, which the parent has solved
@@ -367,17 +379,18 @@ def substitute_branches(
     tables: INTEGERS, numbers: NUMBERS, blocks: VECTORS, vector: NUMBERS, vectors: VECTORS,
     forth: int, begin: int, end: int,
 ):  # fmt: skip
-    """Solve forward (`forth` is 1) or backward (0) for one matrix, in some branches of the elimination tree, each on a
-    thread.
+    """Solve forward or backward for one matrix, in some branches of the elimination tree, each branch on a thread.
 
-    A branch is a sequence of fronts (groups of unknowns that are eliminated together); those of a call do not depend on
-    each other.
+    A branch is a sequence of fronts (groups of unknowns that are eliminated together); the branches of a call do not
+    depend on each other.
 
-    tables : integers that say where all entries stand; its table of branches holds for each the first front and the
-        end.
-    numbers, blocks : the Cholesky factor, number by number and as vectors of LANES rows in the same memory.
-    vector, vectors : right-hand sides, replaced by the solution, and after them the rows of each front, in these two
-        ways.
+    tables : integers that say where the entries of all fronts stand; its table of branches holds, for each branch, the
+        index of its first front and of the front after its last.
+    numbers : the Cholesky factor, number by number.
+    blocks : the same memory as vectors of LANES rows.
+    vector : right-hand sides, replaced by the solution, and after them the rows of each front, number by number.
+    vectors : the same memory as vectors of LANES rows.
+    forth : 1 to solve forward, from the first front to the last; 0 to solve backward.
     begin, end : the branches begin ... end-1 are solved.
     """
     for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):

@@ -96,14 +96,18 @@ def divide(region: Region, dimension: int) -> tuple[Region, Region, Region] | No
 
 
 def _cut(box: Box, axis: int, first: int, last: int) -> Box:
-    """Return the part of a box of spheres with first <= coordinate < last along an axis."""
+    """Return the part of a box of spheres whose coordinate along an axis is at least `first` and below `last`.
+
+    box : lower corner, and upper corner (exclusive).
+    axis : number of the axis.
+    """
     low, high = list(box[0]), list(box[1])
     low[axis], high[axis] = max(low[axis], first), min(high[axis], last)
     return tuple(low), tuple(high)
 
 
 def _less(corner: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the coordinates of a corner relative to another one."""
+    """Return the coordinates of `corner` relative to those of `other`, axis by axis."""
     return tuple(a - b for a, b in zip(corner, other, strict=True))
 
 

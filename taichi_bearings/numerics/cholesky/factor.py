@@ -73,9 +73,13 @@ class Memory:
         self._numbers, self.changes = np.zeros(0), self.changes + 1
 
     def take(self, size: int, what: str) -> np.ndarray:
-        """Return an array of `size` doubles or more with arbitrary content; whoever had it before has lost it.
+        """Return an array of `size` doubles or more with arbitrary content. A factorisation that took it before must
+        not use it any more.
 
-        what : what needs the memory, named in the error. Raises MemoryError if the machine has too little.
+        size : doubles that are needed.
+        what : what needs the memory, named in the error.
+
+        Raises MemoryError if the machine has too little.
         """
         self.changes += 1
         if len(self._numbers) < size:
@@ -124,7 +128,8 @@ class Cholesky:
         self._factors = dict[int, Factor]()
 
     def factor(self, samples: int = 1) -> "Factor":
-        """Return the factor of a single matrix, or that of up to LANES samples."""
+        """Return the object that factorises and solves for `samples` matrices of the pattern at a time: one matrix, or
+        up to LANES (the lanes of a SIMD vector). The same object is returned in every call for as many."""
         lanes = 1 if samples == 1 else LANES
         if lanes not in self._factors:
             if isinstance(self.pattern, BlockPattern):

@@ -40,7 +40,8 @@ class SparsePattern:
     def of(cls, order: np.ndarray, first: np.ndarray, second: np.ndarray) -> "SparsePattern":
         """Return the pattern of the matrix that couples unknowns in pairs.
 
-        order : (unknowns,), order of elimination. first, second : (pairs,), the two unknowns of each coupled pair.
+        order : (unknowns,), number of the unknown that is eliminated first, second, and so on.
+        first, second : (pairs,), the two unknowns of each coupled pair.
         """
         place = _inverse(order)
         lower = sparse.triu(coupled(place, first, second)).tocsr().sorted_indices().tocoo()
@@ -81,8 +82,8 @@ class Pattern(SparsePattern):
     A front is a set of unknowns that are eliminated together, its own ones, with its border: the later unknowns that
     they or fronts below are coupled to. A place is the position of an unknown in the order of elimination.
 
-    first, own : (fronts,) own unknowns of a front are at the places first ... first + own - 1; children come before
-        parents.
+    first : (fronts,) place of the first own unknown of each front; the others follow. Children come before parents.
+    own : (fronts,) number of own unknowns of each front.
     parent : (fronts,) the front above, or -1.
     depth : (fronts,) number of fronts above; 0 at a root.
     border : borders of all fronts one after the other, as sorted places.
@@ -168,7 +169,8 @@ class BlockPattern:
 
 @dataclass(frozen=True)
 class Parts:
-    """Parts of the elimination tree: unknowns that are eliminated together, children before parents, in postorder.
+    """The parts of an elimination tree. A part is a set of unknowns that are eliminated together, as one dense block;
+    parts stand in postorder, children before parents.
 
     order : (unknowns,), for each column of the new order its place in the old one.
     own : (parts,) number of unknowns of a part.
