@@ -276,8 +276,9 @@ def _job(
 ) -> runs.Job:
     """Return the job that solves a scene or a packing, with the settings of `bearings run`.
 
-    method, start : as in :func:`solve`. options : its other arguments by name, `tolerance` included. Initial spins that
-        are an array are kept in the job, beside the settings.
+    method, start : as in :func:`solve`.
+    options : its other arguments by name, `tolerance` included. Initial spins that are an array are kept in the job,
+        beside the settings.
 
     Raises InputError for arguments that are not allowed.
     """

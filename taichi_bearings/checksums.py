@@ -67,7 +67,8 @@ def seal(group: h5py.Group) -> None:
 def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
     """Yield the names of what was changed since it was written, in an open file or a group of it.
 
-    path : of the file, for the error. group : the file, or a group of it.
+    path : of the file, for the error.
+    group : the file, or a group of it.
 
     Raises FileError where the table of checksums is unreadable. What is missing altogether is noticed by whoever reads
     it.

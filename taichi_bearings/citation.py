@@ -17,16 +17,20 @@ def cff() -> str:
 
 
 def bibtex(text: str) -> str:
-    """Return two BibTeX entries: the program and the paper. text : a CITATION.cff, one line a value, names without
-    quotes.
+    """Return two BibTeX entries: the program and the paper.
+
+    text : a CITATION.cff, one line a value, names without quotes.
     """
     program, _, paper = text.partition("\npreferred-citation:\n")
     return _entry(program, "taichi_bearings", "software") + "\n" + _entry(dedent(paper), "frustrated_bearings", "misc")
 
 
 def _entry(block: str, key: str, kind: str) -> str:
-    """Return one BibTeX entry. block : its lines of CITATION.cff. key : by which it is cited. kind : @software or
-    @misc.
+    """Return one BibTeX entry.
+
+    block : its lines of CITATION.cff.
+    key : by which it is cited.
+    kind : @software or @misc.
     """
     known = dict(re.findall(r"^([a-z-]+): (\S.*)$", block, re.MULTILINE))
     people = re.findall(r"^ *- (?:family-)?name.*\n(?: +[a-z-]+: .*\n?)*", block, re.MULTILINE)

@@ -21,8 +21,10 @@ class Device:
 
 
 def find(arch: str) -> list[Device]:
-    """Return the GPUs that a backend of Taichi could use; none where there is no driver. arch : "cuda", "vulkan" or
-    "metal"."""
+    """Return the GPUs that a backend of Taichi could use; none where there is no driver.
+
+    arch : "cuda", "vulkan" or "metal".
+    """
     try:
         return {"cuda": _cuda, "vulkan": _vulkan, "metal": _metal}[arch]()
     except OSError:  # no such library here

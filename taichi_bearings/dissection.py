@@ -40,7 +40,8 @@ _keeping = Lock()
 def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
     """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
 
-    graph : (n, n), symmetric; an entry joins two nodes. place : (d, n) coordinates of the nodes.
+    graph : (n, n), symmetric; an entry joins two nodes.
+    place : (d, n) coordinates of the nodes.
     leaf : a region of no more nodes is not divided.
 
     The same graph at the same places is divided once: methods and proofs of one network, and of samples that share it,
@@ -176,7 +177,8 @@ def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[n
 def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
     """Return the mask (count,) of fewest nodes that meet every edge from a node of one side to one of the other.
 
-    low, high : (edges,), nodes of each edge. count : number of all nodes.
+    low, high : (edges,), nodes of each edge.
+    count : number of all nodes.
 
     It is found as a minimum cut with flow 1 through each node, and is the same whatever the largest flow; SciPy's own
     matchings can take minutes.

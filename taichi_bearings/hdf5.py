@@ -36,7 +36,8 @@ NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # what a file system 
 def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
     """Open a file for reading, as a context.
 
-    path : a regular file. kind : what it is read as, for errors.
+    path : a regular file.
+    kind : what it is read as, for errors.
 
     Raises FileError for a file that leads out of itself or claims more than it can hold, and for whatever a damaged one
     makes HDF5 and NumPy raise inside the block.
@@ -94,7 +95,10 @@ def file_at(path: Path) -> h5py.File:
 
 
 def reason_against(file: h5py.File, size: int) -> str:
-    """Return in words why an open file must not be read; "" if it can be. size : of the file in bytes."""
+    """Return in words why an open file must not be read; "" if it can be.
+
+    size : of the file in bytes.
+    """
     try:
         return _strange(file, size)
     except UNREADABLE as error:
@@ -126,8 +130,10 @@ def _strange(file: h5py.File, size: int) -> str:
 
 
 def _strange_attribute(name: str, item: h5py.HLObject) -> str:
-    """Return in words which attribute of a group or data set is neither a number nor a text; "" if all are. name : of
-    the item, for the sentence."""
+    """Return in words which attribute of a group or data set is neither a number nor a text; "" if all are.
+
+    name : of the item, for the sentence.
+    """
     plain = (*PLAIN, h5py.Reference, h5py.RegionReference)  # as of scales, which are never followed
     for key in list(item.attrs):
         with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
@@ -140,7 +146,10 @@ def _strange_attribute(name: str, item: h5py.HLObject) -> str:
 
 def _strange_data(name: str, item: h5py.Dataset) -> str:
     """Return in words why a data set is no array of numbers or texts in this file; "" if it is one, plain or packed by
-    a known filter. name : of the data set, for the sentence."""
+    a known filter.
+
+    name : of the data set, for the sentence.
+    """
     if item.is_virtual or item.external:
         return f"{name} in it lies in other files, which are not read"
     settings = item.id.get_create_plist()

@@ -134,8 +134,10 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
 
 
 def interrupt(_: int, frame: FrameType | None) -> None:
-    """Handle a signal by raising KeyboardInterrupt, or in a moment if a module is being loaded. frame : what
-    runs now."""
+    """Handle a signal by raising KeyboardInterrupt, or in a moment if a module is being loaded.
+
+    frame : what runs now.
+    """
     leaving.note_heard()  # first, since libraries make another exception of the one raised here
     if is_loading(frame):
         again_soon()

@@ -46,7 +46,10 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
         return lambda: kernel(*arguments)
 
     def started(keep: tuple[np.ndarray | int, ...] = arguments) -> None:
-        """Start the compiled kernel. keep : keeps the arrays alive."""
+        """Start the compiled kernel.
+
+        keep : keeps the arrays alive.
+        """
         refuse_changed()
         start(machine_code, context)
 

@@ -83,8 +83,10 @@ def forget_temporary(path: Path) -> None:
 
 
 def add_helper(process: int) -> None:
-    """Have a process killed if this one is ended before :func:`forget_helper` is called for it. process : its number,
-    that of a child of this process, which stays its own until it is waited for."""
+    """Have a process killed if this one is ended before :func:`forget_helper` is called for it.
+
+    process : its number, that of a child of this process, which stays its own until it is waited for.
+    """
     _helpers.add(process)
 
 

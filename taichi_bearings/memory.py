@@ -50,7 +50,10 @@ def free_bytes() -> float:
 
 
 def refuse_beyond(needed: float, what: str) -> None:
-    """Raise MemoryError if `needed` bytes are not free. what : what needs them, for the message."""
+    """Raise MemoryError if `needed` bytes are not free.
+
+    what : what needs them, for the message.
+    """
     free = free_bytes() if needed > LITTLE_BYTES else needed
     if needed > free:
         raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(free, 0) / 1e9:.1f} GB are free")

@@ -232,8 +232,11 @@ class Option:
 
 
 def option(default: Any, kind: Kind, help: str, **facts: Any) -> Any:
-    """Return a field of a dataclass that is an :class:`Option`. default, kind, help : see there. facts : its further
-    attributes by name."""
+    """Return a field of a dataclass that is an :class:`Option`.
+
+    default, kind, help : see there.
+    facts : its further attributes by name.
+    """
     return field(default=default, metadata={"option": Option(default, kind, help, **facts)})
 
 

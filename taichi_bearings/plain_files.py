@@ -193,7 +193,9 @@ def remove_leftover(path: Path) -> None:
 def locked(path: Path, what: str) -> Iterator[bool]:
     """Hold a lock file inside the block; FileError if another process holds it.
 
-    The value of the block is False where the file system has no locks. what : named in the error.
+    The value of the block is False where the file system has no locks.
+
+    what : named in the error.
     """
     refuse_link_out(path)
     while True:

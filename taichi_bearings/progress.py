@@ -45,7 +45,10 @@ class TerminalLine:
     """
 
     def __init__(self, line: Callable[[], str]) -> None:
-        """Prepare to show; nothing is shown yet. line : function that returns the text, called at each writing."""
+        """Prepare to show; nothing is shown yet.
+
+        line : function that returns the text, called at each writing.
+        """
         self.line, self._over = line, threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 
@@ -77,7 +80,10 @@ class TerminalLine:
 
 
 def _live(line: Callable[[], str]) -> Any:
-    """Return a context that shows the line on a terminal. line : returns the text; called at each writing."""
+    """Return a context that shows the line on a terminal.
+
+    line : returns the text; called at each writing.
+    """
     from rich.console import Console
     from rich.live import Live
     from rich.spinner import Spinner
@@ -103,7 +109,10 @@ class Display:
     """
 
     def __init__(self, since: float | None = None) -> None:
-        """Prepare to listen. since : when the time begins, by time.perf_counter(); None for now."""
+        """Prepare to listen.
+
+        since : when the time begins, by time.perf_counter(); None for now.
+        """
         # time of the last stage that began or ended, and the context that ends line and listening
         self.stages, self.seconds = list[Stage](), {BETWEEN: 0.0}
         self._since = time.perf_counter() if since is None else since
@@ -174,7 +183,10 @@ def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
 
 
 def standing(report: Any) -> str:
-    """Return in words where a solve stands. report : a solvers.drive.Report."""
+    """Return in words where a solve stands.
+
+    report : a solvers.drive.Report.
+    """
     progress = report.progress
     words = [counted(progress.iteration, "iteration")]
     words += [f"t = {progress.time:.3g}"] if progress.time is not None else []

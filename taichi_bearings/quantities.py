@@ -449,7 +449,9 @@ def _over(value: float, unit: float) -> float:
 def _if_spans(structure: Any, value: float) -> float:
     """Return the value, or not-a-number where slipless contacts do not join bottom and top.
 
-    structure : what the contacts of a sample form. value : any number that has a meaning only then."""
+    structure : what the contacts of a sample form.
+    value : any number that has a meaning only then.
+    """
     return value if structure.network.spans else np.nan
 
 

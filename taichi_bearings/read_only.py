@@ -23,8 +23,10 @@ def read_only(value: Value) -> Value:
 
 
 def cached_read_only(of: Callable[[Any], Value]) -> "cached_property[Value]":
-    """Return a property that is computed once, and whose arrays cannot be written into. of : the method that computes
-    it."""
+    """Return a property that is computed once, and whose arrays cannot be written into.
+
+    of : the method that computes it.
+    """
 
     @wraps(of)
     def found(owner: object) -> Value:

@@ -48,8 +48,10 @@ listener: ContextVar[Any] = ContextVar("listener", default=None)
 
 @contextmanager
 def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
-    """Name the work inside the block, so that its progress can be shown. expected : seconds that it is estimated to
-    take; 0 if unknown."""
+    """Name the work inside the block, so that its progress can be shown.
+
+    expected : seconds that it is estimated to take; 0 if unknown.
+    """
     new, who = Stage(name, expected=expected), listener.get()
     if who:
         who.begin(new)

@@ -30,7 +30,10 @@ class CutOff(FileError):
     """
 
     def __init__(self, path: Path, line: int, why: str) -> None:
-        """Make the message. why : where and how the file is cut off."""
+        """Make the message.
+
+        why : where and how the file is cut off.
+        """
         self.line = line
         super().__init__(f"{path} is cut off: {why}")
 
@@ -75,7 +78,11 @@ class _Unpacker(io.RawIOBase):
     """
 
     def __init__(self, file: IO[bytes], make: Callable[[], Any]) -> None:
-        """Begin with the first stream. file : the packed bytes. make : returns what unpacks one stream."""
+        """Begin with the first stream.
+
+        file : the packed bytes.
+        make : returns what unpacks one stream.
+        """
         self.file, self.make, self.is_torn = file, make, False
         self.stream, self.packed = make(), b""
 

@@ -475,8 +475,10 @@ def _named(value: Any, above: tuple[int, ...]) -> Any:
 
 
 def _feature(value: Any) -> Any:
-    """Return what the compiler looks at in an argument as text, or as lists of texts. value : such a feature, or a
-    tuple of some."""
+    """Return what the compiler looks at in an argument as text, or as lists of texts.
+
+    value : such a feature, or a tuple of some.
+    """
     return [_feature(item) for item in value] if isinstance(value, tuple) else f"{type(value).__name__} {value}"
 
 

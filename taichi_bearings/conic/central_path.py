@@ -68,7 +68,8 @@ def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
     On the central path the product of slip bound and friction margin, friction * bound - slip . force, is the same for
     all contacts; the path ends at the minimum, where it is 0.
 
-    iterate : a point of the path; not changed. matrix : Newton matrix of its system, which is factorised anew.
+    iterate : a point of the path; not changed.
+    matrix : Newton matrix of its system, which is factorised anew.
 
     Raises NotPositiveDefinite if the Newton matrix is singular to working precision.
     """
@@ -89,7 +90,8 @@ def flowing(
     """Return spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps. A path that
     begins there leaves no torque on its way.
 
-    system : the n contacts. viscosity : (n,), viscous force over slip speed.
+    system : the n contacts.
+    viscosity : (n,), viscous force over slip speed.
     matrix : Newton matrix of the system, which is factorised anew.
     spins : (unknowns,), where to begin.
     inertia : what resists a change of the spins; None for nothing.
@@ -113,7 +115,8 @@ def flowing(
 def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
     """Return a point of the central path with its contact forces changed such that torques balance, up to rounding.
 
-    iterate : a point of the path; not changed. matrix : Newton matrix of its system, which is factorised anew.
+    iterate : a point of the path; not changed.
+    matrix : Newton matrix of its system, which is factorised anew.
 
     The force of a contact changes in proportion to the square of its room, friction less size of the force; all change
     by at most STEP_SHARE of the way at which the first force would reach its friction. Why it is needed: stiff contacts
@@ -431,6 +434,8 @@ class Path:
 
 
 def _in(slot: int, row: int) -> int:
-    """Return the number, among all rows of the contacts' numbers, of row `row` of a step. slot : 0 or 1, which of the
-    two steps in memory."""
+    """Return the number, among all rows of the contacts' numbers, of row `row` of a step.
+
+    slot : 0 or 1, which of the two steps in memory.
+    """
     return kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row

@@ -183,7 +183,9 @@ class Contraction:
 
     def contracted(self, spins: Pair) -> Pair:
         """Return the mean of the spins of each set that contacts tie together, (unknowns,), in twice the precision: one
-        of the spins, plus the mean difference of the others from it. spins : (unknowns before,), sums of two doubles.
+        of the spins, plus the mean difference of the others from it.
+
+        spins : (unknowns before,), sums of two doubles.
         """
         free = self.number >= 0
         number, one = self.number[free], np.zeros(self.unknowns)
@@ -193,14 +195,18 @@ class Contraction:
 
     def expanded(self, spins: Pair) -> Pair:
         """Return the spins (unknowns before,) of the system before any contact was tied: equal within each set of tied
-        spins, imposed where a set is tied to a driven plane. spins : (unknowns,), one for each set; sums of two
-        doubles, as is the result."""
+        spins, imposed where a set is tied to a driven plane.
+
+        spins : (unknowns,), one for each set; sums of two doubles, as is the result.
+        """
         high, low = (np.append(part, 0.0)[self.number] for part in spins)  # number is -1 where a spin is imposed
         return high + self.imposed, low
 
     def differences(self, spins: Pair) -> np.ndarray:
         """Return the slips (d, contacts left) of the contacts that are not tied, so exactly that even the smallest one
-        has all its digits. spins : (unknowns,), one for each set of tied spins, as a sum of two doubles.
+        has all its digits.
+
+        spins : (unknowns,), one for each set of tied spins, as a sum of two doubles.
 
         They are computed from the spins each time, so they add up to 0 round every loop of contacts, but for the
         rounding of the low parts. Slips that were followed on their own would not, and contacts at rest would seem to

@@ -186,7 +186,8 @@ class Descent:
         """Return the relative gap of a sample after a step, plus what unbalanced torques cost where that matters; not
         finite if it cannot be computed.
 
-        sample : the sample. path, place : the path on which it is, and its place among the samples there.
+        sample : the sample.
+        path, place : the path on which it is, and its place among the samples there.
 
         Where the cost of unbalanced torques is more than the gap, forces are balanced first, except if the settling of
         states is about to balance them.

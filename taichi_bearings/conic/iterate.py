@@ -186,7 +186,8 @@ class Iterate:
 def whole_dual(dual: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray) -> np.ndarray:
     """Return minus the forces (d, n) of friction and viscosity of n contacts.
 
-    dual : (d, n), minus the friction forces. viscosity : (n,), viscous force over slip speed; None for none.
+    dual : (d, n), minus the friction forces.
+    viscosity : (n,), viscous force over slip speed; None for none.
     difference : (d, n), slips.
 
     Letters: d slip components.

@@ -85,7 +85,9 @@ class NewtonMatrix:
 
     def compile(self, samples: int = 1) -> None:
         """Compile the kernels for factorising one sample, here and in smaller systems, or those for several side by
-        side, so that the measured time of a run does not include it. samples : number of samples side by side.
+        side, so that the measured time of a run does not include it.
+
+        samples : number of samples side by side.
         """
         _compile(self._choleskys[0].engine, samples)
         if samples == 1:
@@ -94,8 +96,8 @@ class NewtonMatrix:
     def factorise(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
         """Factorise the matrices of all samples. Raises NotPositiveDefinite if one is singular to working precision.
 
-        stiffness : (d, d, n), or (d, d, n, S) side by side. inertia : stiffness of a spring at every spin: one number,
-            (unknowns,) or (unknowns, S).
+        stiffness : (d, d, n), or (d, d, n, S) side by side.
+        inertia : stiffness of a spring at every spin: one number, (unknowns,) or (unknowns, S).
 
         Letters: n contacts with up to d slip components, S samples.
         """
@@ -229,8 +231,8 @@ def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray)
     """Factorise with the diagonal raised by as little as helps. Return a mask (S,) of the `wanted` (S,) matrices in
     which that succeeds.
 
-    factor : Cholesky factor whose `entries` hold the matrices. diagonal : (unknowns,) places of their diagonals among
-        the entries.
+    factor : Cholesky factor whose `entries` hold the matrices.
+    diagonal : (unknowns,) places of their diagonals among the entries.
 
     Letters: S samples.
     """

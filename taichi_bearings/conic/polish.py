@@ -118,8 +118,10 @@ class _PreciseSystem:
     """
 
     def __init__(self, tied: Contraction, top: Pair | None) -> None:
-        """Take the contacts that are left in `tied`. top : for each unknown of a sample the imposed spin of the top
-        above it, a sum of two doubles; None where imposed spins are doubles.
+        """Take the contacts that are left in `tied`.
+
+        top : for each unknown of a sample the imposed spin of the top above it, a sum of two doubles; None where
+            imposed spins are doubles.
         """
         self.contracted, self.owners, self._tied = tied.system, tied.owners, tied
         self.top = top and (np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number)))
@@ -170,7 +172,10 @@ class _PreciseSystem:
 
     def expanded(self, unknown: Pair) -> Pair:
         """Return the spins (unknowns,) of the whole system: equal within each set of tied spins, and exactly the
-        imposed ones where a set is tied to a driven plane. unknown : (unknowns left,). Both are sums of two doubles."""
+        imposed ones where a set is tied to a driven plane.
+
+        unknown : (unknowns left,). Both are sums of two doubles.
+        """
         if self.top is None:
             return self._tied.expanded(unknown)
         times = _multiples(self._tied.imposed, self.top[0])
@@ -188,7 +193,9 @@ def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
 
 def _forces(strengths: Strengths, difference: Pair) -> Pair:
     """Return the forces (d, n) of friction and viscosity at slips `difference` (d, n), as sums of two doubles, along
-    the slip: the sign with which they act is left out. strengths : friction and viscosity, (n,) each.
+    the slip: the sign with which they act is left out.
+
+    strengths : friction and viscosity, (n,) each.
 
     Letters: n contacts with up to d slip components.
     """

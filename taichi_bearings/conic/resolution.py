@@ -292,8 +292,9 @@ def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) ->
     """Return the minimum of one sample if it is found once all but FEW_DOUBTFUL contacts are decided on `path`, with
     forces in balance; else None. A contact is decided if it is clear from the path whether it slips.
 
-    iterate : the point at which the path was begun. path : where it is now; it is followed on. shared : what all
-        samples share.
+    iterate : the point at which the path was begun.
+    path : where it is now; it is followed on.
+    shared : what all samples share.
 
     The trend of the last undecided contacts nearly always tells whether they slip. Further steps, each with the matrix
     of the whole network, would only make that certain, and so do balanced forces.
@@ -311,8 +312,10 @@ def _minimum_with_tied(
 ) -> tuple[Resolved | None, np.ndarray]:
     """Follow the path on with some contacts tied, and find the minimum at its end.
 
-    iterate : the point at which the path was begun. path : the point that was reached; not changed.
-    sticking : (n,) mask of the contacts to tie. shared : what all samples share.
+    iterate : the point at which the path was begun.
+    path : the point that was reached; not changed.
+    sticking : (n,) mask of the contacts to tie.
+    shared : what all samples share.
     to_the_end : True to follow the path until double precision ends, False until it is clear of every contact whether
         it slips.
     returns : the minimum, None if there is none; (n,) mask of the further contacts that surely stick at the end.
@@ -346,8 +349,8 @@ def _with_slipless_forces(
     """Return minima completed by forces of the slipless contacts, each within its friction, that balance all torques;
     None for a sample where no such forces are found.
 
-    iterates : for each sample the point of the path, whose frictions are used. minima : for each sample its minimum or
-        None.
+    iterates : for each sample the point of the path, whose frictions are used.
+    minima : for each sample its minimum or None.
     near : for each sample minus the forces (d, n) near which those of the slipless contacts are looked for.
     shared : what all samples share.
 

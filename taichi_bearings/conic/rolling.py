@@ -51,8 +51,8 @@ def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarr
 def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.ndarray:
     """Return the slips (d, A) of the contacts along their tangents, computed in sums of two doubles.
 
-    system, packing : the A contacts, and the spheres whose contacts they are. spins : (unknowns,), u = radius * spin of
-        free spheres, length/time, as sums of two doubles.
+    system, packing : the A contacts, and the spheres whose contacts they are.
+    spins : (unknowns,), u = radius * spin of free spheres, length/time, as sums of two doubles.
 
     Letters: d slip components, 1 for discs and 2 for spheres.
     """

@@ -176,7 +176,9 @@ class ContactRows:
 
     def copy_step(self, slot: int, to: int, sample: int) -> None:
         """Copy the numbers of a step of one sample that are needed to go it, and to solve for it again, all but the
-        tail of its right-hand side. slot, to : 0 or 1, which of the two steps in memory is read, and which is written.
+        tail of its right-hand side.
+
+        slot, to : 0 or 1, which of the two steps in memory is read, and which is written.
         """
         begin, end = (self.values[kernels.STATE_ROWS + n * kernels.STEP_ROWS :, :, sample] for n in (slot, to))
         for row in (kernels.RIGHT_HEAD, kernels.PULL, kernels.CHANGE, kernels.BOUND_STEP, kernels.DUAL_STEP):
@@ -231,7 +233,10 @@ class ContactRows:
 @lru_cache
 def compile_passes(samples: int = 1) -> None:
     """Compile the kernels of a Newton step, by running them on a system of two contacts: they are the same for all
-    systems. samples : number of samples side by side, 1 or LANES."""
+    systems.
+
+    samples : number of samples side by side, 1 or LANES.
+    """
     felt = np.array([[True, True], [False, True]])
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
     spins = aligned_zeros(samples, kernels.BLOCK).reshape(1, samples)

@@ -94,8 +94,9 @@ def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:
     """Return True where there may be several minima, as sums of friction forces can be equal by chance: contacts rest
     at their limit, or fewer than half of the frictions are different.
 
-    friction : (n,), largest friction force of each contact. at_limit : (n,) mask of contacts that rest and may bear
-        all their friction."""
+    friction : (n,), largest friction force of each contact.
+    at_limit : (n,) mask of contacts that rest and may bear all their friction.
+    """
     return bool(at_limit.any()) or len(np.unique(friction)) < len(friction) / 2
 
 
@@ -122,7 +123,8 @@ def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return a mask (n, samples) of the contacts whose force is at or beyond its limit, up to a share HELD_AT_LIMIT of
     it.
 
-    dual : (d, n, samples). limit : (n, samples), infinite for contacts that are not at their limit.
+    dual : (d, n, samples).
+    limit : (n, samples), infinite for contacts that are not at their limit.
 
     Letters: n contacts with up to d slip components.
     """
@@ -136,7 +138,8 @@ def _balanced(
     torque (samples,) before.
 
     system, matrix : contacts of one sample, and their matrix with the stiffnesses of the springs, factorised.
-    side : minus the forces (d, n, samples). springs : (n, samples), their stiffnesses.
+    side : minus the forces (d, n, samples).
+    springs : (n, samples), their stiffnesses.
     going : (samples,) mask of samples to change.
 
     Letters: n contacts with up to d slip components.
@@ -186,8 +189,10 @@ def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.n
     """Return the largest multiple (samples,) of the way from `here` to `there` up to which no contact leaves its
     friction disc.
 
-    friction : (samples * n,). here, there : minus the forces (d, samples * n).
-    free : (samples * n,) mask of contacts that are not looked at. samples : their number.
+    friction : (samples * n,).
+    here, there : minus the forces (d, samples * n).
+    free : (samples * n,) mask of contacts that are not looked at.
+    samples : their number.
 
     Letters: n contacts with up to d slip components.
     """
@@ -201,8 +206,10 @@ def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torque
     """Return a mask (samples,), True where forces that balance surely exist near the given ones: torques are small, and
     at all slipless contacts friction exceeds the force by more than the sum of all torques.
 
-    friction, slipping : (samples * n,). dual : (d, samples * n), minus the forces. torques : (unknowns, samples), those
-        left, also on spins that were held. The mask `slipping` marks contacts that need no room.
+    friction, slipping : (samples * n,).
+    dual : (d, samples * n), minus the forces.
+    torques : (unknowns, samples), those left, also on spins that were held. The mask `slipping` marks contacts that
+        need no room.
 
     Letters: n contacts with up to d slip components.
     """

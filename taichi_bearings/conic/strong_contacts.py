@@ -36,7 +36,10 @@ def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
 
 def _is_uniform(system: ContactSystem) -> bool:
     """Return True if the whole top of a lattice turns alike: then imposed spins add the same number to all slips of a
-    component to which they add anything. system : its contacts."""
+    component to which they add anything.
+
+    system : its contacts.
+    """
     pairs = np.stack([np.asarray(system.slot, dtype=float), system.offset])[:, system.offset != 0]
     return np.unique(pairs, axis=1).shape[1] == len(np.unique(pairs[0]))
 

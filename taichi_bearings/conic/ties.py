@@ -41,7 +41,8 @@ def sometimes_slipping(
     """Return a mask (n,) of contacts that slip at some minima and rest at others. Only contacts with equal friction can
     do so.
 
-    system : the contacts. order : order in which its unknowns are eliminated.
+    system : the contacts.
+    order : order in which its unknowns are eliminated.
     friction : (n,), largest friction force mu F_n of each contact.
     difference, dual : (d, n), slips and minus the friction forces at one minimum.
     slipping, at_limit : (n,) masks of contacts that slip there, and that do not slip and may bear all their friction
@@ -108,7 +109,8 @@ def _sometimes_zero(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the slips that vanish at some points of the polyhedron slips + rates @ y >= 0, and not at
     others.
 
-    slips : (n,), slip speeds at one minimum, 0 or more. rates : (n, k), their changes by k motions.
+    slips : (n,), slip speeds at one minimum, 0 or more.
+    rates : (n, k), their changes by k motions.
 
     Motions that share no contact are looked at separately.
     """
@@ -127,8 +129,8 @@ def _sometimes_zero_of_part(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the slips that vanish at some corners of the polyhedron first + rates @ y >= 0, and not at
     others.
 
-    first : (n,), 1 where a contact slips, else 0: slips in units of themselves. rates : (n, k), their changes by k
-        motions.
+    first : (n,), 1 where a contact slips, else 0: slips in units of themselves.
+    rates : (n, k), their changes by k motions.
 
     If there are more than MOST_CORNERS candidates for corners, the mask is True for all: motions that mix so many
     contacts occur where friction is the same everywhere.
@@ -144,7 +146,8 @@ def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return the corners (corners, k) of the polyhedron first + rates @ y >= 0, |y| <= LONGEST_MOTION: the points at
     which k of these bounds are equalities and the others hold.
 
-    first : (n,), slips. rates : (n, k), their changes by k motions.
+    first : (n,), slips.
+    rates : (n, k), their changes by k motions.
 
     Letters: n contacts.
     """

@@ -57,8 +57,10 @@ def one_block() -> Any:
 
 
 def first_slots(spec: FieldSpec) -> dict[str, int]:
-    """Return by name the row at which each field begins. spec : names and numbers of components of the fields, in
-    order."""
+    """Return by name the row at which each field begins.
+
+    spec : names and numbers of components of the fields, in order.
+    """
     counts = [components for _, components in spec]
     return {name: sum(counts[:n]) for n, (name, _) in enumerate(spec)}
 
@@ -78,8 +80,10 @@ class Fields:
     """
 
     def __init__(self, layout: "Layout | Lists", spec: Any) -> None:
-        """Allocate the fields. layout : a `Layout` of lattices, or `Lists` of spheres and contacts. spec : names and
-        components, as `layout.parts` takes them.
+        """Allocate the fields.
+
+        layout : a `Layout` of lattices, or `Lists` of spheres and contacts.
+        spec : names and components, as `layout.parts` takes them.
 
         Raises DeviceError if they are too many to be indexed, or do not fit.
         """

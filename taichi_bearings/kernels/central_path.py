@@ -84,7 +84,10 @@ def size(a: ti.template()):
 @ti.func
 def determinant(head, tail: ti.template()):
     """Return head^2 - |tail|^2 of a point (head, tail) of a cone, above 0 inside it. It is computed as a product, so
-    that rounding takes no more than from head - |tail|. tail : a list of one or two numbers."""
+    that rounding takes no more than from head - |tail|.
+
+    tail : a list of one or two numbers.
+    """
     length = size(tail)
     return (head - length) * (head + length)
 

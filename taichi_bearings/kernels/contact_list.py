@@ -30,7 +30,8 @@ class ListSweeps(Sweeps):
     Fields of contacts that all subclasses have (C components of a spin, d tangents of a contact):
 
     across : (d C), the unit tangents T; none for discs.
-    coefficient : the friction coefficient of the law. viscosity : only if the law has one besides.
+    coefficient : the friction coefficient of the law.
+    viscosity : only if the law has one besides.
     force : (C), T f, the friction force as a vector, from its components f along the tangents.
 
     Five integers, `size`, tell kernels where numbers stand: lengths of the rows of spheres and of contacts of all

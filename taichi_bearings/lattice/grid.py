@@ -189,7 +189,10 @@ class Lattice:
 
     def tangential_mask(self, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return a mask (C, E), True for the spin components that make each of E contacts slip: all but the one along
-        it. spin_axes : axes of the C components."""
+        it.
+
+        spin_axes : axes of the C components.
+        """
         return np.array(spin_axes)[:, None] != self.axis
 
     @cached_property
@@ -269,8 +272,8 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
     """Return the forces f (C, R, E) along the difference of staggered spins, from friction in the laboratory frame. The
     friction is -s f x n, with n the direction of a contact and s = +1 or -1 the sign of its lower sphere.
 
-    friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact. spin_axes : the C spin components that are
-        wanted.
+    friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact.
+    spin_axes : the C spin components that are wanted.
 
     Letters: R samples, E contacts.
     """

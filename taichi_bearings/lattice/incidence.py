@@ -29,7 +29,8 @@ def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) 
     """Add forces of the contacts along `axis` to their lower spheres and subtract them from the upper ones: minus the
     transpose of :func:`difference`.
 
-    total : (*N) or more axes before, changed in place. force : shaped as the contacts along the axis.
+    total : (*N) or more axes before, changed in place.
+    force : shaped as the contacts along the axis.
 
     Letters: N the shape of the lattice.
     """
@@ -43,7 +44,8 @@ def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tupl
     contact. The slip speed is the radius times the length of this vector, the root of the sum of the squares of its C
     components (paper Eq. 2).
 
-    staggered : (C, R, *N), spins by component, sample and sphere. spin_axes : axes of the C components.
+    staggered : (C, R, *N), spins by component, sample and sphere.
+    spin_axes : axes of the C components.
 
     Letters: R samples, N the shape of the lattice, E contacts.
     """
@@ -58,7 +60,8 @@ def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tupl
 def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Return the sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
 
-    force : (C, R, E), forces along the spin difference of the contact. spin_axes : axes of the C spin components.
+    force : (C, R, E), forces along the spin difference of the contact.
+    spin_axes : axes of the C spin components.
 
     Letters: R samples, N the shape of the lattice, E contacts.
     """
@@ -73,7 +76,8 @@ def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...
     """Return for each sphere and spin component the sum of the coefficients of the contacts that it makes slip, (C, R,
     *N).
 
-    coefficient : (R, E), such as the friction of each contact. spin_axes : axes of the C spin components.
+    coefficient : (R, E), such as the friction of each contact.
+    spin_axes : axes of the C spin components.
 
     Letters: R samples, N the shape of the lattice, E contacts.
     """

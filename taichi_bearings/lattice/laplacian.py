@@ -71,7 +71,8 @@ def ring_closures(side: int, held: np.ndarray, weight: float) -> np.ndarray:
     """Return vectors z (side, chains): one more spring from end to end of a chain, which makes a ring of it, changes
     its balance y to y - z (z . pull).
 
-    side : number of nodes of a chain. held : (chains,), stiffness of the spring that holds each node of a chain.
+    side : number of nodes of a chain.
+    held : (chains,), stiffness of the spring that holds each node of a chain.
     weight : stiffness of the springs along the chain.
 
     That is Sherman and Morrison's formula with the solution for a pull at both ends, a sum of q^s and q^-s with q + 1/q

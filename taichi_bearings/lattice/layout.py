@@ -91,7 +91,9 @@ class Layout:
 
     def parts(self, spec: object) -> list[tuple[Any, Rows]]:
         """Return pairs of fields and the place of their rows in memory. Here all fields have the shape (C, R, *N), so
-        there is one pair. spec : names of the fields, each with its number of components C.
+        there is one pair.
+
+        spec : names of the fields, each with its number of components C.
 
         Letters: R samples, N the shape of the lattice.
         """

@@ -80,7 +80,8 @@ def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
 def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> None:
     """Take a largest flow away from the capacity that is left, in place.
 
-    left : capacities, whole numbers of any size. pairs : (2, P) nodes of each of P joined pairs, lower and upper.
+    left : capacities, whole numbers of any size.
+    pairs : (2, P) nodes of each of P joined pairs, lower and upper.
     part : (nodes,) number of the connected part of each node.
 
     Each round finds a largest flow of the leading bits of all capacities, in a unit of each part, and takes it away.
@@ -119,7 +120,11 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
 
 
 def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -> np.ndarray:
-    """Return the sum (count,) of the values of each owner. values, owner : (n,). kind : type of the sums."""
+    """Return the sum (count,) of the values of each owner.
+
+    values, owner : (n,).
+    kind : type of the sums.
+    """
     found = np.zeros(count, dtype=kind)
     np.add.at(found, owner, values)
     return found

@@ -7,8 +7,11 @@ import numpy as np
 
 
 def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return a label (nodes,) of the connected piece of each node. nodes : number of nodes. first, second : (edges,),
-    the two ends of each edge."""
+    """Return a label (nodes,) of the connected piece of each node.
+
+    nodes : number of nodes.
+    first, second : (edges,), the two ends of each edge.
+    """
     from scipy import sparse
     from scipy.sparse import csgraph
 
@@ -19,7 +22,8 @@ def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def odd_pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the connected pieces of a graph with loops of odd length, and alternating signs in all others.
 
-    nodes : number of nodes. first, second : (edges,), the two ends of each edge.
+    nodes : number of nodes.
+    first, second : (edges,), the two ends of each edge.
     returns : (nodes,) True for nodes of pieces with odd loops; (nodes,) signs, +1 or -1, that differ between neighbours
         in pieces without odd loops.
 

@@ -90,7 +90,8 @@ def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCu
     """Find lightest cuts between bottom and top plane of R lattices by a largest flow, whatever the lattice; their
     field `next_weight`, the weight of the lightest other cut, is NaN.
 
-    weight : one array (R, *contacts) for each axis, none negative. rounding : relative error of each weight.
+    weight : one array (R, *contacts) for each axis, none negative.
+    rounding : relative error of each weight.
 
     For planar grids this is slower than shortest paths, but shares no code with them.
     """
@@ -277,8 +278,9 @@ def number_bodies(driven: np.ndarray) -> np.ndarray:
 def edges_of(values: tuple[np.ndarray, ...]) -> np.ndarray:
     """Return the values of the contacts that take part in cuts of a lattice, axis by axis, as one array (edges,).
 
-    Contacts between two spheres of the bottom or of the top plane do not take part. values : one array of contacts for
-    each axis, the height last.
+    Contacts between two spheres of the bottom or of the top plane do not take part.
+
+    values : one array of contacts for each axis, the height last.
     """
     *sideways, upward = values
     return np.concatenate([*(part[..., 1:-1].ravel() for part in sideways), upward.ravel()])
@@ -336,8 +338,9 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
     """Return a largest flow (edges,) from the first to the last node of an undirected graph, positive from the lower to
     the upper end, by Dinic's method of SciPy.
 
-    ends : (2, edges) nodes, lower and upper. capacity : int64 below 2^62, (edges,) of both ways, or (2, edges) from the
-        lower to the upper end and back. at_most : a number below 2^62 that no flow exceeds.
+    ends : (2, edges) nodes, lower and upper.
+    capacity : int64 below 2^62, (edges,) of both ways, or (2, edges) from the lower to the upper end and back.
+    at_most : a number below 2^62 that no flow exceeds.
 
     SciPy's flows have 32 bits, so the leading bits go first. The capacity that is left then carries no more than the
     cut found, which fits into fewer bits, and so on: three or four rounds (capacity scaling; Gabow, J. Comput. System

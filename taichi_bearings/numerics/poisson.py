@@ -13,8 +13,8 @@ def solve_poisson(source: np.ndarray, lattice: Lattice, component: int) -> np.nd
     component.
 
     source : (R, *free) torques in R samples on the free spheres of the lattice, in units of the springs' stiffness.
-    lattice : its bottom and top plane are held at 0. component : axis of the spin component; contacts along it have no
-        spring.
+    lattice : its bottom and top plane are held at 0.
+    component : axis of the spin component; contacts along it have no spring.
 
     The Laplacian is diagonal in waves: cosine transforms along open axes, Fourier transforms along periodic ones, sine
     transforms along the height. If nothing couples a layer to the driven planes, its mean becomes 0.

@@ -17,7 +17,8 @@ def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice,
     """Yield the cuts of least weight between the bottom row and the top row of each grid, one grid at a time.
 
     sideways : weights (B, w, h) of contacts along the rows of B grids of w columns and h rows; the last column's are
-        those with the first column. upward : weights (B, w, h - 1) of contacts between rows.
+        those with the first column.
+    upward : weights (B, w, h - 1) of contacts between rows.
     yields : the number of the grid as a slice of length 1, and its cut: side of each sphere, flow, ties and weight. The
         weight of the lightest other cut, `next_weight`, is not known (NaN) where cuts do not tie.
 

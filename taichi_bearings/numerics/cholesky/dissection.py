@@ -19,8 +19,9 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
     """Return an order of elimination (unknowns,) for the spins of the free spheres of a lattice, which makes few new
     entries.
 
-    lattice : of spheres. spin_axes : axes of the spin components that are unknown. The number of an unknown is that of
-        its free sphere times the number of components, plus the position of its component in `spin_axes`.
+    lattice : of spheres.
+    spin_axes : axes of the spin components that are unknown. The number of an unknown is that of its free sphere times
+        the number of components, plus the position of its component in `spin_axes`.
     leaf : regions of at most so many unknowns are not divided.
 
     Regions come before the plane of unknowns that separates them.

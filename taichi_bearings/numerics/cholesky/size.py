@@ -27,8 +27,10 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     def tree(region: Region) -> Tree:
         """Return three sizes of a region, in doubles: of its factor; of the update matrices (what eliminated unknowns
         add to the matrix of later ones) alive at one time, at most; of all of them at each depth of its dissection, its
-        own first. They are computed once for all regions of one shape and border. region : by spin component, a box of
-        spheres."""
+        own first. They are computed once for all regions of one shape and border.
+
+        region : by spin component, a box of spheres.
+        """
         corner = np.min([low for low, _ in region.values()], axis=0)
         moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
         border = _border(region, lattice)

@@ -76,8 +76,11 @@ def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[sli
 
 
 def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
-    """Return the minimum cuts of B grids of w columns and h rows. inner : (B, w - 1, h - 2) weights along rows, without
-    those of the end rows. upward : (B, w, h - 1) weights between rows."""
+    """Return the minimum cuts of B grids of w columns and h rows.
+
+    inner : (B, w - 1, h - 2) weights along rows, without those of the end rows.
+    upward : (B, w, h - 1) weights between rows.
+    """
     unit, path = _fine_paths(inner, upward)
     batch, columns, gaps = upward.shape
     sideways_flow, sideways_tied = (np.zeros((batch, columns - 1, gaps + 1), dtype) for dtype in (float, bool))

@@ -34,7 +34,10 @@ class ShortestPaths:
     upward: np.ndarray
 
     def pick(self, which: np.ndarray) -> "ShortestPaths":
-        """Return the paths of some of the grids. which : the numbers of these grids."""
+        """Return the paths of some of the grids.
+
+        which : the numbers of these grids.
+        """
         return ShortestPaths(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
