@@ -45,6 +45,7 @@ class Bounds:
     *springs* at the contacts. F is the friction after that, or else the stored friction. It is multiplied by a factor
     s, at most 1, so that s |F| is within the friction limit of all contacts without damping.
 
+    network : the R samples, with their spins, friction and coefficients.
     upper : (R,), the potential of the stored spins, rounded up.
     lower : (R,), what the friction proves of the least potential, rounded down.
     excess : (R,), bound on the potential of the stored spins less what the friction proves, 0 or more.

@@ -91,7 +91,12 @@ class ExactMotions:
 
     @classmethod
     def _found(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Find exact motions of as many spheres as possible; the arguments are those of :meth:`of`."""
+        """Find exact motions of as many spheres as possible: try all, and as long as that fails leave some spheres out,
+        up to MOST_ROUNDS times.
+
+        network : N spheres and E contacts of R samples of a packing.
+        number : (N, 3), which unknown each component of a spin is, -1 where it is none.
+        rests : (E,) mask of the contacts that shall roll."""
         spheres, (first, second) = network.reached, network.graph.contact
         for _ in range(MOST_ROUNDS):
             whole = spheres | ~network.free

@@ -276,7 +276,7 @@ class JudgedNetwork:
     @cached_property
     def impossible(self) -> np.ndarray:
         """(R,) mask of the samples whose stored spins no motion can have: contacts without slip join driven spheres for
-        which different spins are imposed. None where the stored spins of driven spheres are the imposed ones."""
+        which different spins are imposed. All False where stored spins of driven spheres are the imposed ones."""
         if all(self.graph.shift(k) is None for k in self.components):
             return np.zeros(self.count, dtype=bool)
         return self.motion.torn

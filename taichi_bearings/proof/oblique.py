@@ -125,6 +125,7 @@ class Centre:
     All values are exact sums of two doubles. N spheres, E contacts, S of them slipping and T resting; K is the matrix
     that gives slips from the n unknown components of free spins.
 
+    network : R samples of a packing, with N spheres and E contacts in all.
     exact : motions of spheres in which some resting contacts roll exactly.
     floor_of_loose_contacts : (R,), proven lower bound of the singular values of K^T for the *loose* contacts, resting
         ones that need not roll exactly, and the spheres that exact motions leave out; infinite if there is no such

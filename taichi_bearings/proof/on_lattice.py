@@ -84,8 +84,8 @@ class OnLattice:
 
     @property
     def can_be_judged(self) -> bool:
-        """False for a law whose proofs are not known here, and for numbers that are not finite, or whose size might let
-        products overflow or underflow."""
+        """True if the proofs can judge these samples: if proofs are known for their contact law, and all numbers are
+        finite and of a size that lets no product overflow or underflow."""
         scene, driving = self.scene, self.scene.exact_driving
         if not scene.law.is_sum:
             return False

@@ -269,8 +269,10 @@ class Grid(Listed):
         return spin
 
     def shift(self, k: int) -> Enclosure:
-        """Return for each sphere (n,) the imposed spin less the stored one in component k, both with the sign of the
-        sublattice and measured from the bottom. It is not 0 on the top alone."""
+        """Return for each of n spheres the imposed spin less the stored one in component k, (n,), both times the sign
+        +1 or -1 of the sublattice and measured from the bottom. It is 0 for all spheres but those of the top plane.
+
+        k : position of the spin component among the C components."""
         return self.samples.shift[self.samples.components[k]]
 
     def middle(self, some: np.ndarray) -> np.ndarray:

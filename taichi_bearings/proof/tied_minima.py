@@ -105,9 +105,11 @@ class Pulls:
         along the other component.
     coefficient : (n,), friction limits, in exact proportions.
     in_s : (n,) mask of the contacts of S.
-    slipless_domain, firm_domain, locked_domain : (2, spheres), labels of domains, by component. A domain is a group of
-        spheres that contacts join: those of T and C; of T; or of T and those of C that bear nothing along the
-        component. 0 and 1 stand for what moves with the bottom and with the top."""
+    slipless_domain : (2, spheres), by component the label of the domain of each sphere. A domain is a group of spheres
+        that some contacts join, here those of T and C. It is 0 for what moves with the bottom, 1 with the top.
+    firm_domain : the same for the domains that contacts of T alone join.
+    locked_domain : the same for the domains that contacts of T join, and those of C that bear nothing along the
+        component."""
 
     own: np.ndarray
     lower: np.ndarray

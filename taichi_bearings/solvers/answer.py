@@ -58,8 +58,9 @@ class Reached(ABC):
     findings: Mapping[str, np.ndarray]
 
     def numbers(self) -> dict[str, np.ndarray]:
-        """Return slips, power, bounds and leftover torques as they are proven: the fields of `Solution` in JUDGED, by
-        name.
+        """Return by name what is proven of the numbers of the answer: `slip` (R samples, E contacts), length/time, and
+        (R,) each `power`, `objective`, `lower_bound`, energy/time, `gap`, and `largest_balance_residual`, the largest
+        torque left on a free sphere.
         """
         return {name: getattr(self.judgement, of) for name, of in JUDGED.items()}
 

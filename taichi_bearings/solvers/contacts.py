@@ -154,8 +154,8 @@ class Stepped(Contacts):
     """Contacts that a method steps: their fields (arrays of numbers on spheres and contacts, on the device), kernels,
     and lower bounds on the objective.
 
-    points, forces : names of the fields that hold the spins of a gradient descent (on spheres), and its forces (on
-        contacts).
+    points : names of the fields, with numbers on spheres, that hold the spins of a gradient descent.
+    forces : names of the fields, with numbers on contacts, that hold its contact forces.
     fields : the numbers on the device, once `allocate` was called.
     spec : names and sizes of these fields.
     """

@@ -47,7 +47,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
     common_inertia : moment of inertia by which the kernel divides torques where the field `is_free` is 1, mass *
         length^2 on a lattice, mass in a packing.
     start_spin : largest spin at the start, 1/time.
-    team, sweeps : threads and kernel.
+    team, sweeps : the threads that run the kernel, and the kernel, a call of which makes time steps.
     before_last : the state, by name, before a shorter last step; None if none was made.
     balance_before : (R samples,) work of the contacts, (R,) energy that driven spheres gave, (R,) power of the contacts
         and (C components, R, *N spheres) forces on spheres, all before a shorter last step; None if none was made.
@@ -213,13 +213,16 @@ class CundallStrackMethod(Swept, SpringDynamics):
         scene, options = self.scene, self.options
         radius = scene.slip_radius
         return (
-            radius * span,
-            options.stiffness,
-            radius * (options.damping if scene.law.holds else 1.0),
-            scene.strength,
-            scene.strength * options.static_ratio,
-            *options.after_slip(span),
-            span * radius / self.common_inertia,
+            radius * span,  # turns a spin difference into the distance slipped in the step
+            options.stiffness,  # of a spring
+            radius
+            * (
+                options.damping if scene.law.holds else 1.0
+            ),  # radius times damping of a contact; the radius alone in laws without friction
+            scene.strength,  # by which a coefficient is multiplied to give the limit of kinetic friction
+            scene.strength * options.static_ratio,  # the same for static friction
+            *options.after_slip(span),  # two numbers that give the elongation of a slipping spring from its force
+            span * radius / self.common_inertia,  # turns a sum of forces into the change of a spin in the step
         )
 
     def launches(self, steps: int) -> Iterator[Launch]:

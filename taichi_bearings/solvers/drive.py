@@ -288,6 +288,8 @@ class Course:
     checkpoints, interrupt : where states are saved, None for nowhere; and what hears Ctrl-C.
     target : iteration at which the progress is read next.
     launch : iterations that are made at a time, adapted to half a second.
+    began : clock reading, seconds, from which wall time is counted, that before a checkpoint included.
+    called, written_at : clock readings at the start of this call, and at the last checkpoint.
     best, recorder : the best state so far, and the history.
     """
 

@@ -237,7 +237,8 @@ class SpringDynamics(Dynamics):
     """A dynamics whose contacts have springs: its progress, and when it is at rest.
 
     same_force : relative distance from the friction limit below which a contact counts as slipping.
-    checks : `least`, `share` and `later` of `RestWatch`.
+    checks : three numbers (least, share, later) that say when to look whether the motion rests: least + iteration //
+        share iterations after the last check; it counts if the time has grown by the fraction later since then.
     rest : the `RestWatch` that tells when nothing changes any more.
     """
 

@@ -134,7 +134,7 @@ class LatticePaths(Paths):
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
 
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
-        """Return the start of the central path of a sample.
+        """Return the start of the central path of a sample, the curve along which Newton steps lead to its minimum.
 
         Forces are measured in a unit near the mean coefficient. Without viscosity, contacts that are so strong that
         they are slipless at every minimum get less friction, as wide contrasts cost precision; with it, the path starts
@@ -152,12 +152,14 @@ class LatticePaths(Paths):
             strength = friction + flow
         elif self.frustrated:
             strength = weakened(self.system, friction)
+        # `firm`: mask of the contacts whose friction was reduced
         firm, friction = (strength < friction) if beside is None else None, strength if beside is None else friction
         unit = float(np.exp2(np.round(np.log2(np.mean(strength)))))  # dividing by it rounds nothing
         if beside is not None and self.frustrated:
             viscosity = flow / unit
             with suppress(NotPositiveDefinite), one_thread():
                 spins = flowing(self.system, viscosity, self.shared.matrix, spins)
+        # bound of the slip of a contact that has none at the start: about the mean jump from layer to layer
         slack = 1.0 / (scene.lattice.shape[-1] - 1)
         start = Iterate.start(self.system, spins, friction / unit, slack, viscosity)
         return Sample(start, unit, firm=firm if firm is not None and firm.any() else None)

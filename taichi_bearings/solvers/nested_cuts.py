@@ -257,14 +257,19 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
 
 
 def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
-    """Halve the ranges of levels of all nodes by one maximum flow, and return five things: the ranges, as `least` and
-    `most`; the level at which the upper half of each begins; the mask (nodes,) of the nodes in the upper half, where
-    the minimum cut with the smallest upper side is taken; and, for the cut with the smallest lower side, a graph and
-    some nodes, from which that side is all that is reached. The graph is the residual graph with reversed arcs; the
-    nodes are those whose sink is not saturated.
+    """Halve the ranges of levels of all nodes by one maximum flow. The level of a node is the number of its value among
+    the sorted driven values.
 
     cover : the graph that is cut.
     least, most : (nodes,), lowest and highest level that each node may have.
+
+    Returns five things:
+
+    1. and 2. `least` and `most` as they were given;
+    3. (nodes,), the level at which the upper half of each range begins;
+    4. (nodes,), mask of the nodes in the upper half, by the minimum cut with the smallest upper side;
+    5. arcs (from, to) and nodes to start at: what is reached from these is the smallest lower side of a minimum cut.
+       They are the residual arcs of the flow, reversed, and the nodes whose arc to the sink is not filled.
     """
     middle, (low, high), open_ = (least + most + 1) // 2, (cover.low, cover.high), least < most
     together = (least[low] == least[high]) & (most[low] == most[high]) & open_[low]

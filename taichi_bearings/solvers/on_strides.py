@@ -39,10 +39,10 @@ class OnStrides(Stepped, WithMinima):
     scene : the lattice, with its R samples.
     spec : names of the fields, with the numbers that each sphere has in them.
     spin_axes : numbers of the axes of the C spin components that are computed.
-    points, forces : names of the fields that hold the spins of a gradient descent, and its forces (none, as its sweeps
-        compute forces anew).
+    points : names of the fields that hold the spins of a gradient descent.
+    forces : empty, as the sweeps of a gradient descent compute the contact forces anew and need no field for them.
     fields : the numbers on the device, once `allocate` was called.
-    stencil : constants for which kernels are compiled, likewise.
+    stencil : constants for which kernels are compiled, once `allocate` was called.
     """
 
     scene: Scene

@@ -317,7 +317,8 @@ class TorqueBalance:
     chains : flat, inverse pivots by which the chains, one for each mode, are solved.
     modes : flat, the transformed field, where solutions replace pulls.
     measures : whole numbers by which kernels find spheres: length of a row in memory, strides and the like.
-    workers, each : number of threads, 0 on a GPU; and a function like `map` that shares calls among them.
+    workers : number of threads that share the planes; 0 on a GPU.
+    each : function like `map` that shares its calls among these threads.
     pulls, potentials : for each thread a list of pairs: some planes of `pull`, or of `potential`, and the same planes
         of the modes.
     is_rough : True if the products are less precise than the fields.

@@ -35,7 +35,7 @@ from taichi_bearings.stages import stage
 if TYPE_CHECKING:
     from taichi_bearings.solvers.on_system import OnSystem
 
-MOST_STEPS, SLACK = 80, 0.3  # steps of the path; slack of the bounds over the slips at its start, in mean slips
+MOST_STEPS, SLACK = 80, 0.3  # steps of the path; bound of a contact without slip at its start, in mean slips
 
 
 def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
@@ -208,7 +208,7 @@ def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix
     spins = np.zeros(contacts.unknowns)
     with suppress(NotPositiveDefinite):
         spins = flowing(contacts, strength + viscous, matrix, spins)
-    # by how much the bound of each slip exceeds the slip at the start; contacts without friction are `smooth`
+    # bound of the slip of a contact that has none at the start; contacts without friction are `smooth`
     slack = SLACK * float(length(contacts.differences(spins)).mean())
     start = Iterate.start(contacts, spins, strength, slack, viscous if of.viscosity.any() else None)
     return Sample(start if (of.friction > 0).all() else replace(start, smooth=strength == 0), unit)

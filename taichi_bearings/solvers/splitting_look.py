@@ -32,7 +32,8 @@ Part = tuple[slice, slice]
 
 
 class Looked(NamedTuple):
-    """What a look at an iterate finds."""
+    """What one iterate of operator splitting is worth: its forces, its power and the bound that it proves. Shapes: C
+    spin components, R samples, E contacts."""
 
     friction: Forces  # (C, R, E), the trial forces, each cut off at its friction limit
     balanced: Forces  # (C, R, E), the forces of the springs
@@ -43,12 +44,12 @@ class Looked(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Sums over one piece of the contacts."""
+    """Sums and largest values over one piece of the contacts, for r of the R samples."""
 
     samples: slice  # which of the R samples the piece is of
-    power: np.ndarray  # (samples,), energy/time
-    saturation: np.ndarray  # (samples,), the largest force of a spring over its friction limit
-    creep: float  # see `Looked`
+    power: np.ndarray  # (r,), of these contacts, energy/time
+    saturation: np.ndarray  # (r,), the largest force of a spring over its friction limit
+    creep: float  # length/time, the fastest slip of a contact whose trial force is within its friction limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,8 @@ class Look:
     weights: tuple[float, ...]
 
     def look(self, share: Callable[..., Iterable[Any]]) -> Looked:
-        """Return what the spins and forces of the iterate are worth.
+        """Return friction and spring forces of the iterate, the power of its spins, and the lower bound that its forces
+        prove.
 
         share : a function like `map`, which may share the calls among threads.
         """
@@ -111,7 +113,11 @@ class Look:
         return _length if largest < 1 / LEAST_LIMIT and least < GREATEST_LIMIT else _safe_length
 
     def _tasks(self, axis: int) -> list[Callable[[], Sums]]:
-        """Return functions without arguments, each of which looks at one piece of the contacts along an axis."""
+        """Return functions without arguments, one for each piece of the contacts along an axis. Each computes the
+        forces of its piece, writes them into `friction`, `balanced` and `capped`, and returns the sums of the piece.
+
+        axis : number of the lattice axis.
+        """
         lattice, slots = self.scene.lattice, self.stencil.slip_components[axis]
         low, high = ([self.staggered[slot][end] for slot in slots] for end in lattice.along(axis))
         trial = [self.layout.from_lower_sphere(self.trial[row], axis) for row in self.stencil.force_rows(0)[axis]]
