@@ -143,7 +143,9 @@ def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bo
 def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Prove where the slips of minima are in a packing with oblique normals (E contacts, R samples). Returns None, or a
     tuple: the mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - given slip|, and the mask (R,)
-    of samples that are proven. The module that does it is loaded for packings alone."""
+    of samples that are proven. The module that does it is loaded for packings alone.
+
+    bounds : bounds on the power of these samples, with their spins and friction."""
     from taichi_bearings.proof.oblique import enclosed_minimum
 
     return enclosed_minimum(bounds)
@@ -153,7 +155,9 @@ def _can_be_enclosed_together(bounds: Bounds) -> bool:
     """Return True if the minima of several samples may be enclosed together, as those of one network that falls apart.
     That is so if the lower bound of each sample is proven of all spins, and every contact that can dissipate has
     friction. Whether a contact with friction slips does not depend on how closely its slip is bounded; for several
-    samples these bounds are wider, so contacts with damping alone are left to single samples."""
+    samples these bounds are wider, so contacts with damping alone are left to single samples.
+
+    bounds : bounds on the power of the samples, with their friction."""
     held = bounds.network.holding.high[bounds.network.counts] > 0
     return bool((bounds.proof == PROVEN).all() and bounds.network.law.holds and held.all())
 
@@ -204,18 +208,21 @@ def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
 
 
 def _by_cuts(bounds: Bounds, k: int) -> list[States]:
-    """Return the states of each of R samples, with friction alone, where minima may slip along component number k of
-    the spins only: what the lightest cuts between imposed values say.
+    """Return the states of each of R samples, with friction alone, where minima may slip along one component of the
+    spins only. There all minima are mixtures of lightest cuts, which divide the spheres into two sides such that the
+    friction limits of the contacts between them have the least sum.
 
     bounds : the samples, with their friction and bounds on their power.
+    k : number of the spin component.
     """
     states = states_by_cuts(bounds, k)
     return [States(of, _is_one(of), "cuts (nearly) tie") for of in states.reshape(bounds.network.count, -1)]
 
 
 def _is_one(states: np.ndarray) -> bool | None:
-    """Return True if there is only one minimum, False if there are several, None if that is not known, by the states
-    (E,) of all contacts: TIED contacts slip at some minima only."""
+    """Return True if there is only one minimum, False if there are several, None if that is not known.
+
+    states : (E,), states of all contacts. Those that are TIED slip at some minima only, so there are several."""
     return False if (states == TIED).any() else None if (states == UNDECIDED).any() else True
 
 
@@ -245,7 +252,7 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
 
 
 def _halves(network: JudgedNetwork) -> list[JudgedNetwork]:
-    """Return the first and the second half of the samples of a network."""
+    """Return a list of two networks: with the first and with the second half of the samples of `network`."""
     return [network.some(slice(None, network.count // 2)), network.some(slice(network.count // 2, None))]
 
 
@@ -344,8 +351,10 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
 
 
 def _as_stored(motion: Motion) -> np.ndarray:
-    """Return states (m,): the contacts that can dissipate and do not rest in the motion are SLIPPING, all others
-    SLIPLESS."""
+    """Return states (m,) of m contacts: those that can dissipate and do not rest in the motion are SLIPPING, all
+    others SLIPLESS.
+
+    motion : a motion of a network in which some contacts (`motion.rests`) are taken to rest."""
     return np.where(motion.network.counts & ~motion.rests, SLIPPING, SLIPLESS)
 
 
@@ -364,6 +373,9 @@ def _repeats(network: JudgedNetwork) -> bool:
 def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
     """Prove that the network has one minimum near the slips of `contacts`, at which the contacts rest that rest in
     `motion`. Several samples are treated as parts of one that no contact joins.
+
+    motion : spins of a network in which some contacts are taken to rest.
+    contacts : the n contacts that slip in it, with their slips.
 
     Returns the slipping contacts close to the minimum, and for each of them a bound (n,) on |slip there - slip| /
     |slip|; or a text that says what is missing in the proof."""
@@ -398,7 +410,10 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
     At a minimum friction F takes from the power no more than the excess: the given power less what F proves. Near its
     limit a contact has at least the share mu F_n b^2 / (2 |slip|) of it, b being the part of the slip across F; with
     friction left over it has at least that times the slip. Together these are a quadratic form of the spins, whose
-    least eigenvalue bounds them."""
+    least eigenvalue bounds them.
+
+    bounds : the sample with its spins, bounds on its power, its friction after springs have balanced it, and the spin
+        components that these springs hold; without springs nothing is proven."""
     network = bounds.network
     if bounds.unknown is None:
         return np.full(len(network.acts), np.inf)
