@@ -77,7 +77,9 @@ class Bounds:
     @classmethod
     def one_by_one(cls, network: JudgedNetwork) -> Bounds:
         """Return the bounds of R samples, each computed alone, since they need different proofs (some have springs,
-        others none)."""
+        others none).
+
+        network : the R samples."""
         network = replace(network, rolling=None)
         samples = [cls.of(network.some(slice(number, number + 1))) for number in range(network.count)]
         found = {name: np.concatenate([getattr(one, name) for one in samples]) for name in BOUNDS_OF_SAMPLES}

@@ -233,6 +233,7 @@ def work_and_bound_within(
     bound that these prove after each is capped at its friction limit, or all are scaled to their limits, whichever
     proves more.
 
+    scene : R samples of a lattice with E contacts each, whose law is Coulomb's.
     balanced : (C components, R samples, E contacts), the forces.
     within : (C, R, E), the same, capped at the friction limits.
     worst : (R,), the largest force of each sample over its friction limit; it only decides whether scaled forces are
@@ -451,5 +452,6 @@ def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
     """Return the forces (C components, R samples, E contacts), set to 0 at contacts that take no part: those without a
     coefficient or without a free sphere.
 
+    scene : the R samples, with the coefficients of their contacts.
     force : (C, R, E)."""
     return np.where(scene.idle, 0.0, force)

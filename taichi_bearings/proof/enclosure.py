@@ -98,7 +98,10 @@ class Enclosure:
 
     @classmethod
     def of_decimals(cls, values: list[Decimal]) -> Enclosure:
-        """Enclose n decimal numbers with many more digits than two doubles have, as arrays (n,)."""
+        """Return an enclosure (n,) of n decimal numbers: each as the nearest sum of two doubles, with a bound on the
+        error.
+
+        values : the numbers, which may have many more digits than two doubles."""
         high = [float(v) for v in values]
         low = [float(v - Decimal(h)) for v, h in zip(values, high, strict=True)]
         pair = cls.exact(high, low)
@@ -255,8 +258,10 @@ def joined(members: list[Enclosure]) -> Enclosure:
 
 
 def row_sum(values: Enclosure) -> Enclosure:
-    """Return for each of R rows the sum (R,) of its n numbers, an enclosure (R, n). The second half of a row is added
-    to the first, number by number, and so on with these sums; so there are few roundings, always in the same order."""
+    """Return for each of R rows the sum of its n numbers, an enclosure (R,). The second half of a row is added to the
+    first, number by number, and so on with these sums; so there are few roundings, always in the same order.
+
+    values : the numbers, an enclosure (R, n)."""
     while (size := values.high.shape[1]) > 1:
         half = size // 2
         paired, odd = values[:, :half] + values[:, half : 2 * half], values[:, 2 * half :]

@@ -183,6 +183,7 @@ class Judgement:
         """Return bounds (R,) of the potential, in units of the network, as bounds of the objective (power, or potential
         with viscosity), energy/time.
 
+        values : (R,), bounds of the potential, in units of power of the network.
         towards : plus or minus infinity, the way in which they are rounded."""
         return rounded_out(values, self.network.power_unit * self.law.share, towards)
 

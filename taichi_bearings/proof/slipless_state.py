@@ -48,7 +48,9 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
 
 def _planes_are_separate(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (R,) of the samples of a lattice in which nothing has to slip: in each spin component in which
-    bottom and top are driven differently, no chain of contacts that transmit this component joins both planes."""
+    bottom and top are driven differently, no chain of contacts that transmit this component joins both planes.
+
+    network : the R samples of a lattice."""
     if not network.needed:  # both planes are driven alike
         return np.ones(network.count, dtype=bool)
     # Only absent contacts can separate the planes: on a whole lattice chains join them.
@@ -69,7 +71,9 @@ def imposed_exactly(network: JudgedNetwork) -> bool:
 def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (R,) of the samples, with normals in any direction, for which spins are proven to exist at which
     all contacts roll exactly. It is tried only for samples whose given slips are at most NEARLY_NONE times the fastest
-    imposed speed."""
+    imposed speed.
+
+    network : R samples of a packing with E contacts in all, and their given spins."""
     nearly = ~network.counts | (network.slip.most <= NEARLY_NONE * network.box.max(initial=0.0))
     found = nearly.reshape(network.count, -1).all(axis=1)
     for number in np.flatnonzero(found).tolist():
@@ -131,6 +135,7 @@ def _equations(network: JudgedNetwork, contact: int, unknown: dict[int, int]) ->
     dictionary: coefficients by the number of the unknown spin component, and the constant term, from imposed spins,
     under the key IMPOSED.
 
+    network : a packing, with the normals of its contacts and the imposed spins.
     contact : index of the contact.
     unknown : for each free sphere the number of the first of its three unknowns."""
     normal = [Fraction(float(value)) for value in network.graph.normal[contact]]

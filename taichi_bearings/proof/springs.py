@@ -266,7 +266,9 @@ def numbered(mask: np.ndarray) -> np.ndarray:
 def turning_freely(network: JudgedNetwork) -> np.ndarray:
     """Return a mask (N, 3) for the N spheres of a packing. For spheres whose contacts all have one direction, bit by
     bit or with the opposite sign, it marks the largest component of this direction: such a sphere can turn about it
-    without slip. Nothing is marked for other spheres."""
+    without slip. Nothing is marked for other spheres.
+
+    network : a packing with N spheres, with the normals of its contacts."""
     normal = network.graph.normal[network.counts]
     large = np.argmax(np.abs(normal), axis=1)
     turned = normal * np.sign(normal[np.arange(len(normal)), large])[:, None]

@@ -135,7 +135,10 @@ def answered(reached: Reached, ended: Ended, while_wanted: Callable[[], Abstract
 
 
 def _with_numbers(reached: Reached) -> Solution:
-    """Return the answer with all that is proven of its numbers; of its contacts no state is proven yet."""
+    """Return the answer with all that is proven of its numbers; of its contacts no state is proven yet.
+
+    reached : spins and forces that the method has reached, and what they prove.
+    """
     scene, numbers = reached.scene, reached.numbers()
     slip = numbers["slip"]
     indicated = reached.indicated(slip)

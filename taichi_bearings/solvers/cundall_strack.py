@@ -386,6 +386,7 @@ def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallSt
 
     Slipping contacts are softer and do not reduce it.
 
+    scene : the lattice.
     spin_axes : numbers of the axes of the spin components that are computed.
     options : stiffness, damping, mass and order of Gear's method.
     """
@@ -410,6 +411,7 @@ def sticking_modes(
 ) -> Modes:
     """Return the modes of a lattice whose contacts stick, from which the error of a time step follows.
 
+    scene : the lattice.
     spin_axes : numbers of the axes of the spin components that are computed.
     options : stiffness, damping, mass and order of Gear's method.
     largest_spin : largest spin at the start, 1/time; the driven spins are taken into account too.

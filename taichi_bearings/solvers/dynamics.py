@@ -41,6 +41,7 @@ def slipping_contacts(
     a contact that does not slip; this is cut off at REST_SLIP, so that fast contacts count as slipping from the first
     step on.
 
+    scene : R samples of a lattice or packing with E contacts each, with their friction limits.
     force : (C components, R, E contacts), contact forces.
     slip : (R, E), slip speeds, length/time.
     tolerance : relative distance from the friction limit that counts as none.

@@ -132,6 +132,7 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
     The largest of all samples and spin components is returned; 0 for a law without viscosity. It is found by Lanczos'
     method to a relative 1e-3, and raised by as much.
 
+    scene : the lattice, with the viscosities of its contacts.
     spin_axes : numbers of the axes of the spin components that are computed.
     """
     lattice, largest, viscosities = scene.lattice, 0.0, scene.viscosities

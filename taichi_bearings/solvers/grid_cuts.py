@@ -52,7 +52,10 @@ class GridCuts(Part):
         self.iteration = 0
 
     def advance(self, steps: int) -> None:
-        """Cut every plane, or let all its spheres rotate alike where top and bottom have the same spin."""
+        """Cut every plane, or let all its spheres rotate alike where top and bottom have the same spin.
+
+        steps : not used, as the first iteration finds all cuts.
+        """
         self.iteration += 1
         spins = self.scene.lattice.by_plane(self.staggered[0], self.component)
         spins[:, self.top == 0] = 0.0  # no jump: all rotate with the bottom

@@ -167,6 +167,7 @@ def _states_and_thresholds(
     unless `known` has its state. If some slipping contact is slower than what the slip alone resolves, the friction has
     told it apart; the speed that is returned then is the largest slip of a slipless contact.
 
+    scene : the lattice with its R samples.
     slip : (R, E), slip speeds, length/time.
     final : the best state that the method has reached.
     threshold : the slip speed that the user asked for, or None for what can be resolved.
@@ -210,6 +211,7 @@ def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, a
     """Return contact states (R samples, E contacts): those that the method has established, or else those that slip and
     friction give.
 
+    scene : the lattice with its R samples.
     slip : (R, E), slip speeds, length/time.
     final : the best state that the method has reached.
     threshold : slip speed up to which a contact counts as slipless, length/time.

@@ -295,6 +295,7 @@ def inertia_of(scene: Scene, options: "Motion") -> float:
 
     It is the option `inertia` if given, else m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere.
 
+    scene : the lattice.
     options : options of a method, with `mass` (m) and `inertia` (None if not given).
     """
     usual = options.mass * scene.slip_radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
@@ -308,6 +309,7 @@ def fastest_modes(scene: Scene, spin_axes: tuple[int, ...], inertia: float) -> t
     method may miss; it is 0 without viscosity. The second has the largest eigenvalue lambda of the Laplacian of
     contacts that all stick, which is known in closed form.
 
+    scene : the lattice, with the viscosities of its contacts.
     spin_axes : numbers of the axes of the spin components that are computed.
     inertia : I, mass * length^2; R is the radius.
     """
@@ -322,6 +324,7 @@ def _moving_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
 
     A component turns if some sphere has another staggered spin in it than the bottom plane.
 
+    scene : the lattice with its R samples.
     spin : (R samples, *N spheres, 3), in 2D (R, *N), spins at the start, 1/time.
     """
     needed, every = scene.minimum_spin_axes, scene.lattice.all_spin_axes

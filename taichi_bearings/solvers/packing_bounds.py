@@ -25,7 +25,7 @@ class PackingBounds:
     packing : the packing with all contacts.
     acting : (E,), numbers of the contacts that take part, for which forces are given.
     system : the A contacts among them that lie in parts of the packing which touch a driven sphere.
-    of_system : (A,), their places among the E.
+    of_system : (A,), places, among the E contacts, of the A contacts of the system.
     matrix : Newton matrix of the system, for forces that are to be balanced.
     proven : the best bound, energy/time.
     witness : (C components, 1, N spheres), u = radius * spin with which it was proven.
@@ -85,8 +85,9 @@ class PackingBounds:
         return min(self.proven, self._proven_by(force[:, 0, self.of_system], self.witness))
 
     def take(self, bound: float, spins: np.ndarray) -> None:
-        """Keep a bound if it is the best one.
+        """Store a bound in `proven` if no bound before was larger, and its spins in `witness`.
 
+        bound : lower bound on the objective, energy/time.
         spins : (C components, 1, N spheres), u = radius * spin with which it was proven.
         """
         if bound >= self.proven:
@@ -106,6 +107,8 @@ class PackingBounds:
     def _balanced(self, force: np.ndarray) -> np.ndarray:
         """Return contact forces (d tangents, A contacts) with their leftover torques balanced, or as they are if the
         matrix is singular.
+
+        force : (d, A), components of the forces along the d tangents of each contact.
         """
         try:
             return self.matrix.balanced(force, isotropic(force, self.system.of_contacts(self.packing)[0]))

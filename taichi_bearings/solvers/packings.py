@@ -48,6 +48,8 @@ def side_by_side(scene: Bearing) -> Iterator[tuple[int, int]]:
     """Yield the samples of a packing whose minima are found together: the first number, and the one after the last.
 
     In these samples, which are small ones, the same contacts take part.
+
+    scene : the packing with its samples.
     """
     most = MOST_SIDE_BY_SIDE if scene.network.spheres < InteriorPoint.alike_in_a_block else 1
     acting = [scene.sample(number).acting.tobytes() for number in range(scene.replicas)]
@@ -86,6 +88,7 @@ def least_power(
 def _able(scene: Bearing, method: str) -> str:
     """Return the name of the method that solves a packing.
 
+    scene : the packing, of which the first sample is looked at.
     method : its name, or "auto" for the quickest one.
 
     Exact cuts need a law with friction alone and contacts that each couple one spin component.

@@ -127,7 +127,10 @@ class Look:
         limit = lattice.by_axis(self.scene.acting_coefficient)[axis], lattice.by_axis(self.scene.inverse_limit)[axis]
 
         def task(part: Part) -> Callable[[], Sums]:
-            """Return the function that looks at one piece."""
+            """Return the function that looks at one piece.
+
+            part : slices of the samples and of the first axis of the lattice, which cut the piece out of arrays.
+            """
             spins = [[of[part] for of in end] for end in (low, high)]
             forces = [[of[part] for of in arrays] for arrays in found]
             given = [of[part] for of in trial]

@@ -43,6 +43,7 @@ def without_slip(scene: Scene, final: Progress) -> Progress:
 def _joined_to_top(scene: Scene, contacts: np.ndarray) -> np.ndarray:
     """Return the mask (*N,) of the top plane and of all spheres that contacts join to it, *N the shape of the lattice.
 
+    scene : the lattice, with *N its shape.
     contacts : (E contacts,), mask of the contacts that join.
     """
     sites = scene.lattice.sites
