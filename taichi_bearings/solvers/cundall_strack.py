@@ -51,6 +51,10 @@ class CundallStrackMethod(Swept, SpringDynamics):
     before_last : the state, by name, before a shorter last step; None if none was made.
     balance_before : (R samples,) work of the contacts, (R,) energy that driven spheres gave, (R,) power of the contacts
         and (C components, R, *N spheres) forces on spheres, all before a shorter last step; None if none was made.
+    last_span : length of that shorter last step, time.
+    power_at_start, pull_at_start : with an energy balance, at time 0: (R samples,) power of the contacts over the
+        radius, and (C components, R, *N spheres) sum of the contact forces on each sphere.
+    resumable : True if the state before a shorter last step is stored, so that the run can be continued.
     """
 
     state_names = WATCH_NAMES

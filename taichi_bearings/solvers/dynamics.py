@@ -127,6 +127,15 @@ class Dynamics(Method):
         the options. It is set before the method begins.
     inertia : moments of inertia of the free spheres, one number or (N,): mass * length^2 on a lattice; in a packing
         over the squared radius, mass.
+
+    With an energy balance, (R samples,) each:
+
+    energy_at_start : kinetic energy at time 0.
+    work : energy that the contacts have taken from the spins so far.
+    injected : energy that the driven spheres have given so far.
+
+    and imposed : (C components, R, E contacts), what the spins of the driven spheres alone add to the spin differences
+        of the contacts, 1/time.
     """
 
     contacts: Stepped

@@ -43,6 +43,8 @@ class GridBundles(Part):
 
     A plane is the two-dimensional grid of one layer and sample; a bundle has so many planes that memory suffices.
 
+    scene : the lattice with its R samples.
+    spin_axes : numbers of the axes of the C spin components that are computed.
     spin, rest : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, as sums of
         two doubles.
     bundles : for each bundle the place of its spin component among those computed, and its planes.

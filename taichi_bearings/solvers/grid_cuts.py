@@ -25,6 +25,7 @@ class GridCuts(Part):
     """The planar cut of a lattice: the only iteration finds the minimum cut of each plane, a grid of contacts that
     couple one spin component.
 
+    scene : the lattice with its R samples.
     component : number of the axis of that spin component; the planes are the layers across it.
     top : (planes,), imposed spin of the top less that of the bottom in each plane, 1/time.
     staggered, force, states : (1, R samples, *N spheres) spins with alternating signs as methods carry them, (1, R, E

@@ -96,6 +96,8 @@ class LatticePaths(Paths):
     """The central paths of all samples of a lattice: curves of spins and forces along which Newton steps lead to the
     minimum, and from whose end it is found which contacts slip there.
 
+    scene : the lattice with its R samples.
+    spin_axes : numbers of the axes of the C spin components that are computed.
     unit : unit of spins on the paths, 1/time.
     frustrated : True if the driven planes have different spins, so that something has to be solved.
     system : the contacts with a free sphere, as the path sees them: slips are a linear map of *staggered* spins, spins

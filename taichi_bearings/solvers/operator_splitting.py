@@ -93,6 +93,9 @@ class OperatorSplittingMethod(Method):
     stiffness : (R samples,), rho of each sample.
     weights, weight : stiffness of the springs over rho, by lattice axis, and by contact (E contacts,).
     changing : names of the fields that the iteration changes.
+    layout, stencil : where the numbers of a site stand in the fields, and constants for which kernels are compiled.
+    balance : the solver of the Poisson problem, which adds the change of the spins to `potential`.
+    contact_step, team : the kernel of the pass over the contacts, and the threads that run it.
     """
 
     scene: Scene

@@ -39,6 +39,8 @@ class PackingReached(Reached):
     system : the contacts that take part.
     samples : each sample alone.
     found : spins and forces of each sample.
+    scene : the packing with all these samples.
+    judgement : what spins and forces prove.
     """
 
     scene: Packing

@@ -86,11 +86,10 @@ class Recorder:
         recording : the simulated times that are asked for.
         """
         self._scene, self.recording = scene, recording
-        # columns of the history by name; times and laboratory spins of the snapshots; time of the last state that came
-        self._columns: dict[str, list[Any]] = {}
-        self._snapshot_times: list[float] = []
-        self._snapshot_spins: list[np.ndarray] = []
-        self._last_time = -np.inf
+        self._columns: dict[str, list[Any]] = {}  # the history: by name of a column its entries, one for each row
+        self._snapshot_times: list[float] = []  # simulated times of the snapshots
+        self._snapshot_spins: list[np.ndarray] = []  # laboratory spins of each, (R, *N spheres, 3), of discs (R, *N)
+        self._last_time = -np.inf  # simulated time of the last state that `take` was given
 
     def take(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
         """Add a row to the history and a snapshot of the spins, each if it is due.

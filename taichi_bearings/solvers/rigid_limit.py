@@ -47,6 +47,8 @@ class RigidLimitMethod(Dynamics):
     creep : spin difference, 1/time, up to which a contact may have no slip.
     staggered, force : spins (C components, R, *N spheres) and contact forces (C, R, E contacts) of the last step.
     moving : axes of the spin components that friction has not stopped.
+    slots : places of these components among all that are computed.
+    rows : places of the force components that the solver of a step returns.
     slipping : (R,), number of contacts that slip in the last step.
     rest_time : (R,), time of the last step in which the power fell.
     still : number of steps in a row in which no power fell.
