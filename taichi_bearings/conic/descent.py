@@ -87,7 +87,7 @@ class Descent:
         asked : True if contact states are wanted, and not only a bound on the power.
         """
         self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
-        self.step_seconds = 0.0  # duration of the last step
+        self.step_seconds = 0.0  # duration of the last Newton step, seconds
 
     def advance(self, steps: int) -> None:
         """Take up to `steps` further Newton steps of every sample that is not done. Near the end of its path settle the
@@ -127,8 +127,12 @@ class Descent:
                     self._leave(path, place, sample)
 
     def _leave(self, path: Path, place: int, sample: Sample) -> None:
-        """Store the point that a sample has reached, unless it is done, and free its place on the path, number `place`,
-        for others."""
+        """Store the point that a sample has reached, unless it is done, and free its place on the path for others.
+
+        path : the path on which it is, side by side with others.
+        place : its place among the samples there.
+        sample : the sample.
+        """
         if not sample.done:
             sample.iterate = path.iterate(place)
         path.put(place, None)
@@ -187,7 +191,8 @@ class Descent:
         finite if it cannot be computed.
 
         sample : the sample.
-        path, place : the path on which it is, and its place among the samples there.
+        path : the path on which it is, side by side with others.
+        place : its place among the samples there.
 
         Where the cost of unbalanced torques is more than the gap, forces are balanced first, except if the settling of
         states is about to balance them.
@@ -225,8 +230,12 @@ class Descent:
             sample.done |= found.sure
 
     def _misses(self, sample: Sample, found: Resolved) -> tuple[bool, bool, float]:
-        """Return what the minimum `found` of a sample misses, smaller is better, the most important first: True if
-        slipless contacts do not bear their load; True if states are not sure; its gap with the cost of unbalanced
-        torques."""
+        """Return three measures of what a minimum lacks, the most important first; smaller is better: True if no forces
+        of the slipless contacts are known that balance all torques; True if it is not sure which contacts slip; its
+        relative gap, with the cost of unbalanced torques.
+
+        sample : the sample, whose friction is used.
+        found : the minimum.
+        """
         settled = replace(sample.iterate, difference=found.difference, dual=found.dual)
         return not found.borne, not found.sure, settled.gap + settled.price_of_torques

@@ -40,7 +40,8 @@ class StageEnd:
     to d slip components whose springs friction limits.
 
     spins : (unknowns,), 1/time.
-    force, held : (d, n), the whole contact force, and the force without its viscous part.
+    force : (d, n), the whole force of each contact.
+    held : (d, n), that force without its viscous part.
     slips : (n,) mask of the contacts that slip.
     """
 
@@ -251,8 +252,11 @@ class FrictionStage:
         there; or it still falls at the end of the whole step, then the length is 1.
 
         friction : laws of the n contacts.
-        trial, change : (d, n), trial forces, and their change by the whole step.
-        spins, base, step : (unknowns,), spins now, spins from which inertia acts, and the whole step.
+        trial : (d, n), forces of the springs before friction limits them.
+        change : (d, n), change of these by the whole step.
+        spins : (unknowns,), spins now, 1/time.
+        base : (unknowns,), spins from which inertia acts, 1/time.
+        step : (unknowns,), the whole Newton step of the spins, 1/time.
         first : slope along the step at length 0, below 0.
 
         Letters: n contacts with up to d slip components.

@@ -28,7 +28,10 @@ class Inertia:
     origin: np.ndarray
 
     def torques(self, spins: np.ndarray) -> np.ndarray:
-        """Return the torques (unknowns,) that change the spins from their origin to `spins` (unknowns,)."""
+        """Return the torques (unknowns,) that change the spins, during the step in time, from `origin` to other ones.
+
+        spins : (unknowns,), spins at the end of the step.
+        """
         return self.weight * (spins - self.origin)
 
 
@@ -81,8 +84,10 @@ class Iterate:
         return cls(system, spins, friction, bound, difference, np.zeros_like(difference), viscosity=viscosity)
 
     def let_slip(self, slips: np.ndarray) -> "Iterate":
-        """Return the point with another choice of the contacts that obey the law of friction exactly (`smooth`),
-        outside their cones: those of the mask `slips` (n,). All others are in their cones.
+        """Return the point with another choice of the contacts that obey the law of friction exactly (field `smooth`)
+        and are in no cone.
+
+        slips : (n,) mask of these contacts; all others are in their cones, bound >= |slip| and friction >= |force|.
 
         Contacts that come back into their cones are put on the path: they get the force along their slip and the bound
         at which their product is the mean one.
@@ -135,8 +140,11 @@ class Iterate:
         return whole_dual(self.dual, self.viscosity, self.difference)
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
-        """Return the torques (unknowns,) that the contacts have to exert to give these spins (unknowns,); 0 without
-        inertia."""
+        """Return the torques (unknowns,) that the contacts have to exert during a step in time, so that it ends at
+        given spins; 0 without inertia.
+
+        spins : (unknowns,), spins at the end of the step.
+        """
         return 0.0 if self.inertia is None else self.inertia.torques(spins)
 
     @property

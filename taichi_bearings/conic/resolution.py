@@ -247,7 +247,8 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     """Return the minimum of one sample, found by following its central path on to the end of double precision; None if
     it is not found.
 
-    iterate, before : the last two points of the path; the second may be None.
+    iterate : the last point of the path.
+    before : the point one step before, None if unknown.
     shared : what all samples share.
 
     The path is followed until few contacts are undecided. Then come trials, up to the first one whose states are sure;
@@ -520,7 +521,8 @@ class _SmoothPower:
             stand there once for each sphere.
         rests : for each sample (unknowns,), rounding errors of `spins`: both added are the spins in twice the
             precision. None where they are not known.
-        difference, dual : (d, kept), slips with d components and minus the friction forces, sample after sample.
+        difference : (d, kept), slips with d components, sample after sample.
+        dual : (d, kept), minus the friction forces, sample after sample.
         """
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
         at_limit = [np.zeros_like(mask) for mask in self.slipping]

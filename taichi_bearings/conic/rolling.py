@@ -21,7 +21,8 @@ NONE_IN_PAIRS = 1e-30  # slip, in units of the fastest imposed surface, that sum
 def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarray) -> Pair:
     """Return spins (unknowns,) near the given ones at which some contacts roll, or the given ones where none are found.
 
-    system, packing : the A contacts, and the spheres whose contacts they are.
+    system : the A contacts as a function of the unknown spins.
+    packing : the spheres whose contacts they are.
     spins : (unknowns,), u = radius * spin of free spheres, length/time; sums of two doubles, as is the result.
     rolls : (A,), mask of the contacts that have to roll.
 
@@ -51,7 +52,8 @@ def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarr
 def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.ndarray:
     """Return the slips (d, A) of the contacts along their tangents, computed in sums of two doubles.
 
-    system, packing : the A contacts, and the spheres whose contacts they are.
+    system : the A contacts as a function of the unknown spins.
+    packing : the spheres whose contacts they are.
     spins : (unknowns,), u = radius * spin of free spheres, length/time, as sums of two doubles.
 
     Letters: d slip components, 1 for discs and 2 for spheres.

@@ -46,10 +46,12 @@ def nearly_borne(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return forces of the slipless contacts, near the given ones, that balance all torques.
 
-    system, matrix : contacts of one sample, and their Newton matrix, which is factorised anew.
+    system : the contacts of one sample.
+    matrix : their Newton matrix, which is factorised anew.
     friction : (samples * n,), one sample after the other, as in the following arrays.
     dual : (d, samples * n), minus the forces; those of slipless contacts nearly balance the others.
-    slipping, at_limit : (samples * n,) masks of contacts that slip, and that may rest at their limit.
+    slipping : (samples * n,) mask of contacts that slip.
+    at_limit : (samples * n,) mask of contacts that rest and yet may bear all their friction.
     heads : for each sample a mask (unknowns,) of one spin of each set of tied spins without a driven plane.
     returns : minus the forces (d, samples * n), all in balance; mask (samples,) of the samples in which forces inside
         all friction discs are found.
@@ -137,7 +139,8 @@ def _balanced(
     """Return the dual (minus the forces, (d, n, samples)) after springs have taken its torques away, and the largest
     torque (samples,) before.
 
-    system, matrix : contacts of one sample, and their matrix with the stiffnesses of the springs, factorised.
+    system : the contacts of one sample.
+    matrix : their Newton matrix with the stiffnesses of the springs, factorised.
     side : minus the forces (d, n, samples).
     springs : (n, samples), their stiffnesses.
     going : (samples,) mask of samples to change.
@@ -160,9 +163,11 @@ def _cut_and_balanced(
     """Return minus the forces (d, n, samples), none beyond its limit: forces are cut to their limit and balanced in
     turn, as long as that reduces the torques.
 
-    system, matrix : contacts of one sample, and their matrix with the stiffnesses of the springs, factorised.
-    side : minus the forces (d, n, samples), with up to d slip components. springs : (n, samples), stiffnesses of the
-        springs that take torques away. going : (samples,) mask of samples to change.
+    system : the contacts of one sample.
+    matrix : their Newton matrix with the stiffnesses of the springs, factorised.
+    side : minus the forces (d, n, samples), with up to d slip components.
+    springs : (n, samples), stiffnesses of the springs that take torques away.
+    going : (samples,) mask of samples to change.
     limit : (n, samples), friction of the n contacts that may rest at their limit, infinite for others.
     """
     last = np.full(len(going), np.inf)
@@ -177,8 +182,12 @@ def _cut_and_balanced(
 
 
 def _cut(dual: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
-    """Return minus the forces `dual` (d, n, samples), with those at or beyond their limit (n, samples) set to exactly
-    that size. `limit` None means that no contact rests at its limit; then nothing changes."""
+    """Return minus the forces, (d, n, samples), with those at or beyond their limit set to exactly that size.
+
+    dual : (d, n, samples), minus the forces on n contacts with up to d slip components.
+    limit : (n, samples), friction of contacts that may rest at their limit, infinite for others; None if no contact
+        does, then nothing changes.
+    """
     if limit is None:
         return dual
     size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
@@ -206,10 +215,10 @@ def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torque
     """Return a mask (samples,), True where forces that balance surely exist near the given ones: torques are small, and
     at all slipless contacts friction exceeds the force by more than the sum of all torques.
 
-    friction, slipping : (samples * n,).
+    friction : (samples * n,), largest friction force of each contact, sample after sample.
+    slipping : (samples * n,) mask of contacts that need no room.
     dual : (d, samples * n), minus the forces.
-    torques : (unknowns, samples), those left, also on spins that were held. The mask `slipping` marks contacts that
-        need no room.
+    torques : (unknowns, samples), torques that the forces leave, also on spins that were held.
 
     Letters: n contacts with up to d slip components.
     """

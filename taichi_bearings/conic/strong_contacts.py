@@ -48,7 +48,9 @@ def _cut(low: np.ndarray, high: np.ndarray, friction: np.ndarray, bottom: int, t
     """Return the sum of the friction of the links across a cut: a set of links whose removal parts the nodes `bottom`
     and `top`. Of all cuts one is taken whose strongest link is as weak as possible.
 
-    low, high : (k,), nodes at the ends of the links, numbered up to `top`. friction : (k,).
+    low, high : (k,), nodes at the two ends of each of k links (spin components of contacts), numbered up to `top`.
+    friction : (k,), friction of each link.
+    bottom, top : numbers of the nodes that stand for the driven bottom and top.
     """
     levels = np.unique(friction)
     begin, end = 0, len(levels) - 1

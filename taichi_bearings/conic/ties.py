@@ -44,9 +44,10 @@ def sometimes_slipping(
     system : the contacts.
     order : order in which its unknowns are eliminated.
     friction : (n,), largest friction force mu F_n of each contact.
-    difference, dual : (d, n), slips and minus the friction forces at one minimum.
-    slipping, at_limit : (n,) masks of contacts that slip there, and that do not slip and may bear all their friction
-        all the same.
+    difference : (d, n), slips at one minimum.
+    dual : (d, n), minus the friction forces there.
+    slipping : (n,) mask of contacts that slip there.
+    at_limit : (n,) mask of contacts that do not slip there and yet may bear all their friction.
 
     Letters: n contacts with up to d slip components.
     """

@@ -94,7 +94,7 @@ class BalanceKernels:
         """Compute one block of TILE x TILE entries of the matrix product `given` @ `sines`, and write it into `found`,
         or add it.
 
-        given, found : flat arrays, of which the matrices are a part: row r has `height` numbers, one for each sphere of
+        given, found : flat arrays that contain the two matrices: row r has `height` numbers, one for each sphere of
             a column along the height. The first and the last belong to driven spheres and take no part.
         sines : (m, m) matrix with m = height - 2, flat.
         source, target : index of the first number of the matrix in `given` and in `found`.
@@ -147,8 +147,10 @@ class BalanceKernels:
         modes : (C components, R samples, *N spheres) scratch for the amplitudes of the sines, flat.
         sines : (m, m) matrix of the sines along the height of m free spheres, flat.
         chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies.
-        row, margin : length of a row of the fields, and numbers of a row before the first sphere.
-        count, sites : spheres of all replicas, and of one.
+        row : length of a row of the fields, which has one number of every sphere.
+        margin : numbers of a row before the first sphere.
+        count : spheres of all replicas (samples solved side by side).
+        sites : spheres of one replica.
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.
@@ -228,7 +230,8 @@ class BalanceKernels:
         slot : number of the spin component.
         group : number of the block of chains.
         count : sites of all replicas.
-        stride, side : distance in memory of the spheres in a chain, and their number.
+        stride : distance in memory from one sphere of a chain to the next.
+        side : number of spheres of a chain.
         height : spheres along the height.
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.
@@ -286,7 +289,8 @@ class BalanceKernels:
         workers : number of threads.
         modes : (C components, R samples, *N spheres) pulls in each mode, flat, replaced by the solutions.
         chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies.
-        count, sites : spheres of all replicas, and of one.
+        count : spheres of all replicas (samples solved side by side).
+        sites : spheres of one replica.
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.

@@ -111,8 +111,8 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
     W is the scaling of Nesterov and Todd, the symmetric matrix that makes the two points of the contact equal: W^-1
     (bound, slip) = W (friction limit, minus force).
 
-    values, at : numbers of all contacts, row by row, flat; and for each row of the iterate the index of its number for
-        the first contact of the block. Rows of it hold W as a weight and a rotation.
+    values : numbers of all contacts, row by row, flat; some rows hold W as a weight and a rotation.
+    at : list: for each row of the iterate the index in `values` of its number for the first contact of the block.
     head, tail : the point; the tail is a list of one or two numbers.
     m : number of the contact within its block.
     sign : 1 for W, -1 for W^-1.
@@ -141,8 +141,8 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
     W is the Nesterov-Todd scaling of the contact, by which its primal and its dual point become the same scaled point,
     W^-1 primal = W dual. o is the Jordan product, (a, b) o (c, e) = (a c + b.e, a e + c b), which is inverted here.
 
-    values, at : numbers of all contacts, row by row, flat; and for each row of the iterate the index of its number for
-        the first contact of the block. Rows of it hold W and the scaled point.
+    values : numbers of all contacts, row by row, flat; some rows hold W and the scaled point.
+    at : list: for each row of the iterate the index in `values` of its number for the first contact of the block.
     head, tail : the right-hand side; the tail is a list of one or two numbers.
     m : number of the contact within its block."""
     by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
@@ -159,8 +159,8 @@ def right_side_and_pull(values: ti.template(), at: ti.template(), head, tail: ti
     The pull is the force with which the contact enters the equations of the spheres, once the change of its bound of
     the slip is eliminated from them.
 
-    values, at : numbers of all contacts, row by row, flat; and for each row of the iterate the index of its number for
-        the first contact of the block.
+    values : numbers of all contacts, row by row, flat.
+    at : list: for each row of the iterate the index in `values` of its number for the first contact of the block.
     head, tail : the right-hand side; the tail is a list of one or two numbers.
     m : number of the contact within its block."""
     dual = vector(values, at, DUAL, tail, m)
@@ -576,8 +576,8 @@ def _sums(together: bool) -> Callable:
         places[begins[i] : begins[i + 1]]. A place that is stored as ~p, a negative number, is subtracted instead of
         added.
 
-        begins, places : lists of places, one after the other, and where each begins; one entry more than there are
-            lists.
+        begins : where each list of places begins in `places`; one entry more than there are lists.
+        places : all lists of places, one after the other; a place is an index counted from `first`.
         values, found : flat arrays, of which the second is written; vectors of LANES samples if several are worked on
             together.
         first, to : index in `values` of place 0, and in `found` of the first sum.

@@ -86,8 +86,11 @@ class ListSweeps(Sweeps):
     ):  # fmt: skip
         """Do one part of a sweep for one block: of contacts (part 0) or of spheres (part 1).
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        tables : integers that say which spheres each contact joins and which contacts each sphere has.
+        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
+            and the length of a row of constants.
         number : number of the block.
         numbers : not used, as each copy of the network has constants of its own among `values`.
         sweep : number of the sweep.
@@ -127,7 +130,9 @@ class ListSweeps(Sweeps):
         values : all fields, flat.
         name : name of the field of spheres that holds u.
         across : unit tangents T, a list of the 6 components of both; not used for discs.
-        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
+        tables : integers that say which spheres each contact joins and which contacts each sphere has.
+        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
+            and the length of a row of constants.
         first : number of the block's first contact.
         """
         both = [zero(self.block) for _ in self.rows[name]]
@@ -161,7 +166,8 @@ class ListSweeps(Sweeps):
         """Write the friction forces of a block of contacts as vectors, T f: the unit tangents T times the components f
         along them.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
         rows : list of the indices where the components of the vectors stand.
         across : T, a list of the 6 components of both tangents; not used for discs.
         force : f, a list with an entry for each tangent.
@@ -181,7 +187,9 @@ class ListSweeps(Sweeps):
 
         values : all fields, flat.
         row : index at which the row of that component of T f begins.
-        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
+        tables : integers that say which spheres each contact joins and which contacts each sphere has.
+        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
+            and the length of a row of constants.
         first : number of the block's first sphere.
         """
         if ti.static(self.block == 1):
@@ -199,7 +207,9 @@ class ListSweeps(Sweeps):
 
         values : all fields, flat.
         row : index at which the row of that component of T f begins.
-        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
+        tables : integers that say which spheres each contact joins and which contacts each sphere has.
+        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
+            and the length of a row of constants.
         sphere : number of the sphere.
         """
         total, start = 0.0, self.measures + 2 * size[1]
@@ -234,8 +244,11 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         """Stretch the springs and write the forces of a block of contacts; before, add the work of the last step to its
         sum.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        tables : integers that say which spheres each contact joins and which contacts each sphere has.
+        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
+            and the length of a row of constants.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
         numbers : constants: radius * time step, stiffness of the spring, damping * radius, kinetic and static friction
@@ -271,7 +284,8 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
     ):  # fmt: skip
         """Make Gear's step of one spin component for a block of spheres.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
         c : number of the spin component.
         pull : force on each sphere by its contacts, this component.
         first : number of the block's first sphere.
@@ -310,8 +324,11 @@ class DescentLists(ListSweeps):
 
         They are also added to the field `force_sum` if there is one and the constant numbers[8] is above 0.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        tables, size : which spheres each contact joins and which contacts each sphere has; and lengths of rows.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        tables : integers that say which spheres each contact joins and which contacts each sphere has.
+        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
+            and the length of a row of constants.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
         numbers : constants of the sweep, of which the one at place 1 is 1 over the slip up to which friction grows.
@@ -330,7 +347,8 @@ class DescentLists(ListSweeps):
     ):  # fmt: skip
         """Move one spin component of a block of spheres down the gradient, and on by its momentum.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
         c : number of the spin component.
         pull : force on each sphere by its contacts, this component.
         first : number of the block's first sphere.

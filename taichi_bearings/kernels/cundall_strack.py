@@ -52,7 +52,8 @@ class SpringsAndSpins:
         slips: its force is cut off at kinetic friction, and its spring is set back. A viscosity adds a force to either.
         A component is a vector with an entry for each contact of a block.
 
-        moved, speed : differences of the spins by component, 1/time: mean over the step, and at its end.
+        moved : mean over the step of the difference of the spins, by component, 1/time.
+        speed : that difference at the end of the step, by component, 1/time.
         before : elongation before the step by component, length.
         coefficients : friction of each contact in a unit that they share, and viscosity if there is one.
         numbers : constants, in this order:
@@ -191,7 +192,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
         values : all fields, flat.
         rows : indices of the rows; a row has one value for every site.
-        row, first : length of a row, and index in a row of the first site of the block.
+        row : length of a row, which has one number of every site.
+        first : index in a row of the first site of the block.
         side : list with the distance in memory to the upper neighbour; on lattices with periodic axes also with the
             number of sites after which a ring along the axis closes, and with the place of the first site in its ring.
         """
@@ -205,7 +207,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         that makes these contacts slip.
 
         values : all fields, flat.
-        row, first : length of a row, which has one number of every site, and index in it of the first site.
+        row : length of a row, which has one number of every site.
+        first : index in a row of the first site of the block.
         side : list with the distance in memory to the upper neighbour; on lattices with periodic axes also with the
             number of sites after which a ring along the axis closes, and with the place of the first site in its ring.
         """
@@ -233,7 +236,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         write their elongations and forces. Without friction there are no springs: the force is coefficient *
         numbers[2] * D, with D the difference of the spins.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
@@ -262,7 +266,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         """Add to the field `work` of a block of sites what their contacts dissipated at the end of the last step, up to
         a constant factor: force times spin difference, summed over the contacts with the upper neighbours.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
@@ -287,7 +292,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         `pulling` says which forces act on a component. With `tally` forces on driven spheres are summed too. The loop
         over the components is one at run time, so that its body is compiled once.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first sphere of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
@@ -319,15 +325,18 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         """Do one part of a step for a block of sites: part 0, stretch the springs at the contacts above them; part 1,
         move their spheres.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row, first : length of a row (one number of every site), and index in it of the first site of the block.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
+        first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
             periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
             and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, compliance and memory of a spring that slips, and time step * radius /
             inertia.
-        sweep, carried : not used; `walk` takes the same arguments in all methods."""
+        sweep : not used; `walk` takes the same arguments in all methods.
+        carried : not used."""
         if ti.static(part == 0):
             self.contact_pass(values, blocks, row, first, strides, numbers)
         else:
@@ -336,7 +345,11 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
 @ti.func
 def chosen(options: ti.template(), number):
-    """Return options[number], for a number that is known only at run time, while the list is known to the compiler."""
+    """Return options[number].
+
+    options : list of integers, whose length is known when the kernel is compiled.
+    number : index in the list, known only at run time.
+    """
     result = options[0]
     for other in ti.static(range(1, len(options))):
         result = ti.select(number == other, options[other], result)

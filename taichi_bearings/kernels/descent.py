@@ -103,8 +103,9 @@ class DescentSweeps(Sweeps):
 
         total : force on the spheres of a block, a list with an entry for each spin component.
         axis : number of the axis.
-        above, below : force of the contact with the upper neighbour, which pulls the sphere up, and with the lower one;
-            lists with an entry for each component that makes these contacts slip.
+        above : force of the contact with the upper neighbour, which pulls the sphere up: a list with an entry for each
+            component that makes these contacts slip.
+        below : force of the contact with the lower neighbour, which pulls the sphere down, as such a list.
         """
         for t in ti.static(range(len(self.stencil.slip_components[axis]))):
             total[self.stencil.slip_components[axis][t]] += above[t] - below[t]
@@ -134,8 +135,10 @@ class DescentSweeps(Sweeps):
         fields.
 
         part : not used, as a sweep has one part.
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row, first : length of a row (one number of every site), and index in it of the first site of the block.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
+        first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
             periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
             and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.

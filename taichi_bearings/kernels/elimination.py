@@ -65,7 +65,8 @@ def sheets_before(tables: ti.template(), at, column):
     A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update, what
     is left for the later ones, is stored in panels of some columns each.
 
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
     column : number of a column of the front, own columns first; for those the result is 0."""
     before, width = 0, tables[SHEET]
     if column - tables[at + OWN] >= width:  # hardly ever: no division in small fronts
@@ -81,7 +82,8 @@ def column_of(tables: ti.template(), at, column):
     A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update is what
     is left for the later ones.
 
-    tables, at : integers that say where all entries stand, and the position among them of those of this front.
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
     column : number of the column within the front, own columns first."""
     own, start = tables[at + OWN], tables[at + OWN_COLUMNS] + column * tables[at + HEIGHT]
     if column >= own:
@@ -348,8 +350,9 @@ def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vector
 
     tables : integers that say where all entries stand, made in numerics/cholesky/layout.py.
     entries : entries of the matrix, in the order of these tables.
-    numbers, vectors : entries of all fronts (dense matrices of unknowns that are eliminated together), overwritten by
-        the factor: one by one, and as vectors of LANES rows in the same memory."""
+    numbers : entries of all fronts (dense matrices of unknowns that are eliminated together), one by one; overwritten
+        by the factor.
+    vectors : the same memory as vectors of LANES rows."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH

@@ -56,9 +56,11 @@ def join(
 
     A front is a group of columns that are eliminated together, as one dense matrix.
 
-    part, column, update : cost in operations of a front, of an entry of its columns, and of an entry that it leaves for
-        later columns, as :func:`price` takes them.
-    parent, count : (n,), the parent in the tree and the length of each column of the factor, from :func:`grow`.
+    part : cost of handling a front, in operations.
+    column : cost of handling an entry of a front's own columns, in operations.
+    update : cost of handling an entry that a front leaves for later columns, in operations.
+    parent : (n,), the parent in the tree of each of n columns of the factor, -1 for none; from :func:`grow`.
+    count : (n,), number of entries of each column of the factor, from :func:`grow`.
     home : (n,) result: the last column of the front that each column is in.
     own : (n,) result: for the last column of a front, the number of columns in the front.
     child : (n,) result: for the last column of a front, the last column of its first child in the tree; -1 for none.

@@ -91,8 +91,10 @@ class ContactStep(Sweeps):
         trial force is the old one, cut off at the friction limit, and changed by the difference of the potentials; the
         spring force is weight * that difference - (trial - 2 * trial cut off).
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row, first : length of a row (one number of every site), and index in it of the first site of the block.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
+        first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
             periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
             and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
@@ -112,8 +114,10 @@ class ContactStep(Sweeps):
         """Write the sum of the spring forces on each sphere of a block, upper contacts less lower ones, into the field
         `pull`, by spin component.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row, first : length of a row (one number of every site), and index in it of the first sphere of the block.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every sphere.
+        first : index in a row of the first sphere of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
             periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
             and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis."""
@@ -133,13 +137,16 @@ class ContactStep(Sweeps):
         """Do the first part of the pass, at the contacts above a block of sites, or the second, at its spheres.
 
         part : 0 for the contacts, 1 for the spheres.
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
-        row, first : length of a row (one number of every site), and index in it of the first site of the block.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        row : length of a row, which has one number of every site.
+        first : index in a row of the first site of the block.
         strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
             periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
             and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
-        sweep, carried : not used; `walk` takes the same arguments in all methods."""
+        sweep : not used; `walk` takes the same arguments in all methods.
+        carried : not used."""
         if ti.static(part == 0):
             self.limit_block(values, blocks, row, first, strides, numbers)
         else:

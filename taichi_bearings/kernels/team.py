@@ -259,7 +259,8 @@ class Sweeps:
         sites, and call `walk`, which subclasses define.
 
         part : number of the part.
-        values, blocks : all fields, flat, and the same memory in blocks.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
         tables : integers of the layout, not used here.
         size : length of a row (one number of every site), numbers in it before the first site, number of blocks,
             strides along x and y, sites of a replica.
@@ -285,7 +286,8 @@ class Sweeps:
     def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
         """Add numbers of a block of sites to sums that the fields hold.
 
-        values, blocks : all fields, flat, and the same memory in blocks (groups of sites that are worked on together).
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
         sums : list of indices at which the sums of the block's first site stand.
         new : list of what is added, a vector for each.
         """

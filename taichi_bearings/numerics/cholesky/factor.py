@@ -372,7 +372,7 @@ class _BatchWork:
         arrays : three flat arrays, as kernels take them: tables of the layout (int32), entries of the matrix, and all
             doubles of the factor.
         """
-        alone = batch.numbers < tuning.SHARED_ASSEMBLY_NUMBERS
+        alone = batch.doubles < tuning.SHARED_ASSEMBLY_NUMBERS
         kernel = elimination.assemble_serially if alone else elimination.assemble
         self.assemble = prepared(elimination.eliminate_branches if batch.whole else kernel, *arrays, *batch.items)
         self._fronts, self._cost = fronts, sum(front.cost for front in fronts)

@@ -25,7 +25,7 @@ class Batch:
     eliminated together, with the later unknowns that they are coupled to.
 
     fronts : (fronts of the batch,), the index of each among all fronts.
-    numbers : doubles of memory that the fronts need.
+    doubles : how many doubles of memory the fronts need.
     items : (begin, end) in the list of all work items: those that assemble these fronts. A work item is some columns
         of one front, which one thread fills with matrix entries and with what earlier fronts leave. If `whole`, (begin,
         end) in the table of branches instead.
@@ -33,7 +33,7 @@ class Batch:
     """
 
     fronts: np.ndarray
-    numbers: int
+    doubles: int
     items: tuple[int, int]
     whole: bool = False
 
@@ -45,7 +45,8 @@ class Layout:
     they are coupled to. It has a column for each own unknown and, after their elimination, an update: a matrix (border,
     border) that the front above it in the elimination tree takes. All arrays hold int64.
 
-    own, border : (fronts,) numbers of own unknowns, and of unknowns of the border.
+    own : (fronts,) number of own unknowns of each front.
+    border : (fronts,) number of unknowns in the border of each front.
     columns : (fronts,) where the own columns of a front begin; they are (height, own) in Fortran order.
     update : (fronts,) where the update of its border begins. It is stored in panels of SHEET_COLUMNS columns from the
         diagonal down, of update_height rows and less; the first one begins at row `skip` of the front. Only lower
