@@ -185,7 +185,8 @@ def _refuse_of_script(law: type, method: str) -> None:
     """Raise InputError for a law or a method that worker processes cannot import: one that is defined in the running
     script, or in a module whose own code calls solve_many while it is imported.
 
-    law : class of the contact law. method : name of the method.
+    law : class of the contact law.
+    method : name of the method.
     """
     for what, name, kind in (("law", law.__name__, law), ("method", method, METHODS.get(method))):
         module = getattr(kind, "__module__", "")

@@ -139,7 +139,8 @@ def _best_cut(
     """Return for all regions at once, as masks (n,), the upper half of each region and the nodes that separate its
     halves.
 
-    first, second : (edges,), nodes of each edge. region : (n,) region of each node.
+    first, second : (edges,), nodes of each edge.
+    region : (n,) region of each node.
     ordered : (d, active nodes), the nodes that are in no separator yet, in order along each axis.
     """
     halved = np.stack([_upper_half(along, region) for along in ordered])
@@ -152,7 +153,8 @@ def _best_cut(
 def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
     """Return the mask (n,) of the nodes beyond the median of their region along an axis.
 
-    ordered : nodes that are in no separator yet, in their order along the axis. region : (n,) region of each node.
+    ordered : nodes that are in no separator yet, in their order along the axis.
+    region : (n,) region of each node.
     """
     own = region[ordered]
     order = np.argsort(own.astype(np.uint16) if own.max() < 2**16 else own, kind="stable")
@@ -166,7 +168,8 @@ def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
 def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and the upper node, (k,) each, of the edges that join the two halves of a region.
 
-    first, second : (edges,), nodes of each edge. upper : (n,) mask of the upper halves.
+    first, second : (edges,), nodes of each edge.
+    upper : (n,) mask of the upper halves.
     """
     at = np.flatnonzero(upper[first] != upper[second])
     first, second = first[at], second[at]
@@ -205,7 +208,8 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
 def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the distinct ones of some nodes, in order, and for each of the nodes its number among them.
 
-    nodes : (k,), indices of nodes, which may repeat. count : number of all nodes.
+    nodes : (k,), indices of nodes, which may repeat.
+    count : number of all nodes.
     """
     there = np.zeros(count, dtype=bool)
     there[nodes] = True
@@ -215,7 +219,8 @@ def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 def _in_postorder(parent: np.ndarray, part: np.ndarray) -> list[Part]:
     """Return the parts with children before parents, in an order in which few finished ones wait for their parents.
 
-    parent : (parts,), the part above each, or -1. part : (n,), part of each node.
+    parent : (parts,), the part above each, or -1.
+    part : (n,), part of each node.
     """
     children: list[list[int]] = [[] for _ in parent]
     for child in np.flatnonzero(parent >= 0):

@@ -19,7 +19,8 @@ class Kind:
 
     read : function that turns a given value into the one that is kept; ValueError, TypeError, KeyError or OverflowError
         if it cannot.
-    allowed : words that complete "it must be ...". metavar : what stands for the value in help texts.
+    allowed : words that complete "it must be ...".
+    metavar : what stands for the value in help texts.
     known : the words that the value is one of, if it is one of some.
     """
 
@@ -53,7 +54,8 @@ class Kind:
 def numbers(convert: Reader, counts: tuple[int, ...]) -> Reader:
     """Return a function that reads several numbers from a text such as 32,32,32 or 32x32x32, or from a list.
 
-    convert : function that reads each of them. counts : how many there may be.
+    convert : function that reads each of them.
+    counts : how many there may be.
     """
 
     def read(value: Any) -> tuple[Any, ...]:
@@ -157,7 +159,8 @@ def finite_number(name: str, value: object) -> float:
 class OneOf(Kind):
     """The kind of values that are one of some names.
 
-    names : the names. table : holds more names as its keys, and can grow.
+    names : the names.
+    table : holds more names as its keys, and can grow.
     """
 
     def __init__(self, *names: str, table: Mapping[str, object] = MappingProxyType({})) -> None:

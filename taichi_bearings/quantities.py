@@ -435,7 +435,8 @@ COLUMNS = SAMPLES | FINDINGS | ANALYSED | OF_SCANS
 def found_in(answer: object, rows: Mapping[str, Quantity]) -> Iterator[tuple[Quantity, Any]]:
     """Yield the rows of which an answer has a value, each with the value.
 
-    answer : what the functions of the rows take. rows : the rows by name.
+    answer : what the functions of the rows take.
+    rows : the rows by name.
     """
     found = ((row, row.of(answer)) for row in rows.values())
     return ((row, value) for row, value in found if value is not None)

@@ -65,8 +65,9 @@ def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
 def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None = None) -> Iterator[Item]:
     """Yield the items one after another; progress shows which of how many is under way.
 
-    name : of an item, in the singular. work : function that returns the work of an item, in any unit, where that is
-        roughly known; `alike` where all take the same; None where it is unknown.
+    name : of an item, in the singular.
+    work : function that returns the work of an item, in any unit, where that is roughly known; `alike` where all take
+        the same; None where it is unknown.
     """
     shares = [] if work is None else [work(item) for item in items]
     with stage(name) as under_way:

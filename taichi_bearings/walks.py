@@ -201,7 +201,8 @@ def _recording(core: Any, reader: Any) -> Iterator["_Record"]:
     """Write down, in the record that is yielded, the calls of the compiler's core that are made inside the block, and
     which functions the compiler reads there.
 
-    core : the compiled part of Taichi. reader : the module of Taichi that defines the class of kernels.
+    core : the compiled part of Taichi.
+    reader : the module of Taichi that defines the class of kernels.
     """
     record, before = _Record(core), list[tuple[Any, str, Any]]()
 
@@ -402,7 +403,9 @@ def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
     """Repeat a stored walk: make its calls of the compiler's core, which fill an empty kernel with its intermediate
     code.
 
-    core : the compiled part of Taichi. kernel : a new, empty kernel of the core. config : the compiler's settings.
+    core : the compiled part of Taichi.
+    kernel : a new, empty kernel of the core.
+    config : the compiler's settings.
     walk : what was recorded, as `Walk` describes.
     """
     names, constants, calls = walk

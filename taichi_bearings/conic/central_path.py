@@ -47,8 +47,8 @@ def friction_stiffness(
     Along the slip friction has no second derivative; there a weak stiffness LEAST_WORK / slip^2, at most `share` times
     the stiffness friction / slip across it, keeps matrices regular.
 
-    friction : (n,), largest friction force of each contact. viscosity : (n,), viscous force over slip speed; None for
-        none.
+    friction : (n,), largest friction force of each contact.
+    viscosity : (n,), viscous force over slip speed; None for none.
     difference : (d, n), slips, none of them 0.
     share : upper bound of the weak stiffness, as said; infinity for none.
     """
@@ -176,8 +176,12 @@ class _Step:
         return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
-        """Return this step, except in the samples of the mask `kept` (S,): there with the changes of the spins and the
-        lengths and sums of `other`."""
+        """Return this step, except in some samples: there with the changes of the spins, and the lengths and sums, of
+        another step.
+
+        kept : (S,) mask of the samples that take the other step.
+        other : the other step.
+        """
         return replace(
             self,
             spins=np.where(kept, other.spins, self.spins),
@@ -306,7 +310,8 @@ class Path:
         . force, after a step that is longer than the present one. Contacts whose product would then be more than a
         factor PRODUCT_SPREAD away from the target are brought closer to it.
 
-        step : the present step. target : (S,), product to aim at.
+        step : the present step.
+        target : (S,), product to aim at.
         going : (S,) mask of the samples to correct; the others keep their step.
         rejected : (S,) mask of samples, among these others, whose present step is worse than the one before, which is
             in the rows of the other of the two steps in memory. They keep that one.
@@ -415,10 +420,13 @@ class Path:
         return self._read(sample, self._spins_before, *of_before)
 
     def _read(self, sample: int, spins: np.ndarray, bound: int, slip: int, dual: int) -> Iterate:
-        """Return a point of sample number `sample`, read from the rows `bound`, `slip` (two rows) and `dual` (two
-        rows).
+        """Return a point of the path of one sample, read from rows of memory, which have one number of every contact.
 
-        spins : (unknowns or more, S), spins of all samples.
+        sample : number of the sample.
+        spins : (unknowns or more, S), spins of all S samples.
+        bound : row of the bounds of the slips.
+        slip : first row of the slips, which take two rows.
+        dual : first row of minus the friction forces, which take two rows.
         """
         iterate, rows = self._given[sample], self._rows
         assert iterate is not None
@@ -434,8 +442,9 @@ class Path:
 
 
 def _in(slot: int, row: int) -> int:
-    """Return the number, among all rows of the contacts' numbers, of row `row` of a step.
+    """Return the number, among all rows of memory, of one row of a Newton step; a row has one number of every contact.
 
     slot : 0 or 1, which of the two steps in memory.
+    row : number of the row within the step.
     """
     return kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row

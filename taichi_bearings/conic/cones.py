@@ -28,7 +28,10 @@ def determinant(point: Point) -> np.ndarray:
 
 
 def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the scalar products (n,) of n pairs of vectors (d, n). Letters: d slip components."""
+    """Return the scalar products (n,) of n pairs of vectors.
+
+    tail, other : (d, n), the vectors, with d slip components each.
+    """
     return np.einsum("dn,dn->n", tail, other)
 
 

@@ -208,6 +208,9 @@ class ContactSystem:
     def of_contacts(self, bearing: Bearing, sample: int = 0) -> tuple[np.ndarray, ...]:
         """Return the material constants of the n contacts in one sample of a bearing, (n,) each, in the order in which
         functions of the contact law take them: friction times normal force, then viscosity, force * time / length.
+
+        bearing : the spheres and contacts of this system, in one sample or several.
+        sample : number of the sample.
         """
         return tuple(values[sample, self.contact] for values in bearing.material)
 

@@ -103,7 +103,8 @@ class Contraction:
         """Find and number the sets of spins that tied contacts join; sets `unknowns`, `number`, `imposed`,
         `contradicts` and the sample of each set.
 
-        whole : contacts of all samples. tied : (n,) mask of the tied ones, which make the spins at both ends equal.
+        whole : contacts of all samples.
+        tied : (n,) mask of the tied ones, which make the spins at both ends equal.
         samples : number of samples, of equal size.
         """
         assert whole.ends is not None

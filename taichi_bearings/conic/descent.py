@@ -158,8 +158,8 @@ class Descent:
         """Store the relative gap that a sample has after a step, and whether it is done or its contact states are to be
         settled next.
 
-        path, place : the path on which it is, and its place among the samples there. taken : False if the step could
-            not be taken; then the sample is done, at the point before.
+        path, place : the path on which it is, and its place among the samples there.
+        taken : False if the step could not be taken; then the sample is done, at the point before.
         """
         gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))

@@ -104,7 +104,8 @@ class FrictionStage:
     """Solver for stages over one system of contacts: finds spins at which springs limited by friction, viscous forces
     and the inertia of the spheres balance.
 
-    system : the contacts. matrix : factorises their Newton matrix.
+    system : the contacts.
+    matrix : factorises their Newton matrix.
     radius : radius R of the spheres, length.
     spin_scale, force_scale : typical sizes of spins and forces, by which rounding is judged.
     factorisations : number of factorisations so far.
@@ -170,8 +171,8 @@ class FrictionStage:
         """Return the trial forces (d, n) of the springs, before friction limits them: that at no slip, `start`, plus
         stiffness times slip speed.
 
-        start : (d, n), force of each spring at no slip. resistance : (n,), stiffness of each spring, force * time /
-            length.
+        start : (d, n), force of each spring at no slip.
+        resistance : (n,), stiffness of each spring, force * time / length.
         spins : (unknowns,), 1/time.
         """
         return start + resistance * self.radius * self.system.differences(spins)
@@ -179,7 +180,8 @@ class FrictionStage:
     def _with_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
         """Return the forces of all contacts with their viscous part, (d, n).
 
-        friction : laws of the n contacts, of which the viscosity is used. force : (d, n), without the viscous part.
+        friction : laws of the n contacts, of which the viscosity is used.
+        force : (d, n), without the viscous part.
         spins : (unknowns,), at which the viscous forces are computed, 1/time.
         """
         if friction.viscosity is None:
@@ -191,7 +193,8 @@ class FrictionStage:
         the forces (d, n) on n contacts with up to d slip components.
 
         force : (d, n).
-        inertia : moment of inertia over the duration of the stage. gained : (unknowns,), spins less those before it.
+        inertia : moment of inertia over the duration of the stage.
+        gained : (unknowns,), spins less those before it.
         """
         return inertia * gained + self.radius * self.system.torques(force)
 
@@ -201,7 +204,8 @@ class FrictionStage:
         In short stages inertia dominates, and a few conjugate gradients do. Else the matrix is factorised, unless
         nothing has changed since the last time.
 
-        friction : laws of the n contacts. trial : (d, n), forces of the springs before friction limits them.
+        friction : laws of the n contacts.
+        trial : (d, n), forces of the springs before friction limits them.
         """
         self._inertia, self._stiffness = friction.inertia, np.zeros(0)  # gives the memory of the last one back
         self._stiffness = friction.stiffness(trial)

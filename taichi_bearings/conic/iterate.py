@@ -74,7 +74,9 @@ class Iterate:
         """Return a point without forces other than viscous ones, with the bound sqrt(slip^2 + slack^2) above the slip
         of each of n contacts.
 
-        system : the contacts. spins : (unknowns,). friction : (n,), limits of the force.
+        system : the contacts.
+        spins : (unknowns,), spins of the point.
+        friction : (n,), largest friction force of each contact.
         slack : how far the bound of a contact without slip is above 0, in units of slip. The larger it is, the further
             the point is from the end of the central path; 0 puts bounds on the slips themselves.
         viscosity : (n,), viscous force over slip speed; None for no viscosity.

@@ -73,7 +73,8 @@ class LastDecades:
         """Return a path, with spins as sums of two doubles, that goes on from `iterate`, the point at which the central
         path in doubles ends.
 
-        before : the point one Newton step before, None if unknown. matrix : Newton matrix of the system of contacts.
+        before : the point one Newton step before, None if unknown.
+        matrix : Newton matrix of the system of contacts.
         """
         path = cls(iterate, exactly(iterate.spins), iterate.system.differences(iterate.spins), matrix)
         if before is not None:

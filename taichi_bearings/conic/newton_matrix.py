@@ -178,10 +178,12 @@ class NewtonMatrix:
     def factorise_rows(
         self, rows: ContactRows, wanted: np.ndarray, inertia: float = 0.0, viscous: np.ndarray | None = None
     ) -> np.ndarray:
-        """Factorise the matrices of the stiffnesses stored in `rows`. Return a mask (S,) of the `wanted` (S,) samples
-        in which that succeeds, if need be with a raised diagonal.
+        """Factorise the matrices of the stiffnesses stored in `rows`, of S samples. Return a mask (S,) of the wanted
+        samples in which that succeeds, if need be with a raised diagonal.
 
-        rows : numbers of all contacts, one row for each kind. inertia : stiffness of a spring at every spin.
+        rows : numbers of all contacts, one row for each kind.
+        wanted : (S,) mask of the samples that are wanted.
+        inertia : stiffness of a spring at every spin.
         viscous : stiffnesses to add, (d (d + 1) / 2 * n, S): upper triangles of the n contacts' matrices (d, d), all
             entries [0, 0], then all [0, 1], and so on.
         """
@@ -228,13 +230,12 @@ def _side_by_side(values: np.ndarray) -> np.ndarray:
 
 
 def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Factorise with the diagonal raised by as little as helps. Return a mask (S,) of the `wanted` (S,) matrices in
-    which that succeeds.
+    """Factorise S matrices, with the diagonal raised by as little as helps. Return a mask (S,) of the wanted matrices
+    in which that succeeds.
 
     factor : Cholesky factor whose `entries` hold the matrices.
     diagonal : (unknowns,) places of their diagonals among the entries.
-
-    Letters: S samples.
+    wanted : (S,) mask of the matrices that are wanted.
     """
     regular = factor.factorise()
     if (regular | ~wanted).all():
@@ -252,8 +253,11 @@ def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray)
 
 @lru_cache
 def _compile(engine: Engine, samples: int) -> None:
-    """Compile the kernels of an engine, a way to factorise, for one sample or several side by side, by factorising for
-    a lattice of 2 x 2 x 3 spheres: kernels are the same for all.
+    """Compile the kernels that factorise, by factorising for a lattice of 2 x 2 x 3 spheres: kernels are the same for
+    all.
+
+    engine : the way to factorise.
+    samples : number of samples side by side, 1 or LANES.
     """
     lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
     system = lattice_system(lattice, spin_axes, np.ones(2))

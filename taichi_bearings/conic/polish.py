@@ -118,8 +118,9 @@ class _PreciseSystem:
     """
 
     def __init__(self, tied: Contraction, top: Pair | None) -> None:
-        """Take the contacts that are left in `tied`.
+        """Find where imposed spins contribute to the slips of the contacts that are left.
 
+        tied : the contacts that are left when others were tied, and their unknowns, one for each set of tied spins.
         top : for each unknown of a sample the imposed spin of the top above it, a sum of two doubles; None where
             imposed spins are doubles.
         """

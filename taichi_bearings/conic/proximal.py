@@ -162,6 +162,7 @@ class OfNetwork(Unknowns):
         """Number the free spins of a bearing, in which all contacts have to take part, and make its contact system over
         them.
 
+        bearing : spheres and contacts, some of them driven.
         unit : speed that is counted as one, of u = radius * spin, length/time.
         inertia : (N,), moment of inertia over radius squared of each of N spheres, mass.
         """
@@ -309,10 +310,13 @@ class ProximalSteps:
 
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:
-    """Return the excess of the cost over its dual (what the forces prove), divided by what is allowed: `sharp` times
-    the work done on inertia, or `closest` times the cost, whichever is larger. Up to 1 a step is solved.
+    """Return the excess of the cost over its dual (the lower bound that the forces prove), divided by what is allowed.
+    Up to 1 a step is solved.
 
-    iterate : the point on the path that is judged."""
+    iterate : the point on the path that is judged.
+    sharp : allowed excess over the work done on inertia.
+    closest : allowed excess over the cost; the larger one of both counts.
+    """
     assert iterate.inertia is not None
     moved = iterate.spins - iterate.inertia.origin
     return iterate.excess / max(sharp * iterate.inertia.weight * float(moved @ moved), closest * iterate.cost)

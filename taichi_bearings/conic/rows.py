@@ -178,7 +178,9 @@ class ContactRows:
         """Copy the numbers of a step of one sample that are needed to go it, and to solve for it again, all but the
         tail of its right-hand side.
 
-        slot, to : 0 or 1, which of the two steps in memory is read, and which is written.
+        slot : 0 or 1, which of the two steps in memory is read.
+        to : 0 or 1, which of them is written.
+        sample : number of the sample.
         """
         begin, end = (self.values[kernels.STATE_ROWS + n * kernels.STEP_ROWS :, :, sample] for n in (slot, to))
         for row in (kernels.RIGHT_HEAD, kernels.PULL, kernels.CHANGE, kernels.BOUND_STEP, kernels.DUAL_STEP):

@@ -103,8 +103,11 @@ def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:
 
 
 def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return here + share * (there - here) for arrays (..., samples) and a share (samples,) of the way; exactly `there`
-    where the share is 1."""
+    """Return here + share * (there - here), an array (..., samples); exactly `there` where the share is 1.
+
+    here, there : (..., samples), the begin and the end of the way.
+    share : (samples,), share of the way to go.
+    """
     return np.where(share == 1, there, here + share * (there - here))
 
 

@@ -42,7 +42,8 @@ class Lists:
         """Return the lists of a network, ordered so that neighbours stand near each other: spheres by the method of
         reverse Cuthill and McKee, contacts by their first sphere in that order.
 
-        spheres : number of spheres. pairs : (E contacts, 2) spheres of each contact.
+        spheres : number of spheres.
+        pairs : (E contacts, 2) spheres of each contact.
         """
         ones, block = np.ones(2 * len(pairs), dtype=np.int8), block_size()
         graph = sparse.csr_array((ones, (pairs.T.ravel(), pairs[:, ::-1].T.ravel())), shape=(spheres, spheres))

@@ -76,6 +76,7 @@ class ListSweeps(Sweeps):
         """Return the number of blocks (groups of neighbours in memory) of contacts for part 0 of a sweep, or of spheres
         for part 1.
 
+        part : 0 or 1.
         size : integers, of which the first two are the lengths of the rows of spheres and of contacts."""
         return size[1 - part] // self.block
 
@@ -149,7 +150,8 @@ class ListSweeps(Sweeps):
 
         values : all fields, flat.
         row : index at which the row of the numbers begins.
-        tables : integers, of which those from `first` on are the numbers of the spheres.
+        tables : integers, among them lists of spheres.
+        first : index in `tables` of the number of the first sphere; those of the others follow.
         """
         if ti.static(self.block == 1):
             return values[in_range(row + tables[first])]

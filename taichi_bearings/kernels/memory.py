@@ -179,7 +179,9 @@ def load_around(values: ti.template(), place, step, ring, position, block: ti.te
 
 @ti.func
 def minus(upper: ti.template(), lower: ti.template()):
-    """Return the list of the differences upper[k] - lower[k], numbers or vectors."""
+    """Return the list of the differences upper[k] - lower[k].
+
+    upper, lower : lists of the same length, of numbers or of vectors over the sites of a block."""
     return [upper[k] - lower[k] for k in ti.static(range(len(upper)))]
 
 
@@ -196,7 +198,9 @@ def pushed(vector, first, block: ti.template()):
     """Return a block of numbers moved up by one site: `first`, then all numbers of `vector` but the last. As the height
     runs along memory, each site then has the number of the site below it; `first` is that of the site below the block.
 
-    vector : the numbers of the block; one number if block is 1, and the result is `first` alone."""
+    vector : the numbers of the block; one number if block is 1, and the result is `first` alone.
+    first : number of the site below the block.
+    block : number of sites of a block."""
     if ti.static(block == 1):
         return first
     return ti.Vector([first] + [vector[m] for m in ti.static(range(block - 1))])
@@ -204,7 +208,10 @@ def pushed(vector, first, block: ti.template()):
 
 @ti.func
 def last(vector, block: ti.template()):
-    """Return the last number of a vector; if block is 1, the vector is itself a number."""
+    """Return the last number of a block of sites.
+
+    vector : the numbers of the block; one number if block is 1.
+    block : number of sites of a block."""
     if ti.static(block == 1):
         return vector
     return vector[block - 1]

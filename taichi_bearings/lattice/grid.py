@@ -247,7 +247,8 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
     force : (C, R, E), f, the force of each of R samples and E contacts by spin component. The friction is -s f x n,
         with n the direction of the contact and s = +1 or -1 the sign of its lower sphere: it opposes the slip of paper
         Eq. 2, s R Delta Omega x n.
-    lattice : of the contacts. spin_axes : axes of the C spin components.
+    lattice : of the contacts.
+    spin_axes : axes of the C spin components.
     returns : (R, E, 3); in 2D (R, E), the component along z x n, which is upwards at contacts along x and to the left
         at contacts along y. The force on the lower sphere is the opposite one.
     """

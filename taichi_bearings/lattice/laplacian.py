@@ -57,7 +57,8 @@ def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
     """Return inverse pivots g (side, chains), by which chains of springs are solved: the balance of a chain under pulls
     on its nodes is x_s = y_s + weight g_s x_s+1 with y_s = g_s (pull_s + weight y_s-1).
 
-    side : number of nodes of a chain. weight : stiffness of the springs along the chain.
+    side : number of nodes of a chain.
+    weight : stiffness of the springs along the chain.
     held : (chains,), stiffness of the spring that holds each node of a chain.
     """
     factors = np.empty((side, len(held)))

@@ -113,8 +113,9 @@ def cuts_between(
     """Find the lightest cuts of a graph of which the side of most nodes is known already.
 
     ends : (2, edges) nodes that each edge joins.
-    weight : (edges,) floats, or whole numbers of Python (dtype object), none negative. rounding : their relative error;
-        cuts that could be as light within three times this share of the least weight count as lightest.
+    weight : (edges,) floats, or whole numbers of Python (dtype object), none negative.
+    rounding : their relative error; cuts that could be as light within three times this share of the least weight count
+        as lightest.
     above : (nodes,) True on the far side (that of the last node) of one lightest cut.
     between : (nodes,) True for nodes that may lie on the other side in another one. All other nodes of a side are
         merged into one node.
@@ -132,8 +133,8 @@ def with_exact_ties(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: f
     here in whole numbers of any size.
 
     cut : the cuts as :func:`taichi_bearings.numerics.minimum_cut.minimum_cut` found them from these weights.
-    weight : weights of the contacts, one array (R, *contacts) for each axis. rounding : their relative error; no cut
-        that could be as light within it is taken to be heavier.
+    weight : weights of the contacts, one array (R, *contacts) for each axis.
+    rounding : their relative error; no cut that could be as light within it is taken to be heavier.
     """
     between = cut.between.copy()
     for sample in np.flatnonzero(~cut.unique):

@@ -71,7 +71,8 @@ def exact_flow(
 def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
     """Return the number (nodes,) of the connected part of a graph that each node belongs to.
 
-    nodes : number of nodes. pairs : (2, P) the two nodes that each edge joins.
+    nodes : number of nodes.
+    pairs : (2, P) the two nodes that each edge joins.
     """
     graph = sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(nodes, nodes))
     return np.asarray(connected_components(graph, directed=False)[1])
@@ -136,9 +137,10 @@ def _flow_of_round(
     """Return a largest flow of short capacities (int64): net flow (P,) from the lower to the upper node of each pair,
     inflow and outflow (nodes,).
 
-    pairs : (2, P) nodes of each pair, lower and upper. there, back : (P,) capacities from the lower to the upper node,
-        and back. fed, drained : (nodes,) capacities from the source, and to the sink, at each node. Source and sink
-        become two more nodes, the first and the last one.
+    pairs : (2, P) nodes of each pair, lower and upper.
+    there, back : (P,) capacities from the lower to the upper node, and back.
+    fed, drained : (nodes,) capacities from the source, and to the sink, at each node. Source and sink become two more
+        nodes, the first and the last one.
     """
     nodes, begins, ends = len(fed), np.flatnonzero(fed), np.flatnonzero(drained)
     taken, given = np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)

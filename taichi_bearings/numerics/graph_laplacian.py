@@ -14,7 +14,8 @@ def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc
     order.
 
     edges : groups of edges, each as three arrays (E,): the node at either end, and the weight.
-    nodes : number of nodes. held : (nodes,) True where the value is fixed.
+    nodes : number of nodes.
+    held : (nodes,) True where the value is fixed.
     """
     rows, columns, entries = [], [], []
     for low, high, weight in edges:

@@ -127,7 +127,8 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
 def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarray:
     """Return the weight (R,) of the contacts between the two sides of a cut of each of R lattices of shape N.
 
-    above : (R, *N) True for spheres on one of the sides. weight : one array (R, *contacts) for each axis.
+    above : (R, *N) True for spheres on one of the sides.
+    weight : one array (R, *contacts) for each axis.
     """
     replicas, lattice = range(len(above)), Lattice.of(weight)
     parts = ([values[r][_parted(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight))
@@ -171,7 +172,8 @@ class GraphCut:
     above : for each node, or sphere, True on the last node's, or the top's, side.
     between : the same shape, True where the side is not the same in all cuts as light as this one.
     flow : (edges,) a largest flow, in whole units of weight.
-    unit : weight of one unit. units : capacity of the cut in whole units, which is the size of the flow.
+    unit : weight of one unit.
+    units : capacity of the cut in whole units, which is the size of the flow.
     """
 
     above: np.ndarray
@@ -189,8 +191,8 @@ class GraphCut:
 def cut_lattice(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> GraphCut:
     """Find a minimum cut of one lattice between its bottom and its top plane.
 
-    weight : one array of contacts for each axis, the height last. rounding : relative error of each weight: no cut that
-        could be as light within that error is taken to be heavier.
+    weight : one array of contacts for each axis, the height last.
+    rounding : relative error of each weight: no cut that could be as light within that error is taken to be heavier.
     """
     node, ends = graph_of_lattice(Lattice.of(weight))
     lightest = weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
@@ -208,10 +210,12 @@ def graph_cut(
     A cut parts the nodes into a side with the first and a side with the last node; its weight is that of the edges
     between the sides.
 
-    ends : (2, edges) nodes that each edge joins. edges : (edges,) weights, none negative.
+    ends : (2, edges) nodes that each edge joins.
+    edges : (edges,) weights, none negative.
     above : (nodes,) True on the side of the last node, for any cut that is known.
-    rounding : relative error of each weight. slack : absolute error of the weight of a cut beyond that, in the unit of
-        the weights. Cuts that are heavier by no more than these errors count as equally light.
+    rounding : relative error of each weight.
+    slack : absolute error of the weight of a cut beyond that, in the unit of the weights. Cuts that are heavier by no
+        more than these errors count as equally light.
     """
     cut, light = above[ends[0]] != above[ends[1]], False
     while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit
@@ -290,7 +294,8 @@ def within_reach(ends: np.ndarray, left_over: np.ndarray, start: int, least: int
     """Return a mask (nodes,), True for nodes that can be reached from the node `start` along edges with more than
     `least` capacity left over.
 
-    ends : (2, edges) nodes. left_over : (2, edges) capacity from the first end to the second, and back.
+    ends : (2, edges) nodes.
+    left_over : (2, edges) capacity from the first end to the second, and back.
     """
     row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left_over.ravel() > least]
     return led_to(int(ends.max()) + 1, row, column, np.array([start]))
@@ -372,8 +377,10 @@ def _shared_out(ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: 
     """Return a largest flow (edges,) by SciPy where several edges join the same two nodes: the flow of each pair of
     nodes is found first; then each edge of the pair takes what it can.
 
-    ends : (2, edges) nodes, lower and upper. capacity : (edges,) int64 below 2^62, of both ways. pairs : (2, P) the
-        different pairs of nodes. own : (edges,) number of the pair that each edge joins.
+    ends : (2, edges) nodes, lower and upper.
+    capacity : (edges,) int64 below 2^62, of both ways.
+    pairs : (2, P) the different pairs of nodes.
+    own : (edges,) number of the pair that each edge joins.
     at_most : a number that no flow exceeds.
     """
     total = np.zeros(pairs.shape[1], dtype=np.int64)

@@ -146,7 +146,8 @@ def _without_slipping_motions(motions: Motions, slips: sparse.csr_array) -> Moti
 def _relative_slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarray) -> np.ndarray:
     """Return the largest slip over the largest spin (k,) of each of k sums of motions.
 
-    slips : (rows, unknowns), the matrix from spins to slips. shares : (motions, k), coefficients of the sums.
+    slips : (rows, unknowns), the matrix from spins to slips.
+    shares : (motions, k), coefficients of the sums.
     """
     spins = motions.basis(shares)
     return np.asarray(np.abs(slips @ spins).max(axis=0, initial=0.0) / np.abs(spins).max(axis=0))
@@ -171,7 +172,8 @@ def _eliminated(
     """Eliminate the own unknowns of one front, by pivoted Cholesky factorisation. A front is a dense symmetric matrix
     of its own unknowns and its border, the later unknowns that they are coupled to.
 
-    matrix : K^T K, where K gives slips from spins. position : (unknowns,) place of each in the order of elimination.
+    matrix : K^T K, where K gives slips from spins.
+    position : (unknowns,) place of each in the order of elimination.
     own : (k,), the own unknowns.
     updates : for each front below this one its border, and the matrix (border, border) that it adds there.
     returns : the front, and the matrix that its elimination adds to that of its border (the Schur complement).

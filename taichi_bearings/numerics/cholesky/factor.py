@@ -95,7 +95,8 @@ class Cholesky:
     The result for a matrix, bit by bit, depends neither on the other matrices nor on the number of threads. Values are
     given for the stored entries of the pattern; `pattern.entry` says which entry couples two unknowns.
 
-    pattern : the stored entries and the order of elimination. engine : how matrices are factorised.
+    pattern : the stored entries and the order of elimination.
+    engine : how matrices are factorised.
     """
 
     pattern: SparsePattern | BlockPattern
@@ -212,8 +213,12 @@ class SciPyFactor(Factor):
     """Factors of one matrix after the other by SuperLU, which needs no kernel."""
 
     def __init__(self, pattern: SparsePattern, lanes: int) -> None:
-        """Reserve memory for `lanes` matrices of one pattern: entries (entries, lanes), and right-hand sides and
-        solutions (unknowns, lanes)."""
+        """Reserve memory for some matrices of one pattern.
+
+        pattern : the stored entries and the order of elimination.
+        lanes : number of matrices.
+        """
+        # `entries` : values of the stored entries; `solution` : (unknowns, lanes), right-hand sides, then solutions
         self.entries, self.solution = np.zeros((pattern.entries, lanes)), np.zeros((pattern.size, lanes))
         self._pattern, self._factors = pattern, list[SuperLU | None]()
 
@@ -246,8 +251,8 @@ class LaunchedFactor(Factor):
     def __init__(self, pattern: Pattern, lanes: int) -> None:
         """Reserve memory and prepare the launches.
 
-        pattern : the fronts (dense blocks of the sparse matrix) and the order of elimination. lanes : number of
-            matrices, 1 or LANES, the number of lanes of a SIMD vector.
+        pattern : the fronts (dense blocks of the sparse matrix) and the order of elimination.
+        lanes : number of matrices, 1 or LANES, the number of lanes of a SIMD vector.
         """
         layout, samples = Layout(pattern, LANES // lanes), "" if lanes == 1 else f" in {lanes} samples"
         refuse_beyond(8 * lanes * layout.size, f"the factorisation of {pattern.size:,} unknowns{samples}")
@@ -285,8 +290,8 @@ class CalledFactor(Factor):
     def __init__(self, pattern: Pattern, memory: Memory) -> None:
         """Decide where all numbers lie; their memory is taken at the first factorisation.
 
-        pattern : the fronts (dense blocks of the sparse matrix) and the order of elimination. memory : memory that this
-            factor shares with others.
+        pattern : the fronts (dense blocks of the sparse matrix) and the order of elimination.
+        memory : memory that this factor shares with others.
         """
         self._layout, self._memory, self._size = Layout(pattern, LANES, apart=True), memory, pattern.size
         self.entries, self._vector = np.zeros((pattern.entries, 1)), _vectors(self._layout.vector, 1)
@@ -352,7 +357,11 @@ class CalledFactor(Factor):
 
 
 def _vectors(count: int, lanes: int) -> np.ndarray:
-    """Return zeros (count or more, lanes), rounded up to whole SIMD vectors, at an address that suits them."""
+    """Return zeros (count or more, lanes), rounded up to whole SIMD vectors, at an address that suits these.
+
+    count : number of rows that are needed.
+    lanes : numbers of a row, 1 or LANES.
+    """
     count = -(-count * lanes // LANES) * LANES // lanes
     return aligned_zeros(count * lanes, LANES).reshape(count, lanes)
 

@@ -68,8 +68,11 @@ class SparsePattern:
         return np.flatnonzero(self.row == self.column)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the numbers (pairs,) of the stored entries that couple the unknowns `first` and `second`, (pairs,)
-        each."""
+        """Return the numbers (pairs,) that stored entries have in the list of all stored entries: those that couple
+        pairs of unknowns.
+
+        first, second : (pairs,), the two unknowns of each pair.
+        """
         a, b = self.place[first], self.place[second]
         wanted = np.minimum(a, b) * np.int64(self.size) + np.maximum(a, b)
         return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
@@ -122,7 +125,8 @@ class Pattern(SparsePattern):
         """Return the row (n,) of each of n unknowns within a front, a dense matrix. Its first rows are those of its own
         unknowns, which are eliminated in it; then come those of its border, later unknowns that are coupled to its own.
 
-        front : (n,) index of the front. unknown : (n,) place of the unknown in the order of elimination.
+        front : (n,) index of the front.
+        unknown : (n,) place of the unknown in the order of elimination.
         """
         number = np.repeat(np.arange(len(self.own)), self.width) * np.int64(self.size) + self.border
         behind = np.searchsorted(number, front * np.int64(self.size) + unknown) - self.share[front]
@@ -135,8 +139,8 @@ class BlockPattern:
     """Pattern of a dense matrix of `size` unknowns: all entries are stored, and unknowns are eliminated in their own
     order. The lower triangle is used.
 
-    place : place of each unknown in the order of elimination, which is its number. factor_entries : as many as
-        `entries`.
+    place : place of each unknown in the order of elimination, which is its number.
+    factor_entries : as many as `entries`.
     """
 
     size: int
@@ -162,8 +166,11 @@ class BlockPattern:
         return np.arange(self.size) * (self.size + 1)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the numbers (pairs,) of the stored entries that couple the unknowns `first` and `second`, (pairs,)
-        each."""
+        """Return the numbers (pairs,) that stored entries have in the list of all stored entries: those that couple
+        pairs of unknowns.
+
+        first, second : (pairs,), the two unknowns of each pair.
+        """
         return np.minimum(first, second) * self.size + np.maximum(first, second)
 
 
@@ -247,8 +254,8 @@ def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.
     """Return the pattern of coupled unknowns as a symmetric matrix (unknowns, unknowns) with a full diagonal, in the
     order of places.
 
-    place : (unknowns,) position of each unknown in the order of elimination. first, second : (pairs,), the two unknowns
-        of each coupled pair.
+    place : (unknowns,) position of each unknown in the order of elimination.
+    first, second : (pairs,), the two unknowns of each coupled pair.
     """
     diagonal = np.arange(len(place))
     a, b = place[first], place[second]

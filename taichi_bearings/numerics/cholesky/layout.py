@@ -164,7 +164,8 @@ def update_size(border: Integers, height: Integers) -> Integers:
     The update is what the elimination of a front adds to the symmetric matrix of its border, the later unknowns that it
     is coupled to. It is stored in panels of SHEET_COLUMNS columns, each from its diagonal down.
 
-    border : number of its columns. height : number of rows of its first panel.
+    border : number of its columns.
+    height : number of rows of its first panel.
     """
     width = tuning.SHEET_COLUMNS
     before = border // width * width
@@ -189,8 +190,8 @@ def _runs(rows: np.ndarray, border: np.ndarray) -> np.ndarray:
     """Return for each row of a border how many rows from it on, itself included, also stand one below the other in the
     front of the parent: (rows,).
 
-    rows : row in the front of the parent of each row of all borders, one border after the other. border : (fronts,)
-        number of rows of each.
+    rows : row in the front of the parent of each row of all borders, one border after the other.
+    border : (fronts,) number of rows of each.
     """
     front, number = np.repeat(np.arange(len(border)), border), np.arange(len(rows))
     ends = np.flatnonzero(np.append((np.diff(rows) != 1) | (np.diff(front) != 0), True)[: len(rows)]) + 1
@@ -243,7 +244,8 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray
     A front is a set of unknowns that are eliminated together; its update is what that adds to the matrix of later
     unknowns, and waits in memory until the front above takes it.
 
-    pattern : the fronts. size : (fronts,) doubles of the update of each front.
+    pattern : the fronts.
+    size : (fronts,) doubles of the update of each front.
     most : largest number of doubles in all updates of a subtree that is worked on depth by depth, without those inside
         branches; above such subtrees fronts are worked on one by one.
     branches : (n, 2), first front and end of each subtree that a kernel works on as a whole. Those of a subtree that is
@@ -268,7 +270,8 @@ def _places_with_branches(
     """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; and
     the most doubles of it that are in use at one time.
 
-    parent : (fronts,) index of the front above each, or -1. size : (fronts,) doubles of each update.
+    parent : (fronts,) index of the front above each, or -1.
+    size : (fronts,) doubles of each update.
     batches : for each batch the indices of its fronts, which are worked on at once; children come first.
     branches : (n, 2), first front and end of each subtree whose fronts are worked on one after the other, while other
         branches of its batch are worked on as well. Only the update of its last front outlasts the batch.
@@ -301,7 +304,8 @@ def _places(
     The update of a front is the matrix that its elimination adds to that of the later unknowns it is coupled to. It
     lies there until the front above has taken it. Memory is taken at the first free stretch that is long enough.
 
-    parent : (fronts,) index of the front above each, or -1. size : (fronts,) doubles of each update.
+    parent : (fronts,) index of the front above each, or -1.
+    size : (fronts,) doubles of each update.
     batches : for each batch the indices of its fronts, which are worked on at once; children come first.
     scratch : (batches,) doubles that each batch needs besides, while it is worked on.
     """
@@ -342,8 +346,9 @@ def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:
     """Return branches of the elimination tree that can be solved at once, stage by stage, children first: arrays (n, 2)
     of the first front and the end of each branch.
 
-    pattern : the fronts, which are sets of unknowns that are eliminated together. entries : (fronts,) doubles of the
-        own columns of each. Small branches go whole, in the first stage; the fronts above follow depth by depth.
+    pattern : the fronts, which are sets of unknowns that are eliminated together.
+    entries : (fronts,) doubles of the own columns of each. Small branches go whole, in the first stage; the fronts
+        above follow depth by depth.
     """
     small = _sums_of_branches(pattern.parent, entries) <= tuning.BRANCH_SHARE * entries.sum()
     roots = np.flatnonzero(small & ~((pattern.parent >= 0) & small[pattern.parent]))

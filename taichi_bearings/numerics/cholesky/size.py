@@ -20,7 +20,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     """Predict the number of doubles in a factorisation of the free spins of a lattice, to some 15 percent (periodic
     lattices: a factor of 1.6): its columns, and its updates (what fronts leave for later ones) at their most.
 
-    lattice : whose spheres rotate. spin_axes : axes of the spin components that are unknown.
+    lattice : whose spheres rotate.
+    spin_axes : axes of the spin components that are unknown.
     """
     shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
@@ -44,7 +45,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         matrices (what eliminated unknowns add to the matrix of later ones) alive at one time, at most; of all of them
         at each depth of its dissection, its own first.
 
-        region : by spin component, a box of spheres. border : number of unknowns outside that touch the region.
+        region : by spin component, a box of spheres.
+        border : number of unknowns outside that touch the region.
         """
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
@@ -73,7 +75,11 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
 
 
 def _border(region: Region, lattice: Lattice) -> float:
-    """Return the number of unknowns outside a region (a box of spheres for each spin component) that touch it."""
+    """Return the number of unknowns outside a region that a contact couples to unknowns inside.
+
+    region : for each spin component a box of spheres.
+    lattice : the whole lattice.
+    """
     shape, total = lattice.free_shape, 0
     for component, (low, high) in region.items():
         sides = [b - a for a, b in zip(low, high, strict=True)]

@@ -185,8 +185,9 @@ def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
     """Return for each face, (faces,), where the shortest way to it from the left outside leaves the shortest path to
     the right outside: the position of the last face that both share, 0 for none.
 
-    before : (faces,) predecessor of each face on the way from the left outside. order : (faces,) position of a face on
-        the path, counted from 1, 0 off it. Each pass of the loop doubles how far back every face looks.
+    before : (faces,) predecessor of each face on the way from the left outside.
+    order : (faces,) position of a face on the path, counted from 1, 0 off it. Each pass of the loop doubles how far
+        back every face looks.
     """
     faces = len(before)
     ancestor = np.where(order > 0, np.arange(faces, dtype=np.int32), before)
