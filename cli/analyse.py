@@ -37,7 +37,7 @@ def command(run: Path, as_json: bool, **asked: Any) -> None:
     minimum cut   the lightest interface of two rigid domains, its power and how far below it the run is
     network       slipless contacts: what they reach, whether and by how many paths they join bottom and top
     domains       spheres that slipless contacts make rotate alike, and the driven plane they are locked to
-    bottlenecks   the contacts that most of the shortest paths use
+    bottlenecks   the contacts that most of the shortest slipless paths from bottom to top run through
     forces        friction of the slipless contacts and the torque that flows from top to bottom
 
     Writes the group /analysis into run.h5 and figures beside it. docs/structure.md defines every number.

@@ -31,7 +31,7 @@ from taichi_bearings_cli.progress import Display
     "--by",
     metavar="KEY",
     default=None,
-    help="Draw one histogram for each value of this column or setting into one figure.",
+    help="Draw one histogram for each value of this column of a scan, or setting of a run, into one figure.",
 )
 @click.option(
     "--format", "ending", type=Choice(["png", "pdf", "svg"]), default="png", show_default=True,

@@ -189,7 +189,8 @@ replica_option = click.option(
 )
 analyse_option = click.option(
     "--analyse", is_flag=True,
-    help="Find the structure of the run first. [default: use what `bearings analyse` has written into it, if anything]",
+    help="Find the structure of the run (network, domains, cut) first. [default: use what `bearings analyse` has "
+    "written into it, if anything]",
 )  # fmt: skip
 json_option = click.option("--json", "as_json", is_flag=True, help="Print exactly one JSON object on stdout.")
 

@@ -19,7 +19,8 @@ from taichi_bearings.words import counted
 @click.argument("scan", metavar="SCAN", type=FILE_PATH)
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
-    help="Set a key of `run` for all samples, or vary it by scan.KEY=LIST or RANGE; overrides SCAN. May be repeated.",
+    help="Set a key of `run` for all samples, or vary it by scan.KEY=LIST or RANGE, whatever the file says. May be "
+    "repeated.",
 )  # fmt: skip
 @click.option(
     "--workers",
@@ -35,7 +36,7 @@ from taichi_bearings.words import counted
     "--part",
     metavar="I/N",
     default=None,
-    help="Solve only part I of N, as a job of an array; --merge then combines all.",
+    help="Divide the samples into N parts and solve only part I, as one job of a job array does; --merge combines all.",
 )
 @click.option("--merge", is_flag=True, help="Solve nothing; combine all parts in the folder into scan.h5, scan.csv.")
 @click.option(

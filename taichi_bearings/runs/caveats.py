@@ -233,7 +233,8 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
     faint = int((doubtful & unresolved(solution, DECADE)).sum())
     if faint:
         dissipate = "dissipates" if faint == 1 else "dissipate"
-        yield f"{counted(faint, 'slipping contact')} {dissipate} less than {DECADE:g} times what the gap leaves open"
+        much = f"less than {DECADE:g} times the power that the gap leaves open"
+        yield f"{counted(faint, 'slipping contact')} {dissipate} {much}"
     found = separate(solution.scene, solution.slip, solution.state)
     near &= found.decades < np.log10(DECADE)
     if near.any():
@@ -248,7 +249,8 @@ def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield how many contacts slip at some minima and not at others. settings : not used."""
     tied = int(solution.counts[:, ContactState.TIED].sum())
     if tied:
-        yield f"minima tie exactly: {counted(tied, 'contact')} slip at some of them and not at others"
+        contacts = counted(tied, "contact")
+        yield f"minima tie exactly (several have the least power): {contacts} slip at some of them and not at others"
 
 
 def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:

@@ -89,8 +89,11 @@ def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
 
 
 def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """Return the estimated cost of a run. settings : of the run. row : class of its method. scene : what it solves,
-    with all samples.
+    """Return the estimated cost of a run: seconds, steps and bytes.
+
+    settings : of the run.
+    row : class of its method.
+    scene : what it solves, with all samples.
     """
     if (lattice := scene.network.lattice) is None:
         return _of_packings(settings, row, scene)
@@ -109,8 +112,9 @@ def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> 
 def _limited(settings: RunSettings, beside: float, solve: float | None) -> float | None:
     """Return the seconds of a whole run, None if they are not known.
 
-    beside : seconds of all but the solve. solve : seconds of the solve, None if not known; the time limit of the
-    settings may end it sooner.
+    settings : of the run, whose time limit may end the solve sooner.
+    beside : seconds of all but the solve.
+    solve : seconds of the solve without a time limit, None if not known.
     """
     most = inf if settings.time_limit is None else settings.time_limit
     least = min(most, inf if solve is None else solve)
@@ -139,10 +143,11 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> i
 
 
 def _of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """Return the estimated cost of a run of packings, whose samples are solved one after the other. row : class of the
-    method.
+    """Return the estimated cost of a run of packings, whose samples are solved one after the other.
 
-    settings : of the run. scene : its packing with all samples.
+    settings : of the run.
+    row : class of the method.
+    scene : its packing with all samples.
     """
     network, count = scene.network, scene.replicas
     spheres = network.spheres

@@ -41,9 +41,10 @@ AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # axes of an array 
 
 
 def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None]:
-    """Return the packing with all replicas, and its initial spins if they are in a file, else None.
+    """Return the packing that settings describe, with all its samples, and its initial spins if the settings name a
+    file for them, else None. The spins are (spheres N, 3), or (samples R, N, 3), of discs (N,) or (R, N); 1/time.
 
-    Raises InputError or FileError.
+    settings : of the run. Raises InputError or FileError for a file that does not fit.
     """
     packing, named = packing_of(settings), settings.initial
     if named in STARTS or not Path(named).exists():
@@ -144,7 +145,8 @@ def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
 def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
     """Raise InputError for settings that describe no packing that can be solved.
 
-    has_seeds : True if a scan asks for several seeds; something must then be drawn from them.
+    settings : of one sample of a scan.
+    has_seeds : True if the scan asks for several seeds; something must then be drawn from them.
     """
     settings = fitting(settings, strict=False)
     packing_of(settings)
@@ -208,8 +210,10 @@ def _refuse_twice(settings: RunSettings, found: Mapping[str, object]) -> None:
 
 
 def idle_seed(settings: RunSettings) -> list[str]:
-    """Return a list with a sentence if the seed changes nothing, because the file of a packing has all coefficients;
-    else an empty list.
+    """Return a list with a sentence for the user if the seed changes nothing, because the file of the packing has all
+    coefficients and the initial spins are not random; else an empty list.
+
+    settings : of the run.
     """
     if settings.packing is None or not Path(settings.packing).is_file():
         return []
@@ -222,6 +226,7 @@ def _draws_nothing(settings: RunSettings, found: Mapping[str, object]) -> bool:
     """Return True if nothing is drawn from the seed: the file has every coefficient, and the initial spins are not
     random.
 
+    settings : of the run; their law says which coefficients a contact has.
     found : the arrays of the file by name.
     """
     return set(COEFFICIENTS[: len(settings.drawn)]) <= found.keys() and settings.initial != "random"
@@ -252,9 +257,12 @@ ON_DEVICE = ("arch", "precision", "threads")  # settings of the device
 
 
 def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | None = None, **others: Any) -> Solution:
-    """Return the answer for a packing by the method that the settings name.
+    """Return the answer for all samples of a packing by the method that the settings name.
 
-    start : initial spins; None to take those that the settings name.
+    settings : of the run.
+    packing : the samples that are solved; other settings that describe a packing are not used.
+    start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N), 1/time; None to take those that
+        the settings name. A method that minimises directly uses none.
     others : `monitors`, functions that are called at each check; `checkpoints`, where and how often they are written,
         and the one to continue from; and, for dynamics alone, `density` of the spheres, mass / length^D.
     """
@@ -266,7 +274,9 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
         if threads := device.get("threads"):
             runtime.start(threads=threads)
         if "density" in others:
-            raise InputError(f"density is given, but method {settings.method} of a packing has no use for it")
+            raise InputError(
+                f"density is given, but method {settings.method} of a packing does not use it; only dynamics do"
+            )
         found = least_power(packing, settings.method, StopRule.of(settings), **others)
     else:
         method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
@@ -296,6 +306,7 @@ def _stepped(
 ) -> Solution:
     """Return the answer for all samples of a packing by a dynamics or a descent.
 
+    packing : what is solved.
     options : the method with its options. start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or
         (R, N), 1/time; or their name, such as "linear", or the path of a file. settings : of the run.
     density : of the spheres, mass / length^D, for dynamics alone, from which their inertia follows.

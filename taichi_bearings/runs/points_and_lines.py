@@ -28,10 +28,12 @@ DOMAIN_KINDS = "0 bottom, 1 top, 2 both, 3 mixed, 4 partly, 5 neither"
 class Moments:
     """Spins, slips and contact states of a sample at S snapshots of a dynamics, the end left out.
 
-    time : (snapshots S,), simulated time. spin : (S, spheres N, 3), laboratory spins, 1/time. slip : (S, contacts E),
-    slip speeds, length/time.
-    state : (S, E), contact states: slipping where the slip is above `threshold`, length/time. Friction would be a
-        better criterion, but snapshots do not hold it.
+    time : (snapshots S,), simulated time.
+    spin : (S, spheres N, 3), laboratory spins, 1/time.
+    slip : (S, contacts E), slip speeds, length/time.
+    state : (S, E), contact states: slipping where the slip is above `threshold`. Friction would be a better criterion,
+        but snapshots do not hold it.
+    threshold : slip speed, length/time.
     """
 
     time: np.ndarray
@@ -81,8 +83,12 @@ class PointsAndLines:
 def points_and_lines(run: Result, replica: int = 0, analyse: bool = False) -> PointsAndLines:
     """Return one sample of a run as points and lines.
 
-    replica : number of the sample. analyse : True to compute its structure; False to take what the file of the run has
-        of it, if anything. Raises InputError if there is no such sample, or if its spins or slips are not finite.
+    run : the run, read from a file or solved just now.
+    replica : number of the sample, from 0.
+    analyse : True to compute its structure (network, domains, cut); False to take what the file of the run has of it,
+        if anything.
+
+    Raises InputError if there is no such sample, or if its spins or slips are not finite.
     """
     answer = run.sample(replica).solution
     if not all(np.isfinite(values).all() for values in (answer.spin, answer.slip)):

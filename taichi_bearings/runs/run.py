@@ -63,6 +63,8 @@ if TYPE_CHECKING:
 def build_scene(settings: RunSettings) -> Scene:
     """Return the scene on a lattice that the settings describe; its coefficients are drawn or read from a file.
 
+    settings : of the run; `replicas` is the number of samples of the scene.
+
     Raises InputError for settings of a packing, and for a file that does not fit them.
     """
     if settings.is_packing:
@@ -95,7 +97,9 @@ def build_scene(settings: RunSettings) -> Scene:
 
 def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
     """Return the class of the method that the settings name; for "auto" that of the fastest method which certifies its
-    answers to this scene.
+    answers to a scene.
+
+    settings : of the run. scene : what is solved, on a lattice.
     """
     if settings.method == "auto":
         arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
@@ -118,8 +122,9 @@ def row_of(settings: RunSettings) -> type[MethodOptions]:
 
 @lru_cache(maxsize=4096)
 def _row_of(settings: RunSettings) -> type[MethodOptions]:
-    """Return the class of the method for a lattice; raise InputError if it cannot solve it. Coefficients do not matter
-    for that, so all are 1 here.
+    """Return the class of the method that solves a run on a lattice; raise InputError if it cannot solve it.
+
+    settings : of the run. Coefficients do not matter for the choice, so all are 1 here.
     """
     Distribution.parse(settings.distribution)
     scene = build_scene(replace(settings, distribution="constant:1"))

@@ -261,8 +261,11 @@ class _Sets:
 def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
     """Return the solution in an opened run.h5, with an axis of samples.
 
-    path, attributes : of the file. settings : of the run. The status is that of the first sample that is not certified,
-        if there is one.
+    path : of the file, for messages.
+    file, attributes : the opened file, and its attributes by name.
+    settings : of the run.
+
+    The status is that of the first sample that is not certified, if there is one.
     """
     is_lattice = "packing" not in file
     scene, arrays, of_contacts, sites, vector = (_lattice_in if is_lattice else _packings_in)(
@@ -271,7 +274,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     replicas, apart = scene.replicas, not is_lattice and scene.replicas > 1
 
     def number(name: str) -> np.ndarray:
-        """Return an attribute with a value for each sample, (samples R,); not-a-number where it is missing."""
+        """Return the attribute `name` with a value for each sample, (samples R,); not-a-number where it is missing."""
         value = attributes.get(name, "")
         values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
         kinds = "UO" if name == "proof" else "biuf"

@@ -186,13 +186,16 @@ class RunSettings:
         "docs/packings.md says more.",
     )
     contacts: str | None = option(
-        None, FILE, "The contacts of a table of centres: .csv with the columns first,second. Default: they are found."
+        None,
+        FILE,
+        "The contacts of a table of centres: .csv with the columns first,second. Default: found from "
+        "the distances of the centres.",
     )
     touching: float | None = option(
         None,
         Kind(bounded(real, 0, MOST_TOUCHING), f"from 0 to {MOST_TOUCHING:g}", "NUMBER"),
-        "Spheres of a table of centres touch where their distance differs from R_i + R_j by no more than this share. "
-        "Default: 0.001.",
+        "Spheres of a table of centres touch where the distance of their centres differs from the sum of their radii "
+        "by no more than this share of the sum. Default: 0.001.",
     )
     distribution: str = option(
         "uniform:0.1,1.0",
@@ -226,7 +229,7 @@ class RunSettings:
         None,
         POSITIVE,
         "Simulated time at which a dynamics ends, whatever gap it has reached. Default: it ends once its gap is within "
-        "--tolerance.",
+        "--tolerance or the motion is at rest.",
         unit="time",
     )
     record: str | None = motion(
@@ -257,7 +260,11 @@ class RunSettings:
         unit="length/time",
         rare=True,
     )
-    arch: str = how("cpu", OneOf(*ARCHITECTURES), "Device.")
+    arch: str = how(
+        "cpu",
+        OneOf(*ARCHITECTURES),
+        "Device on which the iterations run; auto takes a GPU if one can be used, else the CPU.",
+    )
     precision: str = how(
         "f64",
         OneOf(*PRECISIONS),
@@ -403,10 +410,10 @@ class RunSettings:
         return unused
 
     def fitting(self, method: type[MethodOptions], strict: bool = True) -> "RunSettings":
-        """Return the settings with unused keys set to their defaults. strict : True to raise InputError if there are
-        any instead.
+        """Return the settings with unused keys set to their defaults.
 
-        method : name of the method whose options are used.
+        method : class of the method whose options are used.
+        strict : True to raise InputError instead if a key was given that is not used.
         """
         unused = self.unused(method)
         if not unused:
@@ -417,22 +424,28 @@ class RunSettings:
 
 
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the methods, and those of the laws, that use an option of a run. item : the option."""
+    """Return two tuples: the names of the methods, and those of the laws, that use an option of a run.
+
+    item : the option; without a condition on methods (laws) all of them use it.
+    """
     methods = tuple(name for name, row in METHODS.items() if item.methods is None or item.methods(row))
     return methods, tuple(name for name, law in LAWS.items() if item.laws is None or item.laws(law))
 
 
 WISHES = {  # options of a scan that apply to every sample
     "analyse": Option(
-        None, TRUTH, "Add the numbers of `bearings analyse` for every sample. [default: as the folder was asked before]"
+        None, TRUTH,
+        "Add the numbers of `bearings analyse` for every sample, as columns. [default: as the folder was asked before]",
     ),
     "keep_states": Option(
         None, TRUTH,
-        "Keep full states too, as states/<sample>.h5, the layout of run.h5. [default: as the folder was asked before]",
+        "Keep spins, slips and forces of every sample too, as states/<sample>.h5 in the layout of run.h5. "
+        "[default: as the folder was asked before]",
     ),
     "sample_timeout": Option(
         None, Kind(bounded(real, 0, float_info.max, open_low=True), "a positive number of seconds", "SECONDS"),
-        "End a sample that takes longer. [default: 100 times the expected time, at least 600; dynamics: none]",
+        "End the solve of a sample that takes longer. [default: 100 times the expected time, at least 600; "
+        "dynamics: none]",
     ),
 }  # fmt: skip
 
@@ -540,7 +553,7 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
             raise ValueError("its brackets do not close")
         dots = [found[0].count(".") for found in DOTTED.finditer(text)]
         if max(dots, default=0) > MOST_NESTED or sum(dots) > MOST_DOTS:
-            raise ValueError(f"keys have at most {MOST_NESTED} dots, and all together {MOST_DOTS:,}")
+            raise ValueError(f"a key may have at most {MOST_NESTED} dots, and all keys together {MOST_DOTS:,}")
         values = tomllib.loads(text)
         _refuse_unwritable(values)
     except (ValueError, RecursionError) as error:  # too many digits or brackets too

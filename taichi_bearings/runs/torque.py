@@ -41,6 +41,7 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
     """Raise InputError for settings with a torque that also impose the spin of the top, or turn the bottom with the law
     viscous.
 
+    settings : of the run; without a torque nothing is refused.
     method : class of the method that the settings name.
     """
     if settings.torque is None or method.is_dynamics:  # dynamics do not use a torque, and say so themselves
@@ -48,7 +49,7 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
     for key in ("spin_top", *(() if any(settings.top or ()) else ("bottom",))):
         if key in settings.given:
             raise InputError(
-                f"{key} is {settings.given[key]}, but with --torque only --top says how the top moves; leave it out"
+                f"{key} is {settings.given[key]}, but with --torque only --top says how the top moves; leave {key} out"
             )
     driven = settings.spin_bottom or (any(settings.bottom or ()) and settings.bottom)
     if driven and not LAWS[settings.law].holds:

@@ -217,7 +217,9 @@ class NewProof:
         }
 
     def contradictions(self) -> Iterator[str]:
-        """Yield sentences on what the file says and does not prove."""
+        """Yield sentences on what the file says and its spins and forces do not prove: numbers and proven states of
+        contacts, spins of driven spheres, and numbers in the attributes.
+        """
         stored, attributes = self.run.solution, self.run.attributes
         if self.possible is None:
             certain = stored.states_proven.any() or (stored.lower_bound > 0).any()
@@ -271,10 +273,11 @@ def _no_other(_: object) -> Solution:
 
 
 def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarray:
-    """Return a mask of the numbers that differ by more than rounding.
+    """Return a mask, in the shape of the arrays, of the numbers that differ by more than rounding.
 
-    said, true : arrays to compare. beside : absolute difference that is allowed in addition. Not-a-number equals only
+    said, true : arrays of equal shape to compare. They may differ by ROUNDED times `true`; not-a-number equals only
         not-a-number.
+    beside : absolute difference that is allowed in addition.
     """
     with np.errstate(invalid="ignore"):
         close = np.abs(said - true) <= ROUNDED * np.abs(true) + beside
@@ -295,9 +298,9 @@ def _driving_contradictions(stored: Solution) -> Iterator[str]:
 
 
 def _seed_contradictions(run: Result) -> list[str]:
-    """Return sentences on shape, seeds and coefficients that contradict the scene of the file.
+    """Return sentences on shape, seeds and coefficients in the file of a run that contradict its settings.
 
-    Coefficients that are said to be drawn must be exactly those of their seeds.
+    run : the run as its file says. Coefficients that are said to be drawn must be exactly those of their seeds.
     """
     scene, found = run.solution.scene, list[str]()
     pairs: dict[str, tuple[Sequence[int], Sequence[int]]] = {"seed": (scene.seeds, run.asked.seeds)}
@@ -323,7 +326,9 @@ def _seed_contradictions(run: Result) -> list[str]:
 def _contradicted_attributes(said: Mapping[str, Any], numbers: Mapping[str, Any], count: int) -> Iterator[str]:
     """Yield sentences on attributes of the file that differ from what the file proves.
 
-    said : the attributes by name. numbers : what is proven, by name. count : number of samples.
+    said : the attributes by name.
+    numbers : what is proven, by name; lists if there are several samples.
+    count : number of samples.
     """
     for name, value in numbers.items():
         if name not in said or name in OF_FILE:
@@ -343,8 +348,12 @@ def _contradicted_attributes(said: Mapping[str, Any], numbers: Mapping[str, Any]
 def _allowed(name: str, said: Any, true: Any) -> bool:
     """Return True if the value of an attribute agrees with the true one: in type, and for numbers up to rounding.
 
-    name : of the attribute. said, true : its value in the file, and the true one. A bound may be off only to the side
-        on which it still holds: a lower bound may be smaller than the true one, an upper bound larger.
+    name : of the attribute.
+    said, true : its value in the file, and the one that was proven anew; None if nothing was proven, which files write
+        as "" or not-a-number.
+
+    A bound may be off only to the side on which it still holds: a lower bound may be smaller than the true one, an
+    upper bound larger.
     """
     said = said.item() if isinstance(said, np.generic) else said
     if isinstance(said, np.ndarray) and not isinstance(true, list):

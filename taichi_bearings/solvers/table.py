@@ -271,7 +271,10 @@ class InteriorPoint(MethodOptions):
     solves = _laws(attrgetter("holds"))
 
     settle: bool = how(
-        True, TRUTH, "Within the tolerance, continue until it is known of every contact whether it slips.", rare=True
+        True,
+        TRUTH,
+        "Once the gap is within the tolerance, continue until it is known of every contact whether it slips.",
+        rare=True,
     )
 
     @classmethod
@@ -422,7 +425,7 @@ def _rest_tolerance(default: float) -> float:
     return how(
         default,
         POSITIVE,
-        "Relative change of the power below which the motion counts as at rest.",
+        "Relative change of the power, in a step or between checks, below which the motion counts as at rest.",
         unset=True,
         rare=True,
     )
