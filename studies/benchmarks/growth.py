@@ -162,6 +162,8 @@ def draw_growth(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw processor time (left) and memory (right) of a minimum against the number of spheres, both axes logarithmic.
 
     Each program has a colour, dots for what was measured, and a line for the power law fitted to it.
+
+    rows : one dictionary for each measured minimum, with the columns of the table of this part by name.
     """
     figure = new_figure(DOUBLE, 0.42 * DOUBLE)
     laws, looks = fits([dict(row) for row in rows]), {OURS: (BLUE, "o"), THEIRS: (GREY, "s")}

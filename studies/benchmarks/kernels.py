@@ -117,7 +117,10 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
 
 def draw_throughput(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw contacts a second against the number of spheres: a curve for each kernel, kind of body (discs or spheres)
-    and number of spin components. Rows of the first precision and with the fewest threads are drawn.
+    and number of spin components.
+
+    rows : one dictionary for each measurement. Only those of the precision of the first row and with the fewest threads
+        are drawn.
     """
     precision, threads = rows[0]["precision"], min(row["threads"] for row in rows)
     points: dict[str, list[tuple[float, float]]] = {}

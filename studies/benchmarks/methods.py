@@ -169,7 +169,9 @@ def judged(rows: Sequence[Row]) -> list[Row]:
 
 def contradictions(rows: Sequence[Row]) -> list[str]:
     """Return a sentence for each run that proves a lower bound above the power of another run of the same scene, which
-    shows a bug in one of them.
+    shows a bug in one of them; an empty list if there is none.
+
+    rows : one dictionary for each run, with lists of its `power` and `lower_bound`, energy/time, at its checks.
     """
     found = []
     for of_scene in _by_scene(rows):
@@ -236,6 +238,9 @@ def draw_accuracy(rows: Sequence[Row]) -> Figure:
 def looks_of(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     """Return the colour, marker and dashes of each method and of each conic solver with its linear solver, as
     arguments of matplotlib's plot by name.
+
+    rows : one dictionary for each run; `what` is the label of its curve and key of the result, `method` the name of its
+        method or solver.
     """
     looks: dict[str, dict[str, Any]] = {}
     for what, method in {row["what"]: row["method"] for row in rows}.items():

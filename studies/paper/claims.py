@@ -47,10 +47,11 @@ ROUND_OFF = 1e-12  # relative difference that numbers of samples may have by rou
 
 
 def share(value: float, digits: int = 1) -> str:
-    """Return a share as percent. One that is not quite all, or not quite nothing, gets as many digits as it takes to
-    say so.
+    """Return a share as a text in percent. One that is not quite all, or not quite nothing, gets as many digits as it
+    takes to say so.
 
-    digits : after the point, at least.
+    value : the share, from 0 to 1.
+    digits : least number of digits after the point.
 
     >>> share(0.5), share(0.99996), share(1.0), share(2e-5)
     ('50.0%', '99.996%', '100.0%', '0.002%')

@@ -25,9 +25,10 @@ def draw_growth(axes: Any, found: Mapping[int, np.ndarray], fit: Any, color: str
     """Draw the fitted law sqrt(amplitude L^(2 value) + offset) of the standard deviation against the size L, over the
     sizes that the fit has used.
 
-    found : for each size, the numbers (samples,).
+    axes : panel of matplotlib.
+    found : for each size, the numbers (samples,); only the sizes are used.
     fit : the :class:`.fits.Exponent` that was fitted.
-    text : label in the legend.
+    color : of the line. text : label in the legend.
     """
     sizes = np.array([L for L in found if fit.smallest <= L])
     law = np.sqrt(np.maximum(fit.amplitude * sizes ** (2 * fit.value) + fit.offset, 0.0))
@@ -58,8 +59,10 @@ def draw_row(axes: Any, row: float, values: np.ndarray, color: str) -> None:
     """Draw numbers of samples as dots in a row of the panel, and their mean as an upright bar; nothing if none is
     finite.
 
+    axes : panel of matplotlib.
     row : height of the row.
     values : (samples,), abscissae of the dots; not-a-number has no dot.
+    color : of dots and bar.
     """
     if np.isfinite(values).any():
         axes.plot(values, row + np.linspace(-0.22, 0.22, len(values)), ".", color=color, ms=4, alpha=0.4, mew=0)

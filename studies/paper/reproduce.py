@@ -219,8 +219,10 @@ def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
 
 
 def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> None:
-    """Write report.json and report.html.
+    """Write report.json and report.html into the folder of the figures.
 
+    folder : where figures and reports are.
+    effort : first seed, number of samples, and whether this is the quick form.
     done : finished figures as plain data, by name. missing : names of those that are not done yet.
     """
     report = describe(folder, effort, done, missing)
@@ -233,6 +235,11 @@ def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence
 def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str, Any]:
     """Compute a figure and return it as plain data: title, claims with verdicts, and the seconds of wall and processor
     time that it took.
+
+    name : key of FIGURES.
+    folder : where its files are written.
+    effort : first seed, number of samples, and whether this is the quick form.
+    title : True for words above the figure.
     """
     began, processor = time.perf_counter(), time.process_time()
     claims = FIGURES[name].reproduce(folder, effort, title)
@@ -256,6 +263,8 @@ def _tally(figure: dict[str, Any]) -> str:
 def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> dict[str, Any]:
     """Return the report as plain data, figures in the order of FIGURES.
 
+    folder : where figures and reports are.
+    effort : first seed, number of samples, and whether this is the quick form.
     done : finished figures as plain data, by name. missing : names of those that are not done yet.
     """
     figures = {name: done[name] | {"files": list(map(str, _files(name, folder)))} for name in FIGURES if name in done}
@@ -275,7 +284,10 @@ def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequen
 
 
 def _command(names: Sequence[str], effort: Effort) -> str:
-    """Return the command line that computes these figures with the same numbers again."""
+    """Return the command line that computes the same figures with the same numbers again.
+
+    names : of the figures, keys of FIGURES. effort : first seed, number of samples, and whether it is the quick form.
+    """
     asked = [] if set(names) == set(choose_figures(())) else [name for name in FIGURES if name in names]
     quick = ["--quick"] if effort.quick else []
     return " ".join(

@@ -181,8 +181,12 @@ def _with_coefficients(draw: Callable[..., np.ndarray]) -> Change:
     """
 
     def change(case: Case, value: Any, row: Row) -> Case:
-        """Return the case with coefficients drawn anew, by `draw` with this value. row : kind of lattice, by which the
-        scene is made."""
+        """Return the case with coefficients drawn anew.
+
+        case : the unchanged case, whose lattice and direction are taken over.
+        value : value of the axis, which is passed on to `draw`.
+        row : row of the report; its law is that of the scene.
+        """
         scene = case.scene
         shape, direction = scene.lattice.shape, scene.direction
         return replace(case, scene=drawn(row, shape, partial(draw, value=value), direction=direction))
@@ -263,18 +267,21 @@ def _nearly_equal(_: Scene, value: str) -> dict[str, Any]:
 
 
 def _common_state(_: Scene, value: float) -> dict[str, Any]:
-    """Return bearing states of top and bottom to both of which a large one, of size `value`, is added; it is then
-    added to all spins at the minimum.
+    """Return bearing states A + C x of top and bottom, (A_x, A_y, A_z, C) by name, to both of which the same large
+    state is added; the minimum then differs by this state alone.
 
-    The added state is such as has its origin far away along x, and at the second sphere along y, where A cancels C y.
+    value : size of the added state, 1/time. Its spins along y vanish at the second sphere along y, where A_y cancels
+        C y.
     """
     top, bottom = (1.0, 0.5, 0.0, 0.5), (value, -value, value, value)
     return {"top": tuple(one + other for one, other in zip(top, bottom, strict=True)), "bottom": bottom}
 
 
 def _pivot(_: Scene, value: float) -> dict[str, Any]:
-    """Return bearing states in which the top rotates about its second sphere along x, but for a small part `value` of
-    what A cancels there.
+    """Return bearing states A + C x, (A_x, A_y, A_z, C) by name, of a bottom at rest and a top whose spin along x
+    nearly vanishes at its second sphere along x.
+
+    value : spin that is left over there, 1/time: the small sum A_x + C x, in which the two nearly cancel.
     """
     return {"top": (value - 1.0, 1.0, 0.0, 1.0), "bottom": (0.0,) * 4}
 
@@ -303,8 +310,11 @@ SIDES = {
 
 
 def _sides(case: Case, value: str, row: Row) -> Case:
-    """Return the case on a lattice of another size, a key of SIDES. Contacts along the height are alike in each layer,
-    sideways contacts are random, so that the exact minimum is known.
+    """Return the case on a lattice of another size. Contacts along the height are alike in each layer, sideways
+    contacts are random, so that the exact minimum is known.
+
+    value : name of the size, a key of SIDES, such as "flat".
+    row : row of the report; its law and dimension, 2 or 3, are those of the scene.
     """
 
     def draw(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
@@ -471,6 +481,7 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
     """Return a cell for each row and each value of each axis that is tried on it. Rows whose method refuses the
     unchanged sample are left out.
 
+    rows : combinations of method, law, dimension, device and precision.
     axes : names of the axes.
     seed : of the samples.
     quick : take smaller samples and the first values alone of axes that need patience, and then only every QUICK-th

@@ -169,8 +169,9 @@ class Job:
 def prepare(settings: RunSettings, strict: bool = True) -> Job:
     """Return the job that the settings describe; every input error is raised here, before anything is computed.
 
+    settings : of the run.
     strict : True to raise InputError for options that neither the method nor the law uses; False to ignore them, as a
-    scan that compares methods does.
+        scan that compares methods does.
     """
     with stage("reading"):
         if settings.is_packing:
@@ -186,7 +187,10 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
 
 
 def cost(settings: RunSettings) -> Cost:
-    """Return the estimated cost of a run; every input error is raised, and nothing is solved."""
+    """Return the estimated cost of a run: seconds, steps and bytes. Nothing is solved, but every input error is raised.
+
+    settings : of the run.
+    """
     job = prepare(settings)
     row = row_of(job.settings) if job.method is None else type(job.method.options)
     return cost_of(job.settings, row, job.scene)
@@ -195,8 +199,12 @@ def cost(settings: RunSettings) -> Cost:
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
     """Return the job that solves a scene on a lattice as the settings say.
 
-    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time. strict : True to raise InputError for options
-        that neither the method nor the law uses. InputError is also raised if settings and scene do not fit each other.
+    settings : of the run; their scene is not used.
+    scene : what is solved.
+    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time.
+    strict : True to raise InputError for options that neither the method nor the law uses; False to ignore them.
+
+    InputError is also raised for a scene that the method cannot solve, and for a device that is not here.
     """
     runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)

@@ -175,9 +175,11 @@ def sizes(name: str, values: ArrayLike, count: int, what: str, may_vanish: bool 
 
 
 def pressing(values: ArrayLike, contacts: int) -> np.ndarray:
-    """Return the normal forces (E,), force, with 0 in place of negative ones, of which a warning tells.
+    """Return the normal forces (contacts E,), force, checked and with 0 in place of negative ones, of which a warning
+    tells: contacts with a negative force pull and bear no friction.
 
-    Contacts with a negative force pull and bear no friction. contacts : their number E.
+    values : as the user gave them, (E,), or one number for all contacts.
+    contacts : their number E.
     """
     array = own_array("values of normal_force", values)
     if array.shape == (contacts,) and (pulling := array < 0).any():
