@@ -69,8 +69,10 @@ class ConicProgramme:
     cones: int = 0
 
     def spins(self, x: np.ndarray) -> np.ndarray:
-        """Return the spins of a solution x: (C, 1, *N) for C components and lattice shape N, staggered, 1/time.
+        """Return the spins of a solution of the conic programme, (components C, 1, lattice shape *N): staggered (times the
+        sign of the sublattice), 1/time.
 
+        x : solution vector of the programme, whose first numbers are the unknown spins over the imposed jump.
         Numbers that are not finite become 0; spins beyond those of the planes are cut to them, and the planes get
         theirs.
         """
@@ -196,8 +198,10 @@ class Peer:
         return f"{self.name} ({self.linear_solver})"
 
     def solve(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int = 0) -> Answer:
-        """Return the answer at a tolerance, with power and bound recomputed by the certificate.
+        """Return the answer at a tolerance, with power and lower bound recomputed from spins and forces, independently
+        of the solver.
 
+        programme : what is solved. tolerance : as the solver understands it.
         seconds : time limit.
         threads : number of threads, 0 for all, as far as the solver can be told.
         """

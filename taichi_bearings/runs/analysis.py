@@ -230,8 +230,10 @@ def write_analysis(
 ) -> None:
     """Write the findings of all samples as the group /analysis of a file.
 
-    path : the file. samples : arrays of each sample, by name. attributes : numbers and words, by name; those that are
-    dictionaries, or lists of lists or dictionaries, are left out.
+    path : the file.
+    samples : arrays of each sample, by name.
+    attributes : numbers and words, by name; those that are dictionaries, or lists of lists or dictionaries, are left
+        out.
     into_run : True if the file is a run.h5 to which the group is added; False to write a file with the group alone.
 
     With several samples every array has a leading axis of samples, filled up where their lengths differ.

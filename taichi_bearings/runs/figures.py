@@ -68,7 +68,9 @@ def draw_figure(
 def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
     """Raise InputError if the page asks for planes or a view that the figure `kind` does not have.
 
-    shape : spheres along each axis of a lattice; one number for another packing, which has no planes.
+    shape : numbers of spheres along each axis of a lattice; (number of spheres,) for another packing, which has no
+        planes.
+    page : how the figure is to be printed.
     """
     if len(shape) == 1:
         if page.planes:
@@ -113,7 +115,9 @@ def draw_snapshot(
 
 
 def _nearest(answer: Solution, time: float) -> tuple[float, int]:
-    """Return time and number of the snapshot that is nearest to a simulated time.
+    """Return the simulated time and the number of the snapshot that is nearest to a time that was asked for.
+
+    answer : one sample. time : simulated time.
 
     Raises InputError if there are no snapshots, or if the run does not reach that time.
     """

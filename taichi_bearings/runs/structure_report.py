@@ -74,7 +74,8 @@ def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Find
 def findings_of(structure: Structure) -> dict[str, Finding]:
     """Return the structure of one sample as arrays, by their names in the group /analysis.
 
-    On a lattice arrays over the contacts are split by axis, and arrays over the spheres have its shape.
+    structure : what the contacts of the sample form. On a lattice arrays over the contacts are split by axis, and
+        arrays over the spheres have its shape; in a packing they are (contacts E,) and (spheres N,).
     """
     spheres, contacts = columns_of(structure)
     if (lattice := structure.whole.lattice) is None:

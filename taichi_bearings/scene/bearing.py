@@ -226,8 +226,9 @@ class Bearing(ABC):
         return self.network.is_driven
 
     def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the carried spins (C, samples R, spheres *N), in which solvers compute, of laboratory spins; driven
-        spheres get their imposed ones.
+        """Return laboratory spins as solvers store them, (components C, samples R, spheres *N): on lattices times the
+        sign of the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
+        Driven spheres get their imposed ones.
 
         spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
         spin_axes : numbers of the C components to return, each 0, 1 or 2.
@@ -238,8 +239,9 @@ class Bearing(ABC):
         """Return laboratory spins, 1/time, (samples R, spheres *N) of discs or (R, *N, 3) of spheres: the inverse of
         :meth:`staggered_spin`.
 
-        staggered : carried spins (components C, R, *N), the form in which solvers compute. spin_axes : numbers of their
-            C components.
+        staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
+            the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
+        spin_axes : numbers of their C components.
 
         Other components get values at which no contact slips by them, where there are such values.
         """
@@ -249,24 +251,27 @@ class Bearing(ABC):
         """Return laboratory spins, 1/time, in twice the precision: the nearest doubles, and an array of what their
         rounding leaves out.
 
-        staggered : carried spins (C, samples R, spheres *N), the form in which solvers compute. rest : (C, R, *N),
-            small numbers to add to these, or None for nothing. spin_axes : numbers of the C components.
+        staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
+            the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
+        rest : (C, R, *N), small numbers to add to these, or None for nothing.
+        spin_axes : numbers of the C components.
         """
         return self.driving.laboratory(staggered, rest, spin_axes)
 
     def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return carried spins (C, samples R, spheres *N) measured from 0 instead of from the spins of the bottom
-        plane.
+        """Return spins measured from 0, as kinetic energies need them, (components C, samples R, spheres *N).
 
-        Carried spins are the form in which solvers compute. On lattices they are measured from the bottom; kinetic
-        energies need them from 0. spin_axes : numbers of the C components.
+        staggered : spins as solvers store them, of the same shape: on lattices times the sign of the sublattice, less
+            those of the bottom, which are added here; in other packings times the radius, measured from 0 already.
+        spin_axes : numbers of the C components.
         """
         return self.driving.absolute(staggered, spin_axes)
 
     def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Give driven spheres their imposed values in an array of spins, in place; return the same array.
 
-        staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute.
+        staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
+            the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
         spin_axes : numbers of their C components.
         """
         return self.driving.impose(staggered, spin_axes)
@@ -284,7 +289,8 @@ class Bearing(ABC):
         """Return spins clipped to bounds between which some minimum has all its spins, or as they are where no bounds
         are known. On lattices the bounds are the smallest and largest imposed spins.
 
-        staggered : carried spins (components C, samples R, spheres *N), the form in which solvers compute.
+        staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
+            the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
         spin_axes : numbers of their C components.
 
         Clipping never raises the power (shown in docs/equations.md, 4).
@@ -301,8 +307,9 @@ class Bearing(ABC):
 
         The slip speed of a contact is `slip_radius` times the length of its difference.
 
-        staggered : carried spins (components C, R, spheres *N), the form in which solvers compute. spin_axes : numbers
-            of their C components.
+        staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
+            the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
+        spin_axes : numbers of their C components.
         """
         return self.network.differences(staggered, spin_axes)
 
@@ -318,16 +325,18 @@ class Bearing(ABC):
     def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return the slip speed (samples R, contacts E) of every contact (paper, Eq. 2), length/time.
 
-        staggered : carried spins (components C, R, spheres *N), the form in which solvers compute. spin_axes : numbers
-            of their C components.
+        staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
+            the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
+        spin_axes : numbers of their C components.
         """
         return self.slip_radius * vector_length(self.differences(staggered, spin_axes))
 
     def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return the dissipated power (samples R,), energy/time (paper, Eq. 4, with each contact counted once).
 
-        staggered : carried spins (components C, R, spheres *N), the form in which solvers compute. spin_axes : numbers
-            of their C components.
+        staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
+            the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
+        spin_axes : numbers of their C components.
         """
         return self.law.power(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
@@ -337,8 +346,9 @@ class Bearing(ABC):
         It is the power, or the dissipation potential for a law whose power is no multiple of that. At any spins it is
         an upper bound on the minimum.
 
-        staggered : carried spins (components C, R, spheres *N), the form in which solvers compute. spin_axes : numbers
-            of their C components.
+        staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
+            the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
+        spin_axes : numbers of their C components.
         """
         return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 

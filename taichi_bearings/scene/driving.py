@@ -218,7 +218,8 @@ class Driving:
     def impose(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Give driven spheres their imposed values in an array of spins, in place; return the same array.
 
-        carried : spins (C, samples R, spheres *N) in the form in which solvers compute.
+        carried : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of the
+            sublattice, less those of the bottom, 1/time; in packings times the radius, length/time.
         spin_axes : numbers of their C components.
         """
         for place, (high, _) in zip(self.places, self.imposed(spin_axes), strict=True):
@@ -250,8 +251,10 @@ class Driving:
         """Return laboratory spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time, and an array of
         what their rounding leaves out.
 
-        carried : spins (C, R, *N) in the form that solvers store. rest : (C, R, *N), small numbers to add to these, or
-            None for nothing; not used on driven spheres, whose imposed spins are known in twice the precision.
+        carried : spins as solvers store them, (components C, R, *N): on lattices times the sign of the sublattice, less
+            those of the bottom, 1/time; in packings times the radius, length/time.
+        rest : (C, R, *N), small numbers to add to these, or None for nothing; not used on driven spheres, whose imposed
+            spins are known in twice the precision.
         spin_axes : numbers of the C components.
         """
         every = self.every
@@ -279,7 +282,7 @@ class Driving:
 
     def of_equal_viscosity(self) -> np.ndarray:
         """Return the spins (components C, 1, spheres *N) of least power if all contacts in `contact` had the same
-        viscosity, in the form in which solvers compute.
+        viscosity, as solvers store them: here times the radius, length/time.
 
         They solve a linear least-squares problem by conjugate gradients: the factors of its matrix would take much
         memory, and none runs on a GPU.
@@ -485,8 +488,8 @@ class Planes(Driving):
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
 
     def of_equal_viscosity(self) -> np.ndarray:
-        """Return spins (components C, 1, spheres *N) that rise linearly with the height, in the form in which solvers
-        compute: the minimum of a viscous law without disorder.
+        """Return spins (components C, 1, spheres *N) that rise linearly with the height, 1/time: the minimum of a
+        viscous law without disorder. They are times the sign of the sublattice, less the state of the bottom.
         """
         height = np.linspace(0.0, 1.0, self.lattice.shape[-1])
         return self.imposed_on_top(self.every)[0][:, None, ..., None] * height
@@ -618,8 +621,8 @@ class Planes(Driving):
         return self._of_layers(self.difference, self.lattice.all_spin_axes, self.lattice.shape[:-1])
 
     def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the imposed spins of the top plane in the form in which solvers compute, (C, nx, ny), in 2D (C, nx),
-        1/time, in twice the precision.
+        """Return the imposed spins of the top plane as solvers store them: times the sign of the sublattice, less the
+        state of the bottom; (C, nx, ny), in 2D (C, nx), 1/time, in twice the precision.
 
         spin_axes : numbers of the C components.
         """
