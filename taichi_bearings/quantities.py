@@ -192,7 +192,7 @@ CHECK_ROWS = _named(
         Quantity("power", "energy/time", "power dissipated by the spins"),
         Quantity("potential", "energy/time", "dissipation potential of the spins; lower_bound bounds its least value"),
         Quantity("lower_bound", "energy/time", "best lower bound on the least power (or potential) proven so far"),
-        Quantity("slipping", "1", "number of contacts that slip at this moment"),
+        Quantity("slipping", "1", "number of contacts that slip at the time of the check"),
         Quantity("kinetic_energy", "energy", "kinetic energy of the free spheres"),
         Quantity("spring_energy", "energy", "energy stored in the springs of the contacts"),
         Quantity("injected_energy", "energy", "work of the driven spheres since the start"),
@@ -279,7 +279,7 @@ SAMPLES = _named(
         Quantity("minimum_is_unique", "1", "whether only these slips have the least power: yes (true) or no (false) if"
                  " that is proven",
                  lambda a: a.solution.minimum_is_unique),
-        Quantity("time", "time", "simulated time", _at_end("time")),
+        Quantity("time", "time", "simulated time that the dynamics has reached", _at_end("time")),
         Quantity("duration", "time", "simulated time at which the dynamics was asked to end",
                  lambda a: a.asked.duration if "time" in a.solution.history else None),
         Quantity("energy_residual", "1", "error of the energy balance, as a share of the energy put in or dissipated",
@@ -343,7 +343,8 @@ STRUCTURE = {
                  lambda s: s.network.spanning_fraction),
         Quantity("shortest_path", "contacts", "number of contacts on a shortest slipless path from bottom to top",
                  lambda s: len(s.network.path) - 1 if len(s.network.path) else np.nan, r"\ell_\mathrm{min}"),
-        Quantity("planes_crossed", "1", "number of lattice planes normal to x (and to y) that the shortest path visits",
+        Quantity("planes_crossed", "1", "number of lattice planes normal to x (and to y) that the shortest slipless"
+                 " path from bottom to top visits",
                  lambda s: s.network.path_planes),
         Quantity("disjoint_paths", "1", "largest number of slipless paths from bottom to top that share no contact",
                  lambda s: s.network.disjoint_paths, r"N_\mathrm{paths}"),

@@ -69,10 +69,11 @@ class ConicProgramme:
     cones: int = 0
 
     def spins(self, x: np.ndarray) -> np.ndarray:
-        """Return the spins of a solution of the conic programme, (components C, 1, lattice shape *N): staggered (times the
-        sign of the sublattice), 1/time.
+        """Return the spins of a solution of the conic programme, (components C, 1, lattice shape *N), 1/time, staggered
+        (times the sign of the sublattice).
 
         x : solution vector of the programme, whose first numbers are the unknown spins over the imposed jump.
+
         Numbers that are not finite become 0; spins beyond those of the planes are cut to them, and the planes get
         theirs.
         """

@@ -103,7 +103,7 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
 
 
 def is_run(path: Path) -> bool:
-    """Return True for the directory of a run, whether it is finished or not."""
+    """Return True if `path` is the directory of a run, finished or not: it has a run.h5 or a checkpoint."""
     return any((path / name).is_file() for name in ("run.h5", CHECKPOINT_NAME))
 
 
@@ -225,7 +225,8 @@ def _complete(path: Path) -> None:
 def in_use(path: Path, part: str = "") -> Iterator[None]:
     """Lock a run directory inside the block, so that no other process works in it; raise FileError if one already does.
 
-    path : the run directory. part : name for one part of the work, to lock that part alone; empty for all work.
+    path : the run directory.
+    part : name for one part of the work, such as a part of a scan, to lock that part alone; empty for all work.
 
     Files that a killed process has left there are removed, or moved to their places if they were complete.
     """

@@ -42,7 +42,7 @@ class Drawn:
 
     @classmethod
     def computed(cls, structure: Structure) -> "Drawn":
-        """Compute the structure of a sample and return what is shown of it."""
+        """Compute the structure of a sample and return what figures and exports show of it. structure : the sample."""
         spheres, contacts = columns_of(structure)
         domains = None if structure.whole.lattice is None else structure.rigid_domains
         return cls(spheres, contacts, domains, structure.network.path, True)

@@ -46,9 +46,12 @@ def self_contained(
 ) -> RunSettings:
     """Return settings that name only files in the run directory itself, so that it can be moved and run again.
 
-    scene : what is solved. spin : initial spins, or None. folder : the run directory, to which the files are written.
-    name : of the file that will hold coefficients and packing, run.h5; in runs with checkpoints other files hold
-        them, and are written now, as the run may be resumed before there is a run.h5.
+    settings : of the run, which may name files elsewhere.
+    scene : what is solved.
+    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; None if only their name is known.
+    folder : the run directory, to which the files are written.
+    name : of the file that will hold coefficients and packing. In runs with checkpoints other files hold them, and are
+        written now, as the run may be resumed before there is a run.h5.
     """
     with_file = settings.checkpoint_every is not None
     if scene.network.lattice is not None:

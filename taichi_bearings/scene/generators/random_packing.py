@@ -151,7 +151,7 @@ def built(
         raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
     ratio, large = finite_number("ratio", ratio), finite_number("large", large)
     if not (1 <= ratio <= 5 and 0 <= large <= 1):
-        raise InputError(f"ratio is {ratio:g} and large is {large:g}; they must be from 1 to 5 and from 0 to 1")
+        raise InputError(f"ratio is {ratio:g} and large is {large:g}; ratio must be from 1 to 5, large from 0 to 1")
     volume = spheres * (pi if dimension == 2 else 4 * pi / 3) * (1 - large + large * ratio**dimension)
     usual = (volume / FILLED[dimension]) ** (1 / dimension)
     side = max(usual, 2 * NARROWEST * ratio) if width is None else 2 * finite_number("width", width)
