@@ -261,9 +261,7 @@ class _Sets:
 def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
     """Return the solution in an opened run.h5, with an axis of samples.
 
-    path : of the file, for messages.
-    file, attributes : the opened file, and its attributes by name.
-    settings : of the run.
+    path, attributes : of the file `file`. settings : of the run.
 
     The status is that of the first sample that is not certified, if there is one.
     """
