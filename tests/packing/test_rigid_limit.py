@@ -87,7 +87,8 @@ def test_random_networks_come_to_rest_at_the_proven_minimum(seed):
     best = tb.solve(packing)
     found = tb.solve(packing, "rigid-limit", start="random", tolerance=1e-8)
     natural = sum(values.sum() for values in packing.material) * (np.abs(packing.driven_speed).max() or 1.0)
-    assert found.status == "certified"
+    # beside a least power of 0 a power that is not exactly 0, but tiny, has no small relative gap
+    assert found.status == "certified" or (best.potential == 0 and found.status == "stationary")
     assert found.potential == pytest.approx(best.potential, rel=2e-8, abs=1e-9 * natural)
     assert found.lower_bound <= best.potential * (1 + 1e-12)
     both = (found.state < 2) & (best.state < 2) & found.proven & best.proven
