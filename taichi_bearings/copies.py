@@ -13,8 +13,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from multiprocessing import spawn
+from multiprocessing import spawn, util
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,11 +24,6 @@ from taichi_bearings.interrupts import unheard_by_children
 
 CAN_COPY = sys.platform == "linux"
 LOADED = "taichi_bearings.scans.loaded"  # the module that the original loads, with all that it imports
-
-
-def context_of_workers() -> Any:
-    """Return the context of :mod:`multiprocessing` in which workers are started, which also makes the pipes to them."""
-    return multiprocessing.get_context("forkserver" if CAN_COPY else "spawn")
 
 
 class Original:
@@ -48,10 +44,20 @@ class Original:
             self._server.set_forkserver_preload([LOADED])
 
     def begin(self) -> None:
-        """Start the process, if there is to be one; it then loads the program while this one goes on."""
-        if self._server is not None:
+        """Start the process, if there is to be one; it then loads the program while this one goes on.
+
+        There is none, either, where no folder for temporary files can be written: the process has its address in one.
+        """
+        if self._server is None:
+            return
+        try:
+            folder = Path(util.get_temp_dir())
+            leaving.add_temporary(folder)  # else removed by Python, which does not happen where a signal ends a command
             with _main_left_out(), _working_folder_left_out(), unheard_by_children():
                 self._server.ensure_running()
+        except OSError:
+            self._server = None
+        else:
             leaving.add_helper(self._server._forkserver_pid)
 
     def start(self, target: Callable[..., None], arguments: tuple[Any, ...], name: str) -> BaseProcess:
@@ -63,12 +69,13 @@ class Original:
 
         Raises EOFError or OSError if no process can be started, as after :meth:`give_up`.
         """
-        process: BaseProcess = context_of_workers().Process(target=target, args=arguments, daemon=True, name=name)
+        self.begin()
+        context: Any = multiprocessing.get_context("spawn" if self._server is None else "forkserver")
+        process: BaseProcess = context.Process(target=target, args=arguments, daemon=True, name=name)
         if self._server is None:
             with _main_left_out(), _working_folder_left_out(), unheard_by_children():
                 process.start()
             return process
-        self.begin()
         with _main_left_out(), self._copied():  # this waits until the program is loaded
             process.start()
         self._is_loaded = True

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings import runtime
-from taichi_bearings.copies import Original, context_of_workers, take_original
+from taichi_bearings.copies import Original, take_original
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.memory import collect_cycles_seldom, keep_freed
@@ -288,7 +288,7 @@ class _Solver:
                 raise EOFError
             original = _originals.get(self.engine) or take_original()
             _originals[self.engine] = original
-            self._pipe, theirs = context_of_workers().Pipe()
+            self._pipe, theirs = multiprocessing.Pipe()
             self.process = original.start(serve, (theirs, pickle.dumps(self.work)), WORKER_NAME)
             theirs.close()
         self._pipe.recv()  # that it has started

@@ -63,8 +63,11 @@ def processor_time(process):
 def struck(words, folder, what, moment):
     """Exit code, stderr, and seconds to the end after the signal; None if the command was over before."""
     command = [sys.executable, "-m", "taichi_bearings_cli", *words.split()]
+    temporary = folder.with_name(f"{folder.name}-temporary")
+    temporary.mkdir()
+    environment = ENVIRONMENT | {"TMPDIR": str(temporary)}
     with open(folder / ".said", "w+") as said:
-        process = subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=said)
+        process = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=said)
         while process.poll() is None and not hears(process):
             time.sleep(0.002)
         begun = processor_time(process) if process.poll() is None else 0.0
@@ -103,5 +106,6 @@ def test_a_signal_at_any_moment_ends_a_command_soon_and_leaves_whole_files(store
         assert read_run(folder / "run").solution.power > 0
         for file in folder.rglob("run.h5"):
             read_run(file)
+        assert not list(folder.with_name(f"{number}-temporary").glob("pymp-*"))  # folders of multiprocessing
         shutil.rmtree(folder)
     assert 130 in ended
