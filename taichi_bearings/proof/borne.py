@@ -60,7 +60,6 @@ MOST_TRIALS, SPARED = 10, 0.7
 # are as many as add at most this share of the least friction left, and all but so many others.
 FAINT_LOADS, MOST_OTHERS = 0.1, 512
 WORTH_A_TRIAL = 0.99  # factor by which a trial has to lower the largest (friction / limit) for another one to be made
-MOST_SETS = 3  # sets X that are tried, each without the contacts that may have to bear too much in the one before
 LEAST_MARGIN = 1e-4  # friction left over the largest of all contacts; contacts with less count as having this much
 LEAST_BORNE = 1e-2  # load of a contact over the largest; smaller loads count as this large
 YIELDING, CARRYING_STEPS = -1e-13, 3  # minus what is added to the diagonal, to hold motions; steps that correct it
@@ -87,23 +86,17 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     # Contacts that can roll exactly are sought among those with friction left. Optimal friction is at most mu F_n, and
     # with damping eta (slip + far) more.
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
-    tried, number = rests.copy(), numbered(unknown)
-    for _ in range(MOST_SETS):
-        exact = ExactMotions.of(network, number, tried)
-        friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
-        # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
-        # below all their limits can replace the optimal one. Those that may have to bear more are left out next time.
-        loop_pieces = friction_bounds.split_into_pieces()
-        for piece in loop_pieces:
-            found[piece.contacts] |= rests[piece.contacts] & (piece.largest < network.holding.least[piece.contacts])
-        if not exact.contacts.any():
-            break
-        rolling = np.flatnonzero(exact.contacts)
-        proven, overloaded = ExactlyRolling(friction_bounds, loop_pieces).rests()
-        found[rolling] |= proven
-        if not overloaded.any():
-            break
-        tried[rolling[overloaded]] = False
+    number = numbered(unknown)
+    exact = ExactMotions.of(network, number, rests)
+    friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
+    # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
+    # below all their limits can replace the optimal one.
+    loop_pieces = friction_bounds.split_into_pieces()
+    for piece in loop_pieces:
+        found[piece.contacts] = piece.largest < network.holding.least[piece.contacts]
+    found &= rests
+    if exact.contacts.any():
+        found[exact.contacts] = ExactlyRolling(friction_bounds, loop_pieces).rests()
     return found
 
 
@@ -218,9 +211,8 @@ class ExactlyRolling:
         )
         return np.asarray(holding - np.linalg.norm(force, axis=1))
 
-    def rests(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum; and that of
-        the others that may have to bear more than their limits, which may keep others of their part from being proven.
+    def rests(self) -> np.ndarray:
+        """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum.
 
         Springs at these contacts find friction that bears each load of the other contacts. The friction at hand plus
         all loads, at their largest, must stay below the limit at every contact of a part; then the part rests. Springs
@@ -229,9 +221,9 @@ class ExactlyRolling:
         springs = SpringsUnderLoad.of(self, margin**2)
         most_change = self.friction_bounds.most_change[self.bounded_contacts]
         found, last = np.zeros(len(margin), dtype=bool), np.inf
-        overloaded, limit = found.copy(), self.friction_bounds.network.holding.least[self.contacts]
+        limit = self.friction_bounds.network.holding.least[self.contacts]
         if springs is None:
-            return found, overloaded
+            return found
         faint, by_others = self._faint(most_change), np.zeros(len(margin))
         residual = self.unknown_torques + abs(self.loads[0]) @ np.repeat(np.where(faint, most_change, 0.0), 2) * UP
         # Friction that other contacts may demand: theirs may have any direction, so the norm of what a unit demands
@@ -257,7 +249,6 @@ class ExactlyRolling:
                 force, half_length, 3
             )
             found |= self._bears(largest + by_others, residual + left)
-            overloaded = ~found & (largest + by_others >= limit)
             worst = float(((largest + by_others) / limit)[~found].max(initial=0.0))
             if found.all() or not len(half_length) or not worst < WORTH_A_TRIAL * last:
                 break
@@ -270,7 +261,7 @@ class ExactlyRolling:
             springs = SpringsUnderLoad.of(self, eased)
             if springs is None:
                 break
-        return found, overloaded
+        return found
 
     def _faint(self, most_change: np.ndarray) -> np.ndarray:
         """Return the mask (k,) of those contacts in `bounded_contacts` that load the exactly rolling ones so little

@@ -52,6 +52,7 @@ DENOMINATORS = 720  # largest denominator of the fractions that are guessed
 # sums and products of them in doubles are exact.
 WHOLE, LARGEST = 1e-6, 2.0**40
 MOST_ROUNDS = 12  # number of times that spheres are left out and the rest is tried again
+MOST_EXACT_SPHERES = 5_000  # free spheres beyond which proofs with exact motions take longer than finding the minimum
 # Motions that are solved for at once; choices of a part in one of them at most; share of the choices that such sums may
 # leave open before each is solved for alone.
 SLOTS_AT_ONCE, CHOICES_IN_A_SUM, WORTH_A_ROUND = 64, 32, 0.5
@@ -98,7 +99,7 @@ class ExactMotions:
         number : (N, 3), which unknown each component of a spin is, -1 where it is none.
         rests : (E,) mask of the contacts that shall roll."""
         spheres, (first, second) = network.reached, network.graph.contact
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES * network.count else 0):
             whole = spheres | ~network.free
             contacts = rests & whole[first] & whole[second]
             touched = np.zeros(len(spheres), dtype=bool)
