@@ -75,8 +75,10 @@ def is_at_work(process):
 
 @pytest.mark.parametrize("generation", [1, 2])
 @pytest.mark.parametrize("what", SIGNALS)
-def test_an_interrupt_of_all_processes_while_workers_start_is_quiet(scan_file, tmp_path, what, generation):
+def test_an_interrupt_of_all_processes_while_workers_start_is_quiet(tmp_path, what, generation):
     """Ctrl-C reaches the whole group; a process that is loading would print a traceback."""
+    scan_file = tmp_path / "scan.toml"
+    scan_file.write_text("shape = [8, 8]\n[scan]\nseed = { start = 0, stop = 20000 }\n")  # it cannot end by itself
     words = [sys.executable, "-m", "taichi_bearings_cli", "scan", scan_file, "--workers", "2", "--out", tmp_path / "s"]
     process = begun(words, generation)
     time.sleep(0.1)
