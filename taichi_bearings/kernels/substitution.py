@@ -37,6 +37,83 @@ from taichi_bearings.kernels.team import LEAST_CHUNK
 
 
 @ti.func
+def triangle_forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
+    """Solve forward with the triangle at the diagonal that belongs to `wide` own unknowns of a front (a group of
+    unknowns that are eliminated together), in place, and return the list of these unknowns.
+
+    numbers : the Cholesky factor, flat, with inverse pivots.
+    vector : right-hand sides, replaced by the solution.
+    where : list of three integers: in `numbers`, the index of the first pivot, and the distance from one column to the
+        next; in `vector`, the index of the first of these unknowns.
+    wide : number of these unknowns."""
+    start, height, row = where
+    value = [vector[row + c] for c in ti.static(range(wide))]
+    for c in ti.static(range(wide)):
+        for p in ti.static(range(c)):
+            value[c] = value[c] - numbers[start + p * height + c] * value[p]
+        value[c] = value[c] * numbers[start + c * height + c]
+        vector[row + c] = value[c]
+    return value
+
+
+@ti.func
+def triangle_backward(
+    numbers: ti.template(), vector: ti.template(), left: ti.template(), where: ti.template(), wide: ti.template()
+):
+    """Solve backward with the triangle at the diagonal that belongs to `wide` own unknowns of a front (a group of
+    unknowns that are eliminated together), from its last row up.
+
+    numbers : the Cholesky factor, flat, with inverse pivots.
+    vector : where the solution is written.
+    left : list of what later unknowns leave of the right-hand sides of these; replaced by the solution.
+    where : list of three integers: in `numbers`, the index of the first pivot, and the distance from one column to the
+        next; in `vector`, the index of the first of these unknowns.
+    wide : number of these unknowns."""
+    start, height, row = where
+    for back in ti.static(range(wide)):
+        c = ti.static(wide - 1 - back)
+        for p in ti.static(range(c + 1, wide)):
+            left[c] = left[c] - numbers[start + c * height + p] * left[p]
+        left[c] = left[c] * numbers[start + c * height + c]
+        vector[row + c] = left[c]
+
+
+@ti.func
+def take_from_children(tables: ti.template(), at, vector: ti.template(), keeps_own: ti.template()):
+    """Add to the rows of one front what its children in the elimination tree have left for their borders.
+
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
+    vector : right-hand sides, and after them what fronts keep; changed in place.
+    keeps_own : True if each front keeps rows for its own unknowns there, before those for its border."""
+    next_child, step = tables[at + CHILD], tables[STEP]
+    while next_child >= 0:
+        child = HEADER + next_child * WIDTH
+        slots, left, i = tables[SLOTS] + tables[child + BATCH_SHARE], tables[child + REST_HEIGHT], 0
+        if ti.static(keeps_own):
+            left += tables[child + OWN]
+        while i < tables[child + BORDER]:
+            to = tables[slots + i]
+            vector[to] = vector[to] + vector[left + i]
+            i += step
+        next_child = tables[child + SIBLING]
+
+
+@ti.func
+def copy_border(tables: ti.template(), at, vector: ti.template(), to):
+    """Copy the unknowns of the border of one front, which its parent in the elimination tree has solved.
+
+    tables : integers that say where the entries of all fronts stand.
+    at : position in `tables` of the row of integers of this front.
+    vector : the solution, and after it what fronts keep; changed in place.
+    to : index in `vector` of the first copy."""
+    slots, step, i = tables[SLOTS] + tables[at + BATCH_SHARE], tables[STEP], 0
+    while i < tables[at + BORDER]:
+        vector[to + i] = vector[tables[slots + i]]
+        i += step
+
+
+@ti.func
 def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
     """Solve for `wide` own unknowns of a front, and subtract their contribution from its later unknowns and its border.
 
@@ -51,13 +128,7 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
         unroll the loops.
     wide : number of these own unknowns, PANEL or 1."""
     start, height, row, end, rest, border, step = where
-    # the triangle at the diagonal, with inverse pivots
-    value = [vector[row + c] for c in ti.static(range(wide))]
-    for c in ti.static(range(wide)):
-        for p in ti.static(range(c)):
-            value[c] = value[c] - numbers[start + p * height + c] * value[p]
-        value[c] = value[c] * numbers[start + c * height + c]
-        vector[row + c] = value[c]
+    value = triangle_forward(numbers, vector, [start, height, row], wide)
     # the later own unknowns, then the border
     i = wide
     while i < end - row:
@@ -103,13 +174,7 @@ def backward(numbers: ti.template(), vector: ti.template(), where: ti.template()
         for c in ti.static(range(wide)):
             left[c] = left[c] - numbers[start + c * height + i] * known
         i += step
-    # the triangle at the diagonal, from its last row up
-    for back in ti.static(range(wide)):
-        c = ti.static(wide - 1 - back)
-        for p in ti.static(range(c + 1, wide)):
-            left[c] = left[c] - numbers[start + c * height + p] * left[p]
-        left[c] = left[c] * numbers[start + c * height + c]
-        vector[row + c] = left[c]
+    triangle_backward(numbers, vector, left, [start, height, row], wide)
 
 
 @ti.func
@@ -128,15 +193,7 @@ def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template()
     height, step = tables[at + HEIGHT], tables[STEP]
     # begin with nothing for the border, and take what the children have left for theirs
     clear(alone, vector, rest, rest + border, step)
-    next_child = tables[at + CHILD]
-    while next_child >= 0:
-        child = HEADER + next_child * WIDTH
-        slots, left, i = tables[SLOTS] + tables[child + BATCH_SHARE], tables[child + REST_HEIGHT], 0
-        while i < tables[child + BORDER]:
-            to = tables[slots + i]
-            vector[to] = vector[to] + vector[left + i]
-            i += step
-        next_child = tables[child + SIBLING]
+    take_from_children(tables, at, vector, False)
     # eliminate the own unknowns
     k = 0
     while k < own:
@@ -161,12 +218,8 @@ def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template())
     numbers : the Cholesky factor, flat.
     vector : what the forward solve has left, replaced by the solution."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
-    height, step, slots = tables[at + HEIGHT], tables[STEP], tables[SLOTS] + tables[at + BATCH_SHARE]
-    # copy the border, which the parent has solved
-    i = 0
-    while i < border:
-        vector[rest + i] = vector[tables[slots + i]]
-        i += step
+    height, step = tables[at + HEIGHT], tables[STEP]
+    copy_border(tables, at, vector, rest)
     # solve for the own unknowns from the last to the first
     k = own
     while k > 0:
@@ -226,13 +279,7 @@ def forward_vectors(
     wide : number of these own unknowns, LANES or 1."""
     numbers, blocks = ti.static(memory)
     start, height, row, end, step = where
-    # the triangle at the diagonal, with inverse pivots
-    value = [vector[row + c] for c in ti.static(range(wide))]
-    for c in ti.static(range(wide)):
-        for p in ti.static(range(c)):
-            value[c] = value[c] - numbers[start + p * height + c] * value[p]
-        value[c] = value[c] * numbers[start + c * height + c]
-        vector[row + c] = value[c]
+    value = triangle_forward(numbers, vector, [start, height, row], wide)
     # rows up to the next whole vector, then vectors of rows
     i, whole = wide, (row + wide + LANES - 1) // LANES
     while i < whole * LANES - row:
@@ -285,13 +332,7 @@ def backward_vectors(
         for c in ti.static(range(wide)):
             left[c] = left[c] - numbers[start + c * height + i] * vector[row + i]
         i += step
-    # the triangle at the diagonal, from its last row up
-    for back in ti.static(range(wide)):
-        c = ti.static(wide - 1 - back)
-        for p in ti.static(range(c + 1, wide)):
-            left[c] = left[c] - numbers[start + c * height + p] * left[p]
-        left[c] = left[c] * numbers[start + c * height + c]
-        vector[row + c] = left[c]
+    triangle_backward(numbers, vector, left, [start, height, row], wide)
 
 
 @ti.func
@@ -313,19 +354,7 @@ def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.te
         vector[rest + i] = vector[first + i]
         i += step
     clear(True, vector, rest + own, rest + height, step)
-    next_child = tables[at + CHILD]
-    while next_child >= 0:
-        child = HEADER + next_child * WIDTH
-        slots, left, i = (
-            tables[SLOTS] + tables[child + BATCH_SHARE],
-            tables[child + REST_HEIGHT] + tables[child + OWN],
-            0,
-        )
-        while i < tables[child + BORDER]:
-            to = tables[slots + i]
-            vector[to] = vector[to] + vector[left + i]
-            i += step
-        next_child = tables[child + SIBLING]
+    take_from_children(tables, at, vector, True)
     # eliminate the own unknowns
     k = 0
     while k < own:
@@ -352,11 +381,8 @@ def up_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.temp
         left them, number by number.
     vectors : the same memory as vectors of LANES rows."""
     own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
-    step, begin, slots, i = tables[STEP], tables[at + OWN_COLUMNS], tables[SLOTS] + tables[at + BATCH_SHARE], 0
-    # copy the border, which the parent has solved
-    while i < tables[at + BORDER]:
-        vector[rest + own + i] = vector[tables[slots + i]]
-        i += step
+    step, begin = tables[STEP], tables[at + OWN_COLUMNS]
+    copy_border(tables, at, vector, rest + own)
     # solve for the own unknowns from the last to the first
     k = own
     while k > 0:
