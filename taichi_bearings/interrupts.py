@@ -21,7 +21,7 @@ from types import FrameType
 from typing import Any
 
 from taichi_bearings import leaving
-from taichi_bearings.leaving import SIGNALS
+from taichi_bearings.leaving import SIGNALS, handled
 
 SOON = 0.02  # seconds until an interrupt that was swallowed is raised again
 IMPATIENCE = 5.0  # seconds; a second Ctrl-C that comes later than this ends the process
@@ -53,21 +53,6 @@ def look_up() -> None:
 
 
 @contextmanager
-def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Iterator[None]:
-    """Have a handler called at Ctrl-C and SIGTERM inside the block; in threads other than the main one nothing
-    changes."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, handler) for number in SIGNALS}
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
-
-
-@contextmanager
 def awaited() -> Iterator[threading.Event]:
     """Hold Ctrl-C and SIGTERM off inside the block: they only set the event that the block gets."""
     heard = threading.Event()
@@ -87,16 +72,13 @@ def unheard_by_children() -> Iterator[None]:
         return
     from multiprocessing import resource_tracker  # which --help does not need
 
-    heard: list[int] = []
-    with handled(lambda number, _: heard.append(number)):
+    with leaving.undisturbed():
         resource_tracker.ensure_running()  # whose start, before that of the first process, would undo the mask
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         try:
             yield
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    for number in set(heard):
-        signal.raise_signal(number)
 
 
 def is_loading(frame: FrameType | None) -> bool:

@@ -12,8 +12,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -45,21 +46,29 @@ def saving() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM off during the few steps inside the block, which belong together; they are heard after
-    it. In threads other than the main one, which hear of no signals, nothing changes."""
+def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Iterator[None]:
+    """Have a handler called at Ctrl-C and SIGTERM inside the block; in threads other than the main one nothing
+    changes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
-    before = {number: signal.signal(number, lambda one, _: came.append(one)) for number in SIGNALS}
+    before = {number: signal.signal(number, handler) for number in SIGNALS}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    for one in set(came):
-        signal.raise_signal(one)
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Hold Ctrl-C and SIGTERM off during the few steps inside the block, which belong together; they are heard after
+    it. In threads other than the main one, which hear of no signals, nothing changes."""
+    came: list[int] = []
+    with handled(lambda number, _: came.append(number)):
+        yield
+    for number in set(came):
+        signal.raise_signal(number)
 
 
 @contextlib.contextmanager
@@ -128,15 +137,11 @@ def by_default() -> Iterator[None]:
     That works even in a call of a library that never returns and lets no other thread work. Where something is being
     saved nothing changes.
     """
-    if not _watched or _saving or threading.current_thread() is not threading.main_thread():
+    if not _watched or _saving:
         yield
         return
-    before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
-    try:
+    with handled(signal.SIG_DFL):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

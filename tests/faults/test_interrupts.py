@@ -126,7 +126,7 @@ def test_what_reads_for_ever_and_seems_whole_is_left_at_the_second_signal(tmp_pa
 
 def test_a_second_signal_changes_nothing_after_a_file_was_read(monkeypatch):
     monkeypatch.setattr(leaving, "_watched", True)
-    with interrupts.handled(signal.default_int_handler):
+    with leaving.handled(signal.default_int_handler):
         for _ in range(2):
             with leaving.by_default_next_time(), pytest.raises(KeyboardInterrupt):
                 strike()
