@@ -31,10 +31,7 @@ class NotEnoughMemory(InputError, MemoryError):
 
 def free_bytes() -> float:
     """Return the memory that this process may still get, in bytes; infinite where that is not known."""
-    free = math.inf
-    with suppress(OSError, StopIteration, ValueError):
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        free = 1024.0 * int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1])
+    free = told_bytes("/proc/meminfo", "MemAvailable", math.inf)
     with suppress(OSError, ValueError):  # "max" is no number
         limit, used = ((CGROUP / name).read_text() for name in ("memory.max", "memory.current"))
         free = min(free, int(limit) - int(used))
@@ -47,6 +44,19 @@ def free_bytes() -> float:
                 pages = int(Path("/proc/self/statm").read_text().split()[0])
                 free = min(free, most - pages * os.sysconf("SC_PAGE_SIZE"))
     return free
+
+
+def told_bytes(file: str, name: str, unknown: float = math.nan) -> float:
+    """Return a number of bytes that Linux tells.
+
+    file : "/proc/meminfo", on the machine, or "/proc/self/status", on this process.
+    name : of the number there, such as "MemAvailable" or "VmHWM", the most memory that the process has had.
+    unknown : returned where the system does not tell.
+    """
+    with suppress(OSError, StopIteration, ValueError):
+        lines = Path(file).read_text().splitlines()
+        return 1024.0 * int(next(line for line in lines if line.startswith(f"{name}:")).split()[1])
+    return unknown
 
 
 def refuse_beyond(needed: float, what: str) -> None:

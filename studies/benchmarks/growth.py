@@ -6,12 +6,9 @@ The power laws are fitted to processor times, the time of all threads, which oth
 least. A quick solve is repeated, and the median counts, so that no compilation is measured.
 """
 
-import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from math import prod
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +17,7 @@ from matplotlib.figure import Figure
 from taichi_bearings import runtime
 from taichi_bearings.api import solve
 from taichi_bearings.errors import InputError
+from taichi_bearings.memory import told_bytes
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, in_our_style, label_in_plain_text, new_figure
 from taichi_bearings.runs.cost import refuse_too_large
 from taichi_bearings.runs.run import build_scene
@@ -27,10 +25,11 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import InteriorPoint
 
-from .harness import Found, Row, Times
+from .harness import Found, Row, Times, clocked
 from .methods import relative
 from .peers import conic_programme, find_peers
 
+OF_PROCESS = "/proc/self/status"  # what Linux tells of this process
 OURS, THEIRS = "this program, states proven", "clarabel, no proof"
 TOLERANCE = 1e-8  # relative gap asked of both
 BRIEF, ROUNDS = 10.0, 3  # a solve that takes fewer seconds of the processor is made once more, and then so often
@@ -57,23 +56,16 @@ def measure(side: int, program: str, seed: int, threads: int) -> Found:
     else:
         refuse_too_large(InteriorPoint, scene)
         once = partial(_by_us, scene, threads)
-    before = _bytes("VmRSS")
-    found = [_clocked(once)]
-    if found[0][1] < BRIEF:
-        found += [_clocked(once) for _ in range(ROUNDS)]
-        del found[0]  # the first one has compiled
-    times = Times(*np.array([(wall, processor) for wall, processor, _ in found]).T)
+    answers = list[Row]()
+    before, call = told_bytes(OF_PROCESS, "VmRSS"), lambda _: answers.append(once())
+    found = [clocked(call)]
+    if found[0][1] < BRIEF:  # the first one has compiled
+        found = [clocked(call) for _ in range(ROUNDS)]
+    times = Times(*np.array(found).T)
     yield {
         "what": program, "shape": shape, "spheres": prod(shape), "threads": threads, **times.row,
-        "memory": (_bytes("VmHWM") - before) / 1e9, **found[-1][2],
+        "memory": (told_bytes(OF_PROCESS, "VmHWM") - before) / 1e9, **answers[-1],
     }  # fmt: skip
-
-
-def _clocked(call: Callable[[], Row]) -> tuple[float, float, Row]:
-    """Return wall time and processor time of a call, seconds, and what it returned."""
-    began, at = time.perf_counter(), time.process_time()
-    found = call()
-    return time.perf_counter() - began, time.process_time() - at, found
 
 
 def _by_us(scene: Scene, threads: int) -> Row:
@@ -103,16 +95,6 @@ def _by_clarabel(scene: Scene, threads: int) -> Callable[[], Row]:
         return {"proven_gap": relative([answer.power], answer.lower_bound)[0]}
 
     return call
-
-
-def _bytes(name: str) -> float:
-    """Return a number of bytes that Linux tells of this process: "VmRSS" what it has, "VmHWM" the most it has had; nan
-    on other systems.
-    """
-    with suppress(OSError, StopIteration):
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return 1024.0 * int(next(line for line in lines if line.startswith(f"{name}:")).split()[1])
-    return float("nan")
 
 
 class PowerLaw(NamedTuple):

@@ -91,11 +91,11 @@ def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds
     calls : by name, functions that repeat something a number of times, which is their argument.
     slice_seconds : about how long one call should take; the number of repetitions is chosen so, at least one.
     """
-    clocked = {name: partial(_clocked, call, _enough(call, slice_seconds)) for name, call in calls.items()}
-    return {name: Times(*np.array(pairs).T) for name, pairs in in_turns(clocked, rounds).items()}
+    measured = {name: partial(clocked, call, _enough(call, slice_seconds)) for name, call in calls.items()}
+    return {name: Times(*np.array(pairs).T) for name, pairs in in_turns(measured, rounds).items()}
 
 
-def _clocked(call: Callable[[int], None], number: int, _: int = 0) -> tuple[float, float]:
+def clocked(call: Callable[[int], None], number: int = 1, _: int = 0) -> tuple[float, float]:
     """Return wall and processor time, seconds, of one repetition, as the mean over one call. call : function that
     repeats something `number` times. The last argument, the number of the round, is not used.
     """
@@ -112,7 +112,7 @@ def _enough(call: Callable[[int], None], seconds: float) -> int:
     call(2)
     number = 2
     while number < LONGEST:
-        took = number * min(_clocked(call, number)[0] for _ in range(3))
+        took = number * min(clocked(call, number)[0] for _ in range(3))
         if took > seconds / 4:
             return max(1, int(number * seconds / took))
         number *= 4

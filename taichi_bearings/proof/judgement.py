@@ -101,40 +101,9 @@ class Judgement:
         return self._by_sample(self.network.acts)
 
     @property
-    def limit(self) -> np.ndarray:
-        """(R, E), friction limit mu F_n of each of E contacts of R samples, force; for laws without friction the
-        damping, force * time / length."""
-        if not self.law.holds:
-            return self.damping
-        return self._by_sample(self.network.holding.value) * self.force_unit[:, None]
-
-    @property
-    def damping(self) -> np.ndarray:
-        """(R, E), damping eta of each of E contacts of R samples, force * time / length; 0 for laws of
-        friction alone."""
-        return self._by_sample(self.network.slope.value) * (self.force_unit / self.network.speed_unit)[:, None]
-
-    @property
     def force_unit(self) -> np.ndarray:
         """(R,), for each of R samples the power of two in which its forces are measured in `network`."""
         return self.network.force_unit
-
-    @property
-    def friction_has_normal_part(self) -> np.ndarray:
-        """(R samples, E) mask of the contacts whose stored friction has a component along the normal, which no friction
-        has: on packings a component above rounding, on lattices any. All False for discs, whose friction is stored as
-        one number."""
-        friction, normal = self.network.graph.friction, self.network.graph.normal
-        if friction.shape != normal.shape:
-            return np.zeros(self.acts.shape, dtype=bool)
-        rounding = self.network.graph.normal_rounding
-        along = np.abs((friction * normal).sum(axis=1)) > rounding * np.linalg.norm(friction, axis=1)
-        return self._by_sample(along)
-
-    @property
-    def friction_size(self) -> np.ndarray:
-        """(R, E), size of the stored friction of each of E contacts of R samples, force."""
-        return self._by_sample(np.linalg.norm(self.network.graph.friction, axis=1)) * self.force_unit[:, None]
 
     @cached_property
     def can_all_rest(self) -> np.ndarray:

@@ -32,8 +32,6 @@ class Listed:
     """True if contacts with damping are also tried as resting part by part."""
     friction_is_at_limit = False
     """True if a minimum is only looked for where the stored friction of slipping contacts hardly misses its limit."""
-    normal_rounding = 1e-12
-    """Share of its friction that may act along the normal of a contact by rounding alone."""
 
     def __init__(self, place: np.ndarray, contact: np.ndarray, normal: np.ndarray, friction: np.ndarray) -> None:
         """Take arrays about n spheres in D dimensions and m contacts.

@@ -29,7 +29,6 @@ class Grid(Listed):
 
     has_two_planes = ties_are_known = friction_is_at_limit = True
     rests_in_parts = False
-    normal_rounding = 0.0
 
     def __init__(self, samples: OnLattice) -> None:
         """Take the R samples of a lattice whose contacts these are, with their spins and friction."""

@@ -210,10 +210,7 @@ class OperatorSplittingMethod(Method):
             with self.balance.begin():
                 self._step_contacts(0.0)
                 self.balance.solve()
-        stiffness, on_host = self._along_lattice(self.stiffness), not runtime.current().is_gpu
-        potential, trial = (
-            (self.fields.view if on_host else self.fields.read)(name) for name in ("potential", "trial")
-        )
+        stiffness, (potential, trial) = self._along_lattice(self.stiffness), self._seen("potential", "trial")
         staggered = scene.impose_driving(potential / stiffness, axes)
         look = Look(scene, self.stencil, self.layout, axes, staggered, trial, self.stiffness, self.weights)
         found = look.look(self.balance.each)
@@ -235,6 +232,11 @@ class OperatorSplittingMethod(Method):
             falls_as=GAP_FALLS_AS,
         )
 
+    def _seen(self, *names: str) -> list[np.ndarray]:
+        """Return fields by name: on a CPU as they are in memory, where changes reach them; of a GPU copies."""
+        see = self.fields.read if runtime.current().is_gpu else self.fields.view
+        return [see(name) for name in names]
+
     def _change_stiffness(self, change: np.ndarray) -> None:
         """Multiply the stiffness of each sample by a factor; spins and friction f stay, so that rho z and rho Omega are
         scaled.
@@ -246,9 +248,8 @@ class OperatorSplittingMethod(Method):
         if (change == 1).all():
             return
         self.stiffness = change * self.stiffness
-        of_sites, on_host = self._along_lattice(change), not runtime.current().is_gpu
-        names = ("potential", "trial", "friction")
-        potential, trial, friction = ((self.fields.view if on_host else self.fields.read)(name) for name in names)
+        of_sites = self._along_lattice(change)
+        potential, trial, friction = self._seen("potential", "trial", "friction")
         potential *= of_sites
         pieces = [
             ([trial[row][part] for row in rows], friction[axis][part], of_sites[part[0]])
@@ -256,8 +257,8 @@ class OperatorSplittingMethod(Method):
             for part in parts_in_cache(friction[axis])
             if rows
         ]
-        list(self.balance.each(lambda piece: _rescale(piece[0], piece[1], piece[2]), pieces))
-        if not on_host:
+        list(self.balance.each(lambda piece: _rescale(*piece), pieces))
+        if runtime.current().is_gpu:
             self.fields.load("potential", potential)
             self.fields.load("trial", trial)
 
