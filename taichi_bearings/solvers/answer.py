@@ -24,11 +24,12 @@ from taichi_bearings.solvers.stopping import ended_as
 
 @dataclass(frozen=True)
 class Indicated:
-    """What is said of the contacts of R samples before their states are proven.
+    """What slips and forces indicate of the contacts of R samples, before any state is proven.
 
-    state : (R samples, E contacts), values of `ContactState`; DRIVEN for contacts that take no part.
+    state : (R samples, E contacts), values of `ContactState`; DRIVEN for contacts that take no part (absent, or between
+        two driven spheres).
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless.
-    own : numbers of each sample by name, as in `Solution.own`.
+    own : further numbers that each sample has of its own, arrays (R,) by name, such as its number of iterations.
     """
 
     state: np.ndarray
@@ -37,15 +38,16 @@ class Indicated:
 
 
 class Reached(ABC):
-    """Spins and forces that a method has reached in the samples of a scene, as the answer asks for them.
+    """Spins and forces that a method has reached in the R samples of a scene, in the form from which the answer is
+    made.
 
     scene : the scene with its R samples.
     method, iterations : name of the method, and how many iterations it has made, the largest number of all samples.
-    spin, spin_rounding : laboratory spins, and what rounding leaves out of them, (R, *N spheres, 3), of discs (R, *N),
-        1/time.
-    friction : force on each contact in the laboratory, from which the lower bound follows; as in `Solution`.
+    spin, spin_rounding : spins, and what their rounding leaves out, (R, *N spheres, 3), of discs (R, *N), 1/time.
+    friction : force on the second (upper) sphere of each contact, (R, E contacts, 3) or (R, E) for discs, from which
+        the lower bound follows.
     judgement : what spins and friction prove; None if no arithmetic can judge the numbers.
-    findings : other numbers that the method has found, by name.
+    findings : other results of the method, by name.
     """
 
     scene: Bearing
@@ -58,9 +60,9 @@ class Reached(ABC):
     findings: Mapping[str, np.ndarray]
 
     def numbers(self) -> dict[str, np.ndarray]:
-        """Return by name what is proven of the numbers of the answer: `slip` (R samples, E contacts), length/time, and
-        (R,) each `power`, `objective`, `lower_bound`, energy/time, `gap`, and `largest_balance_residual`, the largest
-        torque left on a free sphere.
+        """Return by name the numbers of the answer that are proven: `slip` (R samples, E contacts), slip speeds,
+        length/time, and (R,) each `power`, `objective` (what is minimised), `lower_bound`, energy/time, `gap`,
+        relative, and `largest_balance_residual`, the largest torque left on a free sphere.
         """
         return {name: getattr(self.judgement, of) for name, of in JUDGED.items()}
 
@@ -68,7 +70,7 @@ class Reached(ABC):
     def force(self, slip: np.ndarray) -> np.ndarray:
         """Return the sizes (R samples, E contacts) of the contact forces.
 
-        slip : (R, E), slip speeds, length/time, from which some scenes compute the forces.
+        slip : (R, E), slip speeds, length/time; some scenes compute the forces from them.
         """
 
     @abstractmethod
@@ -167,9 +169,11 @@ def _with_numbers(reached: Reached) -> Solution:
 
 
 def with_forces_of(answer: Solution, other: Solution) -> Solution:
-    """Return `answer`, with the friction of `other` if that proves a greater lower bound; both answer the same sample.
+    """Return `answer`, or, if `other` has the greater lower bound, `answer` with the contact forces of `other`. Both
+    answer the same one sample.
 
-    Spins and states stay; bound, gap and leftover torque are computed anew from the friction that was taken.
+    Spins and contact states stay. Bound, gap and leftover torque are computed anew from the forces that were taken, and
+    no contact state counts as proven any more.
     """
     if not other.lower_bound[0] > answer.lower_bound[0]:
         return answer

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.table import MethodOptions, Motion
 
 Inertia = float | np.ndarray
-"""Moments of inertia as `Contacts.inertias` returns them: one for all spheres, or one for each."""
+"""Moments of inertia of the free spheres: one number for all, or an array with one for each."""
 
 CONSTANT = ("is_free", "across", "coefficient", "viscosity", "numbers")
 """Fields that steps do not change."""
@@ -45,17 +45,18 @@ class Ended:
     """How a run of a method ended, with the best that it has reached.
 
     status : why the run ended.
-    best : the best state that was reached, with the findings of the method.
-    bound : (R samples,), the best proven lower bound on the objective of each sample.
+    best : the best state that was reached, with other results of the method.
+    bound : (R samples,), the best proven lower bound on the objective (what is minimised, energy/time).
     proof : (C components, R, E contacts), contact forces from which that bound follows.
     iterations : how many iterations were made.
     stop : the limits and the tolerance that the run was given.
     options : the method and its options.
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless; None for what the method can
         resolve, as always in a packing.
-    found : function that returns the spins and forces which a method for minima has reached in each sample of a
-        packing.
-    while_wanted : function that returns a context whose work ends with GivenUp by Ctrl-C, or when the time is over.
+    found : function without arguments that returns, for methods that find minima of packings, the spins and forces of
+        each sample.
+    while_wanted : function that returns a context manager; work inside its block ends with the exception GivenUp at
+        Ctrl-C or when the time is over.
     """
 
     status: Status
@@ -72,11 +73,12 @@ class Ended:
 
 @dataclass(frozen=True)
 class Launch:
-    """A number of repeated calls of a kernel with the same constants.
+    """Some calls of a kernel, one after the other, with the same constants.
 
-    turns : how many.
+    turns : how many calls.
     numbers : the constants.
-    first : number of the first of these turns, for kernels in which turns differ.
+    first : number of the first of these calls, for kernels that depend on it: for momentum, how many calls were made
+        since it was last set to zero.
     """
 
     turns: int
@@ -85,9 +87,9 @@ class Launch:
 
 
 class Contacts(ABC):
-    """The contacts of a scene as a method sees them.
+    """The contacts of a scene, in the form in which a method works on them.
 
-    scene : what is solved; for methods that step a packing without the contacts that take no part.
+    scene : what is solved. For methods that make steps in a packing it has only the contacts that can dissipate.
     spin_axes : numbers of the axes of the C spin components that are computed.
     """
 
@@ -101,21 +103,21 @@ class Contacts(ABC):
 
     @abstractmethod
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
-        checkpoint, prove.
+        """Return the lower bound (R samples,) on the objective (least power or potential) that some contact forces
+        prove.
+
+        force : (C components, R, E contacts), contact forces, such as a checkpoint keeps.
         """
 
     @abstractmethod
     def answered(self, ended: Ended) -> Solution:
-        """Return the answer of a run that ended, with what is proven of it; its clock and history are still to be set.
-
-        It is made by `answered` in answer.py from what was reached with these contacts.
+        """Return the answer of a run that ended, with what is proven of it. Its times and its history are added later.
 
         ended : how the run ended, and the best that it has reached.
         """
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return by name the arrays that a checkpoint needs of the contacts, beside those of the method."""
+        """Return by name the arrays that a checkpoint needs of the contacts, beyond those of the method; here none."""
         return {}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
@@ -124,7 +126,9 @@ class Contacts(ABC):
 
 
 class WithMinima(Contacts):
-    """Contacts whose minima are found: each kind of minimising method has a solver for them."""
+    """The contacts of a scene, for methods that find its minimum directly. For each of the three such methods there is
+    a function that returns its solver.
+    """
 
     @abstractmethod
     def paths(self, spin: np.ndarray, settle: bool) -> Part:
@@ -151,12 +155,12 @@ class WithMinima(Contacts):
 
 
 class Stepped(Contacts):
-    """Contacts that a method steps: their fields (arrays of numbers on spheres and contacts, on the device), kernels,
-    and lower bounds on the objective.
+    """The contacts of a scene, for methods that make steps: their fields (arrays of numbers on spheres and contacts, on
+    the device), kernels, and lower bounds on the objective.
 
-    points : names of the fields, with numbers on spheres, that hold the spins of a gradient descent.
-    forces : names of the fields, with numbers on contacts, that hold its contact forces.
-    fields : the numbers on the device, once `allocate` was called.
+    points : names of the fields on spheres that hold the spins of a gradient descent.
+    forces : names of the fields on contacts that hold the contact forces of a gradient descent.
+    fields : the arrays on the device, once `allocate` was called.
     spec : names and sizes of these fields.
     """
 
@@ -165,7 +169,7 @@ class Stepped(Contacts):
     fields: Fields
     spec: AnySpec
     look_again = 1.2
-    """A bound that costs a factorisation is computed again once the iterations have grown by this factor."""
+    """Where a lower bound needs a factorisation, it is computed again once the iterations have grown by this factor."""
 
     @property
     def of_law(self) -> list[str]:
@@ -177,8 +181,8 @@ class Stepped(Contacts):
         """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
         left.
 
-        staggered : (C components, R samples, *N spheres), spins as methods carry them (on lattices with alternating
-            signs), 1/time; in a packing radius * spin.
+        staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time;
+            in a packing radius * spin, length/time.
         force : (C, R, E contacts), contact forces at these spins.
         proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
         more : further fields of :class:`Progress`, by name.
@@ -186,14 +190,15 @@ class Stepped(Contacts):
 
     @property
     def stores_predicted(self) -> bool:
-        """True if the kernel of Cundall and Strack keeps the spins that it predicts for the end of the next step in a
-        field; on large lattices it adds them up anew.
+        """True if the spins that the Cundall-Strack dynamics predicts for the end of the next step have a field of
+        their own; on large lattices the kernel computes them anew.
         """
         return True
 
     @abstractmethod
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> AnySpec:
-        """Return the names and sizes of all fields that a method needs, those of the law included.
+        """Return the names and sizes of all fields that a method needs, those with the coefficients of the law
+        included.
 
         spheres : how many numbers each sphere has in the field of each name.
         contacts : names of the method's fields on contacts.
@@ -204,23 +209,23 @@ class Stepped(Contacts):
         """Allocate the fields, and load the coefficients of the law into them.
 
         spec : names of the fields, with the numbers that each sphere (in packings also each contact) has in them.
-        viscosity : (R samples, E contacts), viscosity of each contact of a law with friction and viscosity, multiplied
-            by the radius: kernels multiply it by a spin difference; for gradient descent also divided by the unit of
-            the friction coefficients. None for other laws.
+        viscosity : (R samples, E contacts), for a law with friction and viscosity: the viscosity of each contact times
+            the radius, by which kernels multiply a spin difference. Gradient descent wants it divided by the unit of
+            the friction coefficients as well. None for other laws.
         """
 
     @abstractmethod
     def read_forces(self, name: str) -> np.ndarray:
-        """Return the forces, or elongations of springs, that a field holds: (C components, R samples, E contacts) by
-        component of the contact.
+        """Return the forces, or elongations of springs, that a field holds, (C components, R samples, E contacts). In a
+        packing C counts the tangents of a contact.
 
         name : of the field.
         """
 
     @abstractmethod
     def load_force(self, force: np.ndarray) -> None:
-        """Write contact forces, (C components, R samples, E contacts) by component of the contact, into the field
-        `force`.
+        """Write contact forces, (C components, R samples, E contacts), into the field `force`. In a packing C counts
+        the tangents of a contact.
         """
 
     @abstractmethod
@@ -238,16 +243,17 @@ class Stepped(Contacts):
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
         """Call a kernel as often, and with the constants, as a launch says.
 
-        team : threads.
+        team : the threads that run it.
         sweeps : the kernel.
+        launch : how often (`turns`) and with which constants (`numbers`).
         """
 
     @abstractmethod
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Return upper bounds (C components, R samples, *N spheres) on the curvature of the objective along each spin
-        component of each sphere.
+        """Return upper bounds (C components, R samples, *N spheres) on the second derivative of the objective by each
+        spin component of each sphere.
 
-        bounds : (R, E contacts), upper bounds on the curvature of what each contact adds.
+        bounds : (R, E contacts), upper bounds on the second derivative of what each contact adds.
         """
 
     @abstractmethod
@@ -264,9 +270,9 @@ class Stepped(Contacts):
 
     @abstractmethod
     def common_inertia(self, inertia: Inertia) -> float:
-        """Return the reference moment of inertia I0, a constant of the kernel. The kernel computes a sphere's
-        acceleration as torque / I0 * is_free, with the field `is_free`: I0 / I for a free sphere with moment of inertia
-        I, 0 for a driven one.
+        """Return the reference moment of inertia I0, a constant of the kernel. The kernel computes the acceleration of
+        a sphere as torque / I0 * is_free. The field `is_free` is I0 / I for a free sphere with moment of inertia I, and
+        0 for a driven one.
 
         inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice, mass
             in a packing.
@@ -274,9 +280,11 @@ class Stepped(Contacts):
 
     @abstractmethod
     def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
-        """Return upper bounds on two numbers of the fastest modes of the network: the decay rate by viscosity, 1/time,
-        0 without; and R^2 lambda / I, 1/mass, of contacts that all stick, with the largest eigenvalue lambda of the
-        network's Laplacian, radius R and moment of inertia I.
+        """Return two upper bounds on how fast spins can change, from which the longest stable time step follows:
+
+        1. the decay rate by viscosity of the fastest mode, 1/time; 0 without viscosity;
+        2. R^2 lambda / I, 1/mass, of the stiffest mode if all contacts stick; R is the radius, I the moment of inertia,
+           and lambda the largest eigenvalue of the network's Laplacian.
 
         inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice, mass
             in a packing.
@@ -293,8 +301,8 @@ class Stepped(Contacts):
         """
 
     def stopped_spins(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """Return what the spins of a component are once friction has stopped it, (R samples, *N spheres); None if it
-        does not stop, or if that is not known.
+        """Return the spins (R samples, *N spheres), 1/time, to which friction brings one spin component if nothing
+        drives it; None if it is driven, or if that is not known.
 
         component : number of the axis of the spin component.
         spins : (R, *N), its spins now.
@@ -307,9 +315,9 @@ class Stepped(Contacts):
         return False
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
-        """Return the best lower bound so far, (R samples,): on a lattice the present one, in a packing perhaps an
-        earlier one.
+        """Return the best lower bound so far, (R samples,): on a lattice that of the present state, in a packing
+        perhaps an earlier one.
 
-        bound : (R,), the present one.
+        bound : (R,), that of the present state.
         """
         return bound

@@ -47,7 +47,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
     common_inertia : moment of inertia by which the kernel divides torques where the field `is_free` is 1, mass *
         length^2 on a lattice, mass in a packing.
     start_spin : largest spin at the start, 1/time.
-    team, sweeps : the threads that run the kernel, and the kernel, a call of which makes time steps.
+    team, sweeps : the threads that run the kernel, and the kernel, a call of which makes one time step.
     before_last : the state, by name, before a shorter last step; None if none was made.
     balance_before : (R samples,) work of the contacts, (R,) energy that driven spheres gave, (R,) power of the contacts
         and (C components, R, *N spheres) forces on spheres, all before a shorter last step; None if none was made.
@@ -94,7 +94,14 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.sweeps.compile(self.fields, self.team)
 
     def needed(self) -> AnySpec:
-        """Return the names and sizes of the fields that the steps need."""
+        """Return the names and sizes of the fields that the time steps need.
+
+        * On spheres, with a number for each spin component: `gear_0`, `gear_1`, ..., the spin and its scaled
+          derivatives; `predicted`, the spin at the end of the next step; `integral`, its mean over that step, with
+          friction; `impulse`, the sum of the contact forces over all steps, with an energy balance. `is_free` has one
+          number.
+        * On contacts: `force`; `elongation` of the spring, with friction; `work`, with an energy balance.
+        """
         energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
         predicted = ["predicted"] * self.contacts.stores_predicted
         moved = [*(f"gear_{n}" for n in range(order + 1)), *predicted, *["integral"] * holds, *["impulse"] * energy]
@@ -108,7 +115,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         of the spring forces of sticking contacts; without them the error of the first step would lower the order of the
         whole run.
 
-        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R samples, *N spheres), spins at the start with signs that alternate between
+            neighbours, 1/time; in a packing radius * spin.
         """
         scene, options = self.scene, self.options
         # each derivative of the spins follows from that of the forces, which follows from the one before
@@ -131,22 +139,25 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.pull_at_start = self.pulls(forces[0])
 
     def _load_predicted(self, derivatives: list[np.ndarray]) -> None:
-        """Load the spins at the end of the next step, as the Taylor series predicts them, where they are stored.
+        """Load the spins at the end of the next step, as the Taylor series predicts them, into the field `predicted`.
+        Lattices too large for the caches have no such field; then nothing is done.
 
-        derivatives : scaled derivatives (C components, R samples, *N spheres) of the spins, the 0th first.
+        derivatives : scaled derivatives of the spins (n-th time derivative times (time step)^n / n!), the 0th first,
+            each (C components, R samples, *N spheres).
         """
         if "predicted" in self.fields.names:
             self.fields.load("predicted", np.sum(derivatives, axis=0))
 
     def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
-        """Return a scaled derivative (C components, R samples, E contacts) of the contact forces at the start.
+        """Return a scaled derivative (C components, R samples, E contacts) of the contact forces at the start: the n-th
+        time derivative times (time step)^n / n!.
 
-        The n-th scaled derivative is the n-th time derivative times (time step)^n / n!. The force of a sticking contact
-        changes by its damper and by the spring that the slip stretches from the start on. That of a slipping contact
-        stays; in contacts with two components its direction could change, which is left out.
+        The force of a sticking contact changes by its damper, and by its spring, which the slip stretches from the
+        start on. The force of a slipping contact is taken as constant; with two components its direction could change,
+        which is left out.
 
-        derivatives : scaled derivatives (C, R, *N spheres) of the spins, the 0th first; the result has the order of the
-            last one.
+        derivatives : scaled derivatives of the spins, the 0th first, each (C, R, *N spheres); the result has the order
+            n of the last one.
         """
         scene, options, order = self.scene, self.options, len(derivatives) - 1
         if order == 0 or not scene.law.holds:
@@ -162,14 +173,15 @@ class CundallStrackMethod(Swept, SpringDynamics):
     def end_at(self, time: float, resumable: bool) -> None:
         """Set the simulated time at which the run ends.
 
-        resumable : keep the state before a shorter last step, so that the run can be continued with the same bits.
+        resumable : True to store the state before a shorter last step, so that the run can be continued with the same
+            bits.
         """
         super().end_at(time, resumable)
         self.resumable = resumable
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next: that of the next check for rest, or the first that
-        reaches the time `aim`, whichever comes first.
+        """Return the iteration at which to read the progress next: that of the next check for rest, or the first step
+        that reaches the simulated time `aim`, whichever comes first.
 
         iteration : the one at which it is read now.
         """
@@ -180,9 +192,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return float(np.ceil(time / self.time_step * (1 - SAME_STEP))) if np.isfinite(time) else np.inf
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return the state for a checkpoint, by name: that before a shorter last step, if there was one.
-
-        A run that is continued for longer thereby has the same bits as one that never ended.
+        """Return the state for a checkpoint, by name. If the run ended with a shorter step, it is the state before that
+        step; so a run that is continued for longer has the same bits as one that never ended.
         """
         return self._state() if self.before_last is None else self.before_last
 
@@ -251,12 +262,13 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.time = self.end
 
     def _prepare_last_step(self, span: float) -> None:
-        """Rescale the fields for one step of another length, and keep the state before it if the run can be resumed.
+        """Rescale the fields for one step of another length. If the run can be resumed, store the state before that
+        step.
 
-        Fields "gear_n", the scaled n-th derivatives of the spins, are proportional to the n-th power of the step. The
-        field `integral` is the mean spin of the next step as predicted, plus a correction c for what was wrong in the
-        mean that was predicted for the step before. The angle c * step must stay the same, so c is divided by the ratio
-        of the steps.
+        Fields `gear_n`, the scaled n-th derivatives of the spins, are proportional to the n-th power of the step. The
+        field `integral` is the predicted mean spin of the next step, plus a correction c for the error of the mean that
+        was predicted for the step before. The angle c * step must stay the same, so c is divided by the ratio of the
+        steps.
 
         span : length of the step, time.
         """
@@ -281,12 +293,14 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.fields.load("integral", _mean_over_step(new) + corrected / share)
 
     def spins(self) -> np.ndarray:
-        """Return the spins now as methods carry them (staggered), (C components, R samples, *N spheres), 1/time."""
+        """Return the spins now, with signs that alternate between neighbours, (C components, R samples, *N spheres),
+        1/time; in a packing radius * spin.
+        """
         return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the spins, staggered (with alternating signs), (C components, R samples, *N spheres), the contact
-        forces (C, R, E contacts) and the elongations of the springs (C, R, E) now.
+        """Return three arrays of now: the spins, with signs that alternate between neighbours, (C components, R
+        samples, *N spheres); the contact forces (C, R, E contacts); and the elongations of the springs (C, R, E).
         """
         staggered = self.spins()
         force = self.contacts.read_forces("force") if self.iteration else self.damping_force(staggered)
@@ -294,11 +308,11 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return staggered, force, stretch
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return further results at the end, by name, (R samples,) each: share of the elastic slip, error of the time
-        step, and a step that is accurate.
+        """Return further results at the end, (R samples,) each: `elastic_share`, and on lattices `step_error`, the
+        error of the spins by the time step relative to the largest spin, and `accurate_time_step`, a step that is
+        accurate enough.
 
-        The error is that of the spins, relative to the largest one, estimated from the modes of sticking contacts
-        (gear.py). It is known for lattices only.
+        The error is estimated from the modes of sticking contacts, which are known for lattices only.
 
         last : the progress at the end.
         """
@@ -314,7 +328,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         """Return the power (R samples,) that the contacts take from the spins, divided by the radius.
 
         force : (C components, R, E contacts), contact forces.
-        staggered : (C, R, *N spheres), spins with alternating signs as methods carry them.
+        staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, 1/time; in a packing radius
+            * spin.
         """
         return replica_sum(force * self.differences(staggered))
 
@@ -324,7 +339,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         The powers of contacts and drive are integrated over time by the trapezoidal rule. So what is missing in the
         balance is the error of Gear's method and of this rule.
 
-        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time;
+            in a packing radius * spin.
         force : (C, R, E contacts), contact forces.
         spring : (R,), energy in the springs.
         """
@@ -334,8 +350,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.balance(staggered, spring)
 
     def _work(self, staggered: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return two energies since the start for each of R samples, (R,) each: what the contacts took from the spins,
-        and what the driven spheres gave. If the last step was shorter than the others it is added on its own.
+        """Return two energies since the start, (R samples,) each: what the contacts took from the spins, and what the
+        driven spheres gave. A last step that was shorter than the others is added on its own.
 
         staggered, force : spins (C components, R, *N spheres) and contact forces (C, R, E contacts) at the end of the
             last step.
@@ -353,11 +369,12 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return length * work, -length * replica_sum(pull * driven)
 
     def may_be_at_rest(self, found: Progress) -> bool:
-        """Return True if a state without change may be called rest, as its gap to the best lower bound so far is small.
+        """Return True if a state that does not change may be called rest, as its gap to the best lower bound so far is
+        small.
 
-        Two cases have no bound to go by: a packing of which none can be proven, and static friction above kinetic
-        friction, where the motion may end above the least power. There rest is believed once the driven spheres have
-        had the time to stretch the springs until they slip.
+        Two cases have no usable bound: packings of which none can be proven, and static friction above kinetic
+        friction, where the motion may end above the least power. There rest is believed once the driving has had the
+        time to stretch the springs until they slip.
 
         found : the progress now.
         """
@@ -368,8 +385,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return super().may_be_at_rest(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def _loading_time(self) -> float:
-        """Return the time in which the driving stretches a spring ten times as far as the strongest contact holds; 0
-        without drive.
+        """Return a time after which springs are surely loaded: that in which the driving stretches a spring ten times
+        as far as the strongest contact holds; 0 without drive.
         """
         scene = self.scene
         strongest = float(scene.acting_coefficient.max()) * self.options.static_ratio
@@ -398,13 +415,13 @@ def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallSt
 
 
 def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: float) -> float:
-    """Return the largest stable time step of the stiffest mode.
+    """Return the largest stable time step of the stiffest mode of the network.
 
     options : stiffness, damping and order of Gear's method.
     holds : True if the law has friction, and so springs and dampers.
-    decay : decay rate of the mode by viscosity, 1/time.
-    stiffest : R^2 lambda / I of the mode, 1/mass: radius, eigenvalue of the Laplacian of the contacts, moment of
-        inertia.
+    decay : decay rate of the fastest mode by viscosity, 1/time.
+    stiffest : R^2 lambda / I, 1/mass: radius R, largest eigenvalue lambda of the Laplacian of the contacts, moment of
+        inertia I.
     """
     damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)

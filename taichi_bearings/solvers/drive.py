@@ -32,12 +32,13 @@ from taichi_bearings.stages import stage
 
 @dataclass(frozen=True)
 class Report:
-    """What a monitor (a function that is called while a method runs) gets each time that the progress is read.
+    """The progress of a run, as it is handed to monitors (functions that are called each time that the progress is
+    read).
 
     progress : the state now.
-    objective, gap : (R samples,), of the best state so far: what is minimised, and its relative distance from the lower
-        bound.
-    seconds : wall time since the start, that before a checkpoint included.
+    objective, gap : (R samples,), of the best state so far: what is minimised, energy/time, and its relative distance
+        from the lower bound.
+    seconds : wall time since the start; in a resumed run it includes the time before the checkpoint.
     stop : the rule that will end the run.
     """
 
@@ -67,17 +68,21 @@ class Checkpoints:
     resume: Mapping[str, np.ndarray] | None = None
 
     def of_each(self, replicas: int) -> "list[Checkpoints]":
-        """Return the checkpoints of each sample of a packing, which all write into the same set of arrays.
+        """Return the checkpoints of each of the samples of a packing. All of them write into the same set of arrays.
 
-        replicas : number of samples. With several, the names of a sample's arrays begin with its number.
+        replicas : number of samples. If there are several, the names of a sample's arrays begin with its number and
+            "/".
         """
         arrays = dict(self.resume or {})
 
         def of(begin: str) -> Checkpoints:
-            """Return the checkpoints of the sample whose arrays have names that begin with the text `begin`."""
+            """Return the checkpoints of one sample.
+
+            begin : the text with which the names of its arrays begin.
+            """
 
             def write(state: Mapping[str, np.ndarray]) -> None:
-                """Write the arrays of all samples, after those of this sample have been replaced by `state`."""
+                """Replace the arrays of this sample by `state`, and write those of all samples."""
                 arrays.update({begin + name: values for name, values in state.items()})
                 self.write(arrays)
 
@@ -143,11 +148,11 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Sample:
-    """What is solved at a time: a lattice with all its samples, or one sample of a packing.
+    """What one loop solves: a lattice with all its samples, or one sample of a packing.
 
     scene : the lattice or the sample.
-    method : a method of its own.
-    spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+    method : the method that solves it, an object of its own.
+    spin : (R samples, *N spheres, 3), of discs (R, *N), spins to start from, 1/time.
     checkpoints : where its state is saved, or None.
     """
 
@@ -160,16 +165,18 @@ class _Sample:
 def _apart(
     scene: Bearing, method: Method, spin: np.ndarray, checkpoints: Checkpoints | None, asked: _Asked
 ) -> Solution:
-    """Return one answer to all samples of a packing, each with the same bits as if it were solved alone.
+    """Return one answer to all samples of a packing. Each sample is stepped by a method of its own, and its result has
+    the same bits as if it were solved alone.
 
-    As many samples as pays are stepped side by side. After Ctrl-C the answer holds only the samples that were begun;
-    with checkpoints, from which the others can be continued, KeyboardInterrupt is raised instead if some are missing.
+    As many samples are stepped side by side as fit the device. After Ctrl-C the answer holds only the samples that were
+    begun. With checkpoints, from which the others can be continued, KeyboardInterrupt is raised instead if some are
+    missing.
 
     scene : the packing.
-    method : what solves it.
-    spin : (R samples, N spheres, 3), of discs (R, N), laboratory spins to start from, 1/time.
+    method : the method, which is copied for each sample.
+    spin : (R samples, N spheres, 3), of discs (R, N), spins to start from, 1/time.
     checkpoints : where the state is saved, or None.
-    asked : when to end, who is told, and what is recorded.
+    asked : when to end, which monitors to call, and what is recorded.
     """
     from taichi_bearings.solvers.together import samples_at_once  # and with it the lists of packings
 
@@ -195,9 +202,12 @@ def _apart(
 
 
 def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
-    """Return the answers to some samples that are stepped side by side, each with an equal share of the seconds.
+    """Return the answers to some samples that are stepped side by side.
 
-    asked : when to end, who is told of the progress, and what is recorded.
+    The times in each answer are those of all samples divided by their number.
+
+    samples : the scenes, each with its method and its spins to start from.
+    asked : when to end, which monitors to call, and what is recorded.
     """
     began, threshold = time.perf_counter(), asked.slip_threshold
     options = samples[0].method.options
@@ -227,7 +237,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
 def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
     """Run the loops of some samples to their ends, side by side: all make the same number of steps at a time.
 
-    courses : the loops, one for each group of samples that are stepped together.
+    courses : the loops, one for each sample of a packing, or a single one for a lattice.
     monitors : functions that are called with a `Report` each time that the progress of a sample is read.
     """
     advance, drop = courses[0].method.advance, None
@@ -236,9 +246,10 @@ def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
 
         together = Together([course.method for course in courses])
         advance, drop = together.advance, together.drop
+    # each loop says how many steps it wants before it looks at the progress again; `left`: how many are still to make
     ways = [course.steps(monitors) for course in courses]
     left = {number: steps for number, way in enumerate(ways) if (steps := next(way, None)) is not None}
-    while left:  # steps until a course has to be asked again
+    while left:
         now = min(left.values())
         with suppress(GivenUp), while_wanted(courses[0].is_ended):
             advance(now)
@@ -261,10 +272,10 @@ def uninterrupted(solution: Solution) -> Solution:
 
 
 def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndarray]) -> None:
-    """Raise ValueError where arrays of a checkpoint cannot be the state of a method.
+    """Raise ValueError if arrays of a checkpoint have other types or shapes than the state of a method.
 
     stored : the arrays of the checkpoint, by name.
-    fresh : the state of the method at the start, whose types and shapes they must have.
+    fresh : the state of the method at the start, with the right types and shapes.
     """
     for name, own in fresh.items():
         found, like = stored[name], np.asarray(own)
@@ -275,9 +286,10 @@ def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndar
 
 
 class Course:
-    """The loop of :func:`solve` from the start, or from a checkpoint, to the end, for what is solved at a time.
+    """The loop of :func:`solve` from the start, or from a checkpoint, to the end, for a lattice with all its samples or
+    for one sample of a packing.
 
-    It makes steps, and from time to time reads the progress of the method, records and judges it.
+    It makes steps. From time to time it reads the progress of the method, records it, and judges whether to end.
 
     status : how it ended.
     last : the progress at the end.
@@ -285,9 +297,10 @@ class Course:
     findings : further results of the method at the end, by name, (R samples,) each.
     scene, method : what is solved, and the method that makes the steps.
     stop, recording : when it ends, and the simulated times at which a dynamics is recorded.
-    checkpoints, interrupt : where states are saved, None for nowhere; and what hears Ctrl-C.
+    checkpoints : where states are saved; None for nowhere.
+    interrupt : tells whether Ctrl-C was pressed.
     target : iteration at which the progress is read next.
-    launch : iterations that are made at a time, adapted to half a second.
+    launch : iterations that are made at a time, so many that they take about half a second.
     began : clock reading, seconds, from which wall time is counted, that before a checkpoint included.
     called, written_at : clock readings at the start of this call, and at the last checkpoint.
     best, recorder : the best state so far, and the history.
@@ -349,10 +362,11 @@ class Course:
         return time.perf_counter() - self.called
 
     def steps(self, monitors: Sequence[Monitor]) -> Iterator[int]:
-        """Yield how many steps the method has to make next, until it is done.
+        """Yield how many steps the method has to make next, until the run is done.
 
-        The caller makes these steps before it asks again. In between the progress is read where that is due, recorded,
-        reported to the monitors and judged; at the end `status`, `last`, `seconds` and `findings` are set.
+        The caller makes these steps before it asks for the next number. In between the progress is read where that is
+        due, recorded, reported to the monitors and judged. At the end `status`, `last`, `seconds` and `findings` are
+        set.
 
         monitors : functions that are called with a `Report`; the run ends if one returns True.
         """
@@ -388,7 +402,9 @@ class Course:
             self._aim(iteration)
 
     def _launches(self, steps: int) -> Iterator[int]:
-        """Yield `steps` iterations in parts that take about half a second; stop early where the time is over."""
+        """Yield numbers of iterations that add up to `steps`, each about half a second of work; end early where the
+        time is over.
+        """
         runtime.refuse_changed()  # a monitor may have done so
         while steps > 0 and not self.is_ended():
             now = min(self.launch, steps)
@@ -406,8 +422,8 @@ class Course:
     def _aim(self, iteration: int) -> None:
         """Set `target`, the iteration at which the progress is read next.
 
-        For a dynamics it depends on the state only, not on when it was read before, so that a resumed run has the same
-        bits.
+        For a dynamics it depends on its state alone, not on when the progress was read before. So a resumed run, which
+        reads it at other iterations, has the same bits.
 
         iteration : the one at which it was read now.
         """
@@ -427,7 +443,7 @@ class Course:
         return self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call)
 
     def _write_if_due(self, looked: bool = False) -> None:
-        """Write a checkpoint if the last one is old enough.
+        """Write a checkpoint if the last one is older than the time between checkpoints.
 
         looked : True if this state has been recorded and judged.
         """
@@ -448,7 +464,8 @@ class Course:
     def answer(self, threshold: float | None) -> Solution:
         """Return the answer from the best spins and the best forces, with its proof, history, snapshots and status.
 
-        threshold : slip speed up to which a contact counts as slipless, length/time; None for what can be resolved.
+        threshold : slip speed up to which a contact counts as slipless, length/time; None for the slip that the method
+            can resolve.
         """
         last, best, method = self.last, self.best, self.method
         final = replace(best.progress, ended=last.ended, findings=self.findings)
@@ -474,10 +491,10 @@ OF_BEST = (
 
 
 class _Best:
-    """The best state so far, sample by sample, and the best lower bound so far.
+    """The best state so far, and the best lower bound so far, chosen for each sample on its own.
 
     progress : of a minimisation the states of least objective; of a dynamics the state now.
-    bound : (R samples,), the best lower bound on the objective.
+    bound : (R samples,), the best lower bound on the objective, energy/time.
     proof : (C components, R, E contacts), contact forces from which that bound follows.
     keeps_best : True for a minimisation.
     """
@@ -495,16 +512,16 @@ class _Best:
 
     @property
     def objective(self) -> np.ndarray:
-        """(R samples,), what is minimised, of the best state: its power, or its potential where the law
-        minimises that.
+        """(R samples,), the objective of the best state, energy/time: its power, or its potential for laws whose
+        stationary state minimises that.
         """
         return self.progress.objective
 
     def has_stalled(self, iteration: int, gap: float) -> bool:
-        """Return True if a minimisation has not reduced its gap by 1 % in the last four fifths of its iterations.
+        """Return True if a minimisation has not reduced its gap by 1 % in the last four fifths of its iterations. Then
+        the precision of its numbers allows no more.
 
-        The precision of the fields then allows no more. A dynamics never counts as stalled, as it may take long to load
-        its springs.
+        A dynamics never counts as stalled, as it may take long to load its springs.
 
         iteration : number of the iteration now.
         gap : the largest relative gap of all samples now.
@@ -514,8 +531,8 @@ class _Best:
         return self.keeps_best and iteration > max(STALL_PATIENCE, 5 * self._improved_at)
 
     def take(self, new: Progress) -> None:
-        """Keep what is better in a new state of the method than in the best so far: its bound with its forces, and its
-        spins.
+        """Compare a new state of the method with the best so far, and store what is better, sample by sample: its lower
+        bound with the forces that prove it, and its spins if its objective is less.
 
         new : the progress of the method.
         """
@@ -541,9 +558,8 @@ class _Best:
         self.progress = new.where(better, self.progress)
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return what a checkpoint keeps: the forces that prove the bound and, for a minimisation, the best state.
-
-        The bound itself is not kept: it is computed anew from the forces.
+        """Return by name what a checkpoint needs: the forces that prove the bound and, for a minimisation, the best
+        state. The bound itself is computed anew from the forces.
         """
         found = {"proof": self.proof}
         if self.keeps_best and "progress" in vars(self):

@@ -37,9 +37,9 @@ def slipping_contacts(
 ) -> tuple[np.ndarray, float]:
     """Return how many contacts of each sample slip, (R samples,), and the slip speed that can be resolved, length/time.
 
-    A contact slips if it bears all the friction that it can. A slip is resolved if it is faster than the largest one of
-    a contact that does not slip; this is cut off at REST_SLIP, so that fast contacts count as slipping from the first
-    step on.
+    A contact slips if it bears all the friction that it can. The slip speed that can be resolved is the largest one of
+    a contact that does not slip, but at most REST_SLIP times the slip of the whole imposed jump, so that fast contacts
+    count as slipping from the first step on.
 
     scene : R samples of a lattice or packing with E contacts each, with their friction limits.
     force : (C components, R, E contacts), contact forces.
@@ -77,7 +77,9 @@ class RestWatch:
 
     @property
     def next_check(self) -> int:
-        """Iteration of the next check, whatever other states are looked at in between."""
+        """Iteration of the next check: `least` iterations after the last one, and a fraction 1 / `share` of all
+        iterations up to it more. States that are recorded in between do not shift it.
+        """
         return self.iteration + self.least + self.iteration // self.share
 
     @property
@@ -86,16 +88,17 @@ class RestWatch:
         return self.quiet_checks >= REST_CHECKS
 
     def look(self, found: Progress, time: float, radius: float, tolerance: float, believed: bool) -> None:
-        """Check whether the dynamics has changed since the last check, if one is due, and count in `quiet_checks`.
+        """If a check is due, find out whether the dynamics has changed since the last one, and count in `quiet_checks`.
 
-        No change means: the objective has changed by at most `tolerance`, as many contacts slip, and the largest torque
-        left on a sphere is at most 1000 * tolerance times radius times largest contact force.
+        No change means three things: the objective has changed by at most `tolerance`, as many contacts slip, and the
+        largest torque left on a sphere is at most 1000 * tolerance times radius times largest contact force.
 
         found : the progress now.
         time : simulated time now.
         radius : of spheres, length.
         tolerance : largest relative change of the objective.
-        believed : False while springs may still have to load, which looks like rest too.
+        believed : True if a state without change may be rest; False while springs may still be loading, which changes
+            as little.
         """
         if found.iteration < self.next_check:
             return
@@ -114,7 +117,7 @@ class RestWatch:
 
 
 class Dynamics(Method):
-    """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
+    """A method whose iterations are steps in time. Its run can be interrupted and resumed with the same bits.
 
     state_names : names of the attributes that the further steps depend on, beside time and iteration; WATCH_NAMES are
         among them if it has a `RestWatch`, ENERGY_NAMES if it keeps an energy balance.
@@ -157,7 +160,8 @@ class Dynamics(Method):
     def aim_at(self, time: float) -> None:
         """Set the next simulated time at which a state is recorded; infinity for none.
 
-        `next_check` stops at the first step that reaches it; a method that chooses its steps ends one there exactly.
+        A method with fixed steps reads its progress after the first step that reaches this time; one that chooses its
+        steps ends a step exactly there.
         """
         self.aim = time
 
@@ -190,16 +194,18 @@ class Dynamics(Method):
         return {}
 
     def may_be_at_rest(self, found: Progress) -> bool:
-        """Return True if a state without change may be called rest, as its proven gap is small enough.
+        """Return True if a state that does not change may be called rest: if its gap to the lower bound is at most
+        `rest_gap`.
 
         found : the progress now, with objective and lower bound.
         """
         return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= self.rest_gap).all())
 
     def start_energy_balance(self, staggered: np.ndarray) -> None:
-        """Begin the energy balance, when no spring is stretched.
+        """Begin the energy balance, at the start of a run, when no spring is stretched.
 
-        staggered : (C components, R samples, *N spheres), spins at the start as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins at the start with signs that alternate between
+            neighbours, 1/time; in a packing radius * spin.
         """
         self.injected, self.work = np.zeros((2, self.scene.replicas))
         self.energy_at_start = self.kinetic_energy(staggered)
@@ -219,14 +225,16 @@ class Dynamics(Method):
     def kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
         """Return the kinetic energy (R samples,) of the free spheres.
 
-        staggered : (C components, R, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R, *N spheres), spins with signs that alternate between neighbours, 1/time; in a
+            packing radius * spin.
         """
         return replica_sum(self.inertia / 2 * ~self.scene.is_driven * self.absolute(staggered) ** 2)
 
     def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
         """Return the energy balance now: kinetic, spring, injected and dissipated energy.
 
-        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time;
+            in a packing radius * spin.
         spring : (R,), energy stored in the springs.
         """
         return Energy(self.kinetic_energy(staggered), spring, self.injected, self.work - spring, self.energy_at_start)
@@ -247,8 +255,9 @@ class SpringDynamics(Dynamics):
     """A dynamics whose contacts have springs: its progress, and when it is at rest.
 
     same_force : relative distance from the friction limit below which a contact counts as slipping.
-    checks : three numbers (least, share, later) that say when to look whether the motion rests: least + iteration //
-        share iterations after the last check; it counts if the time has grown by the fraction later since then.
+    checks : three numbers (least, share, later). It is checked whether the motion rests least + iteration // share
+        iterations after the last check. A check counts only if the simulated time has grown by the fraction `later`
+        since the last one that counted.
     rest : the `RestWatch` that tells when nothing changes any more.
     """
 
@@ -265,16 +274,16 @@ class SpringDynamics(Dynamics):
 
     @abstractmethod
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the spins, staggered (with alternating signs), (C components, R samples, *N spheres), the contact
-        forces (C, R, E contacts) and the elongations of the springs (C, R, E) now.
+        """Return three arrays of now: the spins, with signs that alternate between neighbours, (C components, R
+        samples, *N spheres); the contact forces (C, R, E contacts); and the elongations of the springs (C, R, E).
         """
 
     def damping_force(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the forces (C components, R samples, E contacts) of contacts whose springs are not stretched.
+        """Return the forces (C components, R samples, E contacts) of contacts whose springs are not stretched: that of
+        the damper, cut off at the friction limit, plus that of the viscosity.
 
-        They are that of the damper, cut off at the friction limit, and that of the viscosity.
-
-        staggered : (C, R, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, 1/time; in a packing radius
+            * spin.
         """
         scene, difference = self.scene, self.differences(staggered)
         force = self.options.damping * scene.slip_radius * difference
@@ -286,17 +295,18 @@ class SpringDynamics(Dynamics):
     def energy_balance(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """Return the energy balance now; a subclass may return None if none is kept.
 
-        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them.
+        staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time;
+            in a packing radius * spin.
         force : (C, R, E contacts), contact forces.
         spring : (R,), energy stored in the springs.
         """
         return self.balance(staggered, spring)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return as `elastic_share`, (R samples,), the elongation of the longest spring over the distance that the
-        driven planes have slid; nothing if they have not.
+        """Return as `elastic_share`, (R samples,), the elongation of the longest spring over the distance by which the
+        driven planes have slid past each other; nothing if they have not.
 
-        last : the progress at the end.
+        last : not used.
         """
         slid = self.scene.slip_radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
         return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}

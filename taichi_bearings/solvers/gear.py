@@ -102,12 +102,12 @@ def largest_stable_step(order: int, decay_rate: float, frequency_squared: float)
 
 
 def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, steps: np.ndarray) -> np.ndarray:
-    """Return for each time step the largest modulus of the eigenvalues of the amplification matrices of all modes,
-    (steps,).
+    """Return for each time step the largest modulus of the eigenvalues of the amplification matrices, over the stiffest
+    mode and softer ones, (steps,). The steps at which it is at most 1 are stable.
 
     order : of Gear's method.
     decay_rate, frequency_squared : damping rate, 1/time, and squared frequency, 1/time^2, of the stiffest mode; the
-        softer modes are SOFTER_MODES times as stiff.
+        softer modes have SOFTER_MODES times both.
     steps : (steps,), time steps.
     """
     h = steps[:, None]
@@ -118,19 +118,19 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
 
 
 def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
-    """Return the largest eigenvalue of the unweighted lattice Laplacian with the driven planes held, exactly.
+    """Return the exact largest eigenvalue of the lattice Laplacian with all weights 1, driven spheres held, over the
+    computed spin components.
 
-    spin_axes : numbers of the axes of the spin components that are computed; the largest one of all of them is
-        returned.
+    spin_axes : numbers of the axes of the spin components that are computed.
     """
     return max(float(eigenvalues(lattice, component).max()) for component in spin_axes)
 
 
 def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> float:
-    """Return an upper estimate of the largest eigenvalue of the Laplacians of a lattice weighted by the viscosities.
+    """Return an upper estimate of the largest eigenvalue of the Laplacians of a lattice weighted by the viscosities,
+    over all samples and spin components; 0 for a law without viscosity.
 
-    The largest of all samples and spin components is returned; 0 for a law without viscosity. It is found by Lanczos'
-    method to a relative 1e-3, and raised by as much.
+    It is found by Lanczos' method to a relative 1e-3, and raised by as much.
 
     scene : the lattice, with the viscosities of its contacts.
     spin_axes : numbers of the axes of the spin components that are computed.
@@ -154,7 +154,8 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
 
 
 def laplacian_spectrum(lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return eigenvalues (SAMPLE_MODES,) that represent the unweighted lattice Laplacian with the driven planes held.
+    """Return eigenvalues (SAMPLE_MODES,) that stand for all those of the lattice Laplacian with weights 1 and driven
+    spheres held.
 
     All eigenvalues of the computed spin components are sorted and split into SAMPLE_MODES equal groups; the median of
     each group is returned. An eigenvalue 0 is replaced by LEAST_EIGENVALUE.
@@ -204,11 +205,11 @@ class Modes:
         return np.minimum(1.0, self.limit / np.maximum(resistance, np.finfo(float).tiny))
 
     def errors(self, order: int, time_step: float) -> np.ndarray:
-        """Return the relative error of the spins after 1 ... 1e12 steps (TIMES_IN_STEPS): for each the largest error on
-        the way.
+        """Return the relative error of the spins in runs of 1 ... 1e12 steps (as many as TIMES_IN_STEPS has numbers):
+        for each run the largest error on the way.
 
         The error is the difference between the exact decay of the modes and that by Gear's method, root mean square
-        over modes.
+        over the modes.
 
         order : of Gear's method.
         time_step : length of its steps.

@@ -45,25 +45,25 @@ class GradientDescentMethod(Swept):
     """Gradient descent on the dissipated power. An iteration is one sweep, in which all spins move; sweeps are made in
     pairs.
 
-    The gradient is divided by a diagonal metric: one number for each spin component of each sphere, the sum over its
-    contacts of a bound on the curvature of their power, up to a factor that the step length has.
+    The gradient is divided by a weight for each spin component of each sphere: the sum over its contacts of a bound on
+    the curvature of their power, up to a factor that the step length has.
 
     momentum : True to accelerate the descent, by Nesterov's momentum.
     averages : True with friction and without momentum: spins and forces are then averaged over sweeps.
-    viscosity : (R samples, E contacts), viscosity of each contact beside friction, in the unit of the coefficients per
-        spin difference, or None.
+    viscosity : (R samples, E contacts), viscosity of each contact beside friction, times the radius and in the unit of
+        the friction coefficients; None without.
     box : interval in which spins stay, lower ends of three components and then upper ends, 1/time.
     team, sweeps : the threads that run the kernel, and the kernel.
 
     With momentum:
 
-    width : slip below which friction is smoothed to a force in proportion to it, as a spin difference, 1/time.
+    width : spin difference, 1/time, below which friction is smoothed: it then grows in proportion to the slip.
     least_width : width below which rounding rules, 1/time.
     age : sweeps since the momentum was last set to zero.
     last_smooth : (R,), the objective with smoothed friction when the progress was last read.
 
-    Without, a run is divided into epochs of constant step length, over whose second halves spins and forces are
-    averaged:
+    Without momentum, a run is divided into epochs of constant step length, over whose second halves spins and forces
+    are averaged:
 
     step_length : largest change of a spin in a sweep, 1/time.
     epoch_start, epoch_length : iteration at which the epoch began, and how many iterations it has.
@@ -79,14 +79,12 @@ class GradientDescentMethod(Swept):
         self.momentum = options.momentum
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare the descent: load the spins at the start and the metric, and compile the kernels.
-
-        The metric is diagonal, one number for each spin component of each sphere: the sum of bounds on the curvature of
-        the power of its contacts. Its inverse is the field `inverse_weight`, by which gradients are multiplied.
+        """Prepare the descent: load the spins at the start and the weights by which gradients are divided, and compile
+        the kernels.
 
         scene : what to solve.
-        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to
-            the interval between the driven spins where a minimum is known to lie in it.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), spins to start from, 1/time; they are clipped to the interval
+            between the driven spins where a minimum is known to lie in it.
         """
         super().begin(scene, spin)
         # the scene as the contacts have it: in a packing without those contacts that take no part
@@ -119,12 +117,14 @@ class GradientDescentMethod(Swept):
 
     def _load_weights(self) -> None:
         """Load the field `inverse_weight`: one over the weight of each spin component of each sphere, 0 for driven
-        ones. A step of the descent is step length * gradient / weight; the weight is a sum over the contacts of the
-        sphere that bounds the second derivative of the objective.
+        ones.
 
-        Friction is smoothed over some difference of spins, and bends by no more than its coefficient over that
-        difference. As the step length has this difference as a factor, the weight has the bare coefficient; a
-        viscosity, whose bend does not depend on it, is multiplied by the difference instead.
+        A step of the descent is step length * gradient / weight. The weight is the sum over the contacts of the sphere
+        of a bound on the second derivative of the objective.
+
+        Friction is smoothed over some difference of spins, so that this derivative is at most its coefficient over that
+        difference. As the step length has the difference as a factor, the weight has the bare coefficient. The
+        derivative of a viscous force does not depend on the difference, and is multiplied by it instead.
         """
         scene = self.scene
         # spin difference over which friction is smoothed; a law of a user has a bound of its own
@@ -155,13 +155,15 @@ class GradientDescentMethod(Swept):
     def _load_spins(self, staggered: np.ndarray) -> None:
         """Write spins into all fields that hold spins.
 
-        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time;
+            in a packing radius * spin.
         """
         for name in self.contacts.points + (("spin",) if self.momentum else ()):
             self.fields.load(name, staggered)
 
     def _begin_epoch(self, length: int) -> None:
-        """Begin an epoch, a stretch of sweeps of constant step length, with empty averages of spins and forces.
+        """Begin an epoch, a number of sweeps of constant step length, and clear the sums of spins and forces that are
+        averaged over it.
 
         length : number of its iterations.
         """
@@ -181,8 +183,8 @@ class GradientDescentMethod(Swept):
         return iteration + 2 * (16 + iteration // 16)
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """Yield one launch (call of the kernel) with `steps` sweeps; one more if the number is odd, since they come in
-        pairs.
+        """Yield one launch (repeated calls of the kernel) that makes `steps` sweeps, or one more if the number is odd,
+        since each call makes two.
         """
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
@@ -216,11 +218,11 @@ class GradientDescentMethod(Swept):
         self.contacts.restore(state)
 
     def _step_and_sharpness(self) -> tuple[float, float]:
-        """Return two constants of the kernel: the step length, by which gradients over the metric are multiplied, and
-        the last argument of the function that computes the force of a contact.
+        """Return two constants of the kernel: the step length, and the last argument of the function that computes the
+        force of a contact.
 
-        That argument is the inverse of the spin difference, 1/time, up to which friction grows, or the radius for laws
-        without friction.
+        That argument is, with friction, one over the spin difference up to which friction grows, time; for laws without
+        friction it is the radius.
         """
         if not self.scene.law.holds:
             return 0.5, self.scene.slip_radius
@@ -230,9 +232,9 @@ class GradientDescentMethod(Swept):
         """Return the progress now, with the bounds on the objective, and choose width or step length of the next
         sweeps.
 
-        Without momentum it is that of the average of the epoch; an epoch that has ended is followed by one of twice the
-        length and a step shorter by a factor sqrt(2). With momentum the width over which friction is smoothed is halved
-        once it causes half the gap.
+        Without momentum the progress is that of the average of the epoch. An epoch that has ended is followed by one of
+        twice the length, with steps shorter by a factor sqrt(2). With momentum the width over which friction is
+        smoothed is halved once it causes half the gap.
         """
         scene = self.scene
         if self.averaged:
@@ -256,10 +258,10 @@ class GradientDescentMethod(Swept):
         return found
 
     def _adapt(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
-        """Set the momentum to zero if it has overshot; halve the width of the smoothing if it causes half the gap or
-        more.
+        """Set the momentum to zero if the smoothed objective has risen. Halve the width of the smoothing if the
+        smoothing causes half the gap or more.
 
-        staggered : (C components, R samples, *N spheres), spins now.
+        staggered : (C components, R samples, *N spheres), spins now, with signs that alternate between neighbours.
         objective, bound : (R,), what is minimised, and its best lower bound.
         """
         shorten, smooth, scene = False, objective, self.scene

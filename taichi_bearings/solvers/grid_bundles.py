@@ -38,25 +38,26 @@ Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a b
 
 
 class GridBundles(Part):
-    """The linear solver on a lattice: viscous contacts, by factorisations. An iteration solves one bundle of planes, to
+    """The linear solver on a lattice: it finds the spins at which viscous forces balance, by factorisations, to
     round-off.
 
-    A plane is the two-dimensional grid of one layer and sample; a bundle has so many planes that memory suffices.
+    The linear system falls apart into planes: a plane is the two-dimensional grid of one layer and sample. An iteration
+    solves one bundle, some planes that are factorised together; it has so many that memory suffices.
 
     scene : the lattice with its R samples.
     spin_axes : numbers of the axes of the C spin components that are computed.
-    spin, rest : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, as sums of
-        two doubles.
+    spin, rest : (C components, R samples, *N spheres), the two parts of the spins, which are spin + rest, with signs
+        that alternate between neighbours, 1/time.
     bundles : for each bundle the place of its spin component among those computed, and its planes.
     """
 
     def __init__(self, contacts: "OnStrides", spin: np.ndarray) -> None:
-        """Prepare to solve: split the planes of each spin component into bundles, sets of planes whose linear systems
-        are solved together.
+        """Prepare to solve: divide the planes (layers of each sample) of each spin component into bundles that are
+        solved together.
 
         contacts : those of the lattice.
-        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which give those of the driven
-            planes.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), spins, 1/time, from which those of the driven planes are
+            taken.
         """
         self.contacts, self.scene, self.spin_axes = contacts, contacts.scene, contacts.spin_axes
         scene = self.scene
@@ -66,11 +67,11 @@ class GridBundles(Part):
         self.iteration = 0
 
     def _planes(self, slot: int) -> list[Planes]:
-        """Return the bundles of planes of a spin component: a list with two arrays (B,) for each bundle, the number of
-        the sample and the number of the layer of each of its B planes.
+        """Return the bundles of planes of a spin component: for each bundle two arrays (B,), the sample and the layer
+        of each of its B planes.
 
-        A plane is one layer of one sample, across the axis of the component: only contacts within a layer couple it.
-        The planes of a bundle are factorised together.
+        A plane is one layer of one sample, perpendicular to the axis of the component: only contacts within a layer
+        couple this component. The planes of a bundle are factorised together.
 
         slot : place of the spin component among those that are computed.
         """
@@ -88,7 +89,7 @@ class GridBundles(Part):
         return iteration + -(-len(self.bundles) // MOST_CHECKS)
 
     def advance(self, steps: int) -> None:
-        """Solve the next `steps` bundles of planes, grids of one layer and sample each."""
+        """Solve the next `steps` bundles, each some planes (layers of one sample) that are factorised together."""
         with one_thread():
             for slot, planes in self.bundles[self.iteration : self.iteration + steps]:
                 self._solve(slot, planes)
@@ -138,7 +139,9 @@ class GridBundles(Part):
         spins[planes], rests[planes] = spin, rest
 
     def progress(self) -> Progress:
-        """Return spins, forces and bounds now; no further step helps when all bundles are solved."""
+        """Return spins, forces and bounds now. It is marked as exhausted (no further step helps) once all bundles are
+        solved.
+        """
         scene = self.scene
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
         difference = scene.differences(self.spin, self.spin_axes) + scene.differences(self.rest, self.spin_axes)
@@ -185,7 +188,7 @@ def _free_torques(
 
 
 def _total(load: np.ndarray) -> np.ndarray:
-    """Return the sum (B,) of the absolute torques in each of B planes, by which the lower bound is reduced.
+    """Return the sum (B,) of the absolute torques in each of B planes, a measure of how far they are from balance.
 
     load : (B, m, n), torques.
     """

@@ -22,14 +22,14 @@ from taichi_bearings.solvers.part import Part
 
 
 class GridCuts(Part):
-    """The planar cut of a lattice: the only iteration finds the minimum cut of each plane, a grid of contacts that
+    """The planar cut of a lattice. Its only iteration finds the minimum cut of each plane, a grid of contacts that
     couple one spin component.
 
     scene : the lattice with its R samples.
     component : number of the axis of that spin component; the planes are the layers across it.
     top : (planes,), imposed spin of the top less that of the bottom in each plane, 1/time.
-    staggered, force, states : (1, R samples, *N spheres) spins with alternating signs as methods carry them, (1, R, E
-        contacts) contact forces and (R, E contacts) contact states.
+    staggered, force, states : (1, R samples, *N spheres) spins with signs that alternate between neighbours, 1/time;
+        (1, R, E contacts) contact forces; and (R, E) contact states.
     tied : (R, planes), number of contacts that are in some but not in all minimum cuts.
     next_over_minimum : (R, planes), weight of the lightest other cut over that of the minimum cut.
     """
@@ -39,8 +39,8 @@ class GridCuts(Part):
         slipless.
 
         scene : the lattice with its R samples.
-        spin_axes : number of the axis of the one spin component that is computed.
-        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which stay until the cut is made.
+        spin_axes : number of the axis of the one spin component that is computed, as a tuple.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), spins, 1/time, which stay until the cut is made.
         """
         self.scene, self.spin_axes = scene, spin_axes
         (self.component,) = spin_axes
@@ -60,6 +60,7 @@ class GridCuts(Part):
         self.iteration += 1
         spins = self.scene.lattice.by_plane(self.staggered[0], self.component)
         spins[:, self.top == 0] = 0.0  # no jump: all rotate with the bottom
+        # friction coefficients of all planes with a jump, along the rows and along the height
         height = self.scene.lattice.height_axis
         (sideways,) = (axis for axis in range(height) if axis != self.component)
         coefficient = self.scene.lattice.by_axis(self.scene.coefficient)
@@ -86,12 +87,12 @@ class GridCuts(Part):
     def _store(
         self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
     ) -> None:
-        """Store friction and states of the contacts along a lattice axis in some planes.
+        """Store friction and states of the contacts along one lattice axis, in some planes.
 
         axis : number of the lattice axis.
-        where : numbers of the samples and of the planes, a pair of arrays (planes,).
+        where : two arrays (planes,), the sample and the number of each plane.
         cut, tied : (planes, ...), masks of the contacts that are in the cut that was found, and of those that are in
-            some minimum cuts only.
+            some but not in all minimum cuts.
         flow : (planes, ...), maximum flow in the contacts, in units of the normal force.
         """
         friction = flow * (np.sign(self.top[where[1], None, None]) * self.scene.normal_force)
@@ -100,7 +101,13 @@ class GridCuts(Part):
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
 
     def progress(self) -> Progress:
-        """Return spins, friction and states, which are the minimum once the planes are cut."""
+        """Return the progress: the start before the first iteration; after it the minimum, with forces, contact states
+        and lower bound.
+
+        It has two findings, (R samples,): `cut_is_unique`, True if each plane has one minimum cut, and
+        `next_cut_over_minimum`, the weight of the second lightest cut over that of the lightest, the least of all
+        planes.
+        """
         scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
         unique = self.tied.sum(axis=1) == 0
         findings = {
@@ -118,7 +125,7 @@ class GridCuts(Part):
             largest_balance_residual=largest_unbalanced_torque(scene, self.force, axes),
             exhausted=cut,
             state=self.states.copy() if cut else None,
-            settled=np.full(scene.replicas, cut),  # also where the start has the least power, less a rounding
+            settled=np.full(scene.replicas, cut),  # so that the cut is taken even if the start seems lower by rounding
             states_believed=unique if cut else None,
             findings=findings if cut and self.top.any() else {},
         )

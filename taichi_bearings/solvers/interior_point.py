@@ -24,8 +24,7 @@ class InteriorPointMethod(Minimiser):
     resumes = True
 
     def part_of(self) -> Part:
-        """Return the solver that makes the Newton steps of all samples of this scene, along their central paths: curves
-        of spins and forces that end at the minimum. A `Part` is the solver inside a method, chosen by the kind of
-        scene: one for lattices, one for packings.
+        """Return the solver that makes the Newton steps of all samples along their central paths, curves of spins and
+        forces that end at the minimum. There is one solver for lattices and one for packings.
         """
         return self.contacts.paths(self.start, self.options.settle)

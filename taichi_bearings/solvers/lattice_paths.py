@@ -37,13 +37,13 @@ KEPT_SITES = 10_000  # spheres up to which the parts that all samples of a latti
 
 
 def _states(sample: Sample) -> np.ndarray:
-    """Return the contact states (n,) of a sample; n contacts have a free sphere.
+    """Return the contact states (n,) of a sample, for the n contacts with a free sphere.
 
     If the method has settled them, these are returned. Else slip and friction margin (friction limit minus force) are
     compared, in the units of the path, in which both are about 1. A contact slips if its slip is above DECIDED_RATIO
     times its margin, is slipless if its margin is above DECIDED_RATIO times its slip, and is undecided otherwise.
 
-    sample : the end of its path.
+    sample : the end of its central path.
     """
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     if (of := sample.resolved) is not None:
@@ -59,26 +59,27 @@ def _states(sample: Sample) -> np.ndarray:
 _Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where nothing is to be solved
 
 
-def _skeleton(*alike: Any) -> _Skeleton:
-    """Return what all samples of a lattice have in common: contact system, order of elimination and Newton matrix.
+def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
+    """Return what all samples of a lattice have in common: the contact system, the order of elimination, and the Newton
+    matrix.
 
-    For small lattices, of which many are solved, it is kept for the next call. Each thread has its own, as the matrix
-    holds the numbers of its factorisation.
+    For small lattices, of which many are solved, they are kept for the next call. Each thread has its own, as the
+    matrix holds the numbers of its factorisation.
 
-    alike : the lattice; the numbers of the axes of the C spin components that are computed; and the imposed spins of
-        the top plane less those of the bottom, (C, *plane), in the unit of spins on the path, as the bytes of an array,
-        so that they can be a key.
+    spin_axes : numbers of the axes of the C spin components that are computed.
+    jump : imposed spins of the top plane less those of the bottom, (C, *plane), in the unit of spins on the path, as
+        the bytes of an array, which can be the key of a cache.
     """
-    if alike[0].sites < KEPT_SITES:
-        return _made(threading.get_ident(), *alike)
-    _made.cache_clear()
-    return _made.__wrapped__(0, *alike)
+    if lattice.sites < KEPT_SITES:
+        return _new_skeleton(threading.get_ident(), lattice, spin_axes, jump)
+    _new_skeleton.cache_clear()
+    return _new_skeleton.__wrapped__(0, lattice, spin_axes, jump)
 
 
 @lru_cache(maxsize=1)
-def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
-    """Return the contact system, the order of elimination and the Newton matrix of a lattice; None for the matrix if
-    nothing has to be solved.
+def _new_skeleton(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
+    """Return the contact system, the order of elimination and the Newton matrix of a lattice. The matrix is None if the
+    planes have the same spins, so that nothing has to be solved.
 
     thread : number of the thread that uses them, as a key of the cache.
     spin_axes : numbers of the axes of the spin components that are computed.
@@ -94,14 +95,14 @@ def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes
 
 class LatticePaths(Paths):
     """The central paths of all samples of a lattice: curves of spins and forces along which Newton steps lead to the
-    minimum, and from whose end it is found which contacts slip there.
+    minimum. At their ends it is found which contacts slip.
 
     scene : the lattice with its R samples.
     spin_axes : numbers of the axes of the C spin components that are computed.
     unit : unit of spins on the paths, 1/time.
     frustrated : True if the driven planes have different spins, so that something has to be solved.
-    system : the contacts with a free sphere, as the path sees them: slips are a linear map of *staggered* spins, spins
-        times the sign +1 or -1 by which neighbours differ.
+    system : the contacts with a free sphere. Slips are a linear map of the unknowns, the free spins times signs that
+        alternate between neighbours.
     samples : the state of each sample on its path.
     """
 
@@ -167,11 +168,11 @@ class LatticePaths(Paths):
         return Sample(start, unit, firm=firm if firm is not None and firm.any() else None)
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next, which does not depend on the other samples solved at
-        a time.
+        """Return the iteration at which to read the progress next. It does not depend on which other samples are solved
+        at the same time.
 
-        The progress of small samples is read once, when they mostly have ended. That of others is read every second
-        step far from the end, as reading costs half a step at 10^3 spheres, and every step near it.
+        Small samples are read once, when most of them have ended. Others are read at every second step far from the
+        end, as reading costs half a step at 10^3 spheres, and at every step near it.
 
         iteration : the one at which it is read now.
         """
@@ -181,8 +182,8 @@ class LatticePaths(Paths):
         return iteration + (2 if far else 1)
 
     def progress(self) -> Progress:
-        """Return the progress of all samples: with the settled contact states where they are, else the point on the
-        path.
+        """Return the progress of all samples. A sample whose contact states are settled has the minimum with these
+        states; the others have their points on the central path.
 
         Slips and states come from the path itself, as they are more precise than those of the rounded spins.
         """
@@ -231,8 +232,8 @@ class LatticePaths(Paths):
 
     def _spins(self) -> Pair:
         """Return the spins as sums of two doubles: a pair of arrays (C components, R samples, *N spheres), 1/time.
-
-        Spins have alternating signs, as methods carry them; those of driven planes are 0 here.
+        Their signs alternate between neighbours, and they are measured from the bottom; those of driven planes are 0
+        here.
         """
         high, low = np.zeros((2, len(self.samples), self.system.unknowns))
         for number, sample in enumerate(self.samples):
@@ -251,8 +252,9 @@ class LatticePaths(Paths):
     def _lower_bound(self, force: np.ndarray, objective: np.ndarray) -> np.ndarray:
         """Return lower bounds (R samples,) on the objective, energy/time.
 
-        A sample has the bound that follows quickly from its forces until it has ended, and also then if the gap to that
-        is small enough. Otherwise the bound with which answers are certified is computed, which takes longer.
+        The bound that follows quickly from the forces is returned for samples on their way, and for those that have
+        ended with a gap that is small enough. Other ended samples get the bound with which answers are certified, which
+        takes longer.
 
         force : (C components, R, E contacts), contact forces.
         objective : (R,), at the spins of now.

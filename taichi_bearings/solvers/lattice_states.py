@@ -33,8 +33,8 @@ class LatticeReached(Reached):
     """What a method has reached in all samples of a lattice.
 
     final : the best state that it has reached.
-    bound : (R,), the lower bound that the method knows.
-    proof : (C components, R samples, E contacts), forces near those of the method that prove a bound by themselves.
+    bound : (R samples,), the lower bound that the method knows.
+    proof : (C components, R, E contacts), forces near those of the method that prove a bound by themselves.
     options : the method and its options.
     threshold : slip speed, length/time, up to which a contact counts as slipless; None for what the method can resolve.
     """
@@ -64,8 +64,11 @@ class LatticeReached(Reached):
         self.method, self.iterations, self.findings = self.options.name, ended.iterations, final.findings
 
     def numbers(self) -> dict[str, np.ndarray]:
-        """Return slips, power, bounds and leftover torques: as they are proven, or what the method says where nothing
-        can be judged, as with a law that is not known to the proofs. The torques of a dynamics are those of its motion.
+        """Return by name the slips (R samples, E contacts), and (R,) each power, objective, lower bound, gap and
+        largest leftover torque.
+
+        They are as proven. Where no proof can judge the numbers, such as for a law that the proofs do not know, they
+        are those of the method. The torques of a dynamics are always those of its motion.
         """
         scene, final = self.scene, self.final
         if self.judgement is not None:
@@ -93,9 +96,9 @@ class LatticeReached(Reached):
     def _of_motion(self, slip: np.ndarray) -> np.ndarray:
         """Return the sizes (R samples, E contacts) of the contact forces of a dynamics at its last moment.
 
-        Where contacts can hold a force without slip, the dynamics knows it; else the law gives it from the slip.
-        Without viscosity a force is cut off at the friction limit, beyond which only the rounding of far stronger
-        contacts can lift it.
+        Where contacts can hold a force without slip, the dynamics has the force; else the law gives it from the slip.
+        Without viscosity a force is cut off at the friction limit; only the rounding of far stronger contacts can lift
+        it above.
 
         slip : (R, E), slip speeds.
         """
@@ -109,10 +112,10 @@ class LatticeReached(Reached):
         return np.where(absent, 0.0, np.minimum(vector_length(self.final.force), limit))
 
     def indicated(self, slip: np.ndarray) -> Indicated:
-        """Return the states that method, slips and forces indicate, with the slip speeds up to which contacts count as
-        slipless.
+        """Return the contact states that method, slips and forces indicate, with the slip speeds up to which contacts
+        count as slipless.
 
-        slip : (R samples, E), slip speeds, length/time.
+        slip : (R samples, E contacts), slip speeds, length/time.
         """
         known = _known_by_contact(self.judgement, self.options.is_dynamics)
         state, each, of_all = _states_and_thresholds(self.scene, slip, self.final, self.threshold, known, self.proof)
@@ -123,8 +126,8 @@ class LatticeReached(Reached):
         """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is; None if
         no proof is tried.
 
-        A proof is tried where the method believes to have found these states. It is tried in all samples where it is
-        cheap (one spin component, or viscosity), and where a motion has come to a minimum.
+        A proof is tried in samples whose states the method takes for those of every minimum. It is tried in all samples
+        where it is cheap (one spin component, or viscosity), and where a motion has come to a minimum.
 
         has_ended : True if a motion is proven to have come to a minimum.
         """
@@ -141,11 +144,13 @@ class LatticeReached(Reached):
             return np.stack([judgement.one(n).known[0] if asks else undecided for n, asks in enumerate(asked)])
 
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
-        """Return the states (R samples, E contacts) that were indicated; of those that a method has established, only
-        what slip and friction are large enough to tell.
+        """Return the contact states (R samples, E contacts) of the answer, with those made UNDECIDED that slip and
+        friction are too small to tell apart from rounding. States that are proven stay.
 
-        answer : the answer with these states.
-        known : (R, E), the states that are proven, or None.
+        Nothing is changed where the states were read off the slips, or where the law is not friction alone.
+
+        answer : the answer with its states.
+        known : (R, E), the states that are proven, UNDECIDED where nothing is; None if no proof was tried.
         """
         if self.final.state is None or not self.scene.law.is_rate_independent:
             return answer.state
@@ -160,12 +165,12 @@ def _states_and_thresholds(
     known: np.ndarray | None,
     proof: Forces,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return contact states (R samples, E contacts), and the slip speeds up to which contacts count as slipless: (R,),
-    and one for all samples.
+    """Return contact states (R samples, E contacts), and the slip speeds, length/time, up to which contacts count as
+    slipless: (R,), and one for all samples.
 
-    Without a threshold, a contact that seems to slip while its friction in `proof` is below its limit is undecided,
-    unless `known` has its state. If some slipping contact is slower than what the slip alone resolves, the friction has
-    told it apart; the speed that is returned then is the largest slip of a slipless contact.
+    If the user gave no threshold, a contact that seems to slip while its friction in `proof` is below its limit is
+    undecided, unless `known` has its state. The slip speed is then what the method can resolve. If friction has told
+    slower slipping contacts apart, it is the largest slip of a slipless contact.
 
     scene : the lattice with its R samples.
     slip : (R, E), slip speeds, length/time.
@@ -193,11 +198,11 @@ def _states_and_thresholds(
 
 
 def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
-    """Return the states (R samples, E contacts) that are proven of every minimum where a proof looks at each contact
-    alone; else None.
+    """Return the contact states (R samples, E contacts) that are proven of every minimum, if the proof is one that
+    looks at each contact alone, and so is cheap; else None.
 
-    That is so where the force grows with the slip, and for minima with one spin component. A dynamics without viscosity
-    gets None, as its states are those of its motion, not of the minima.
+    That is so for laws whose force grows with the slip, and for minima with one spin component. A dynamics without
+    viscosity gets None, as its states are those of its motion, not of the minima.
 
     judgement : what is proven of the answer, or None.
     is_dynamics : True if the method is a dynamics.
@@ -208,8 +213,8 @@ def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndar
 
 
 def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
-    """Return contact states (R samples, E contacts): those that the method has established, or else those that slip and
-    friction give.
+    """Return contact states (R samples, E contacts): those that the method has established, or, if it has none, those
+    that slip and friction give.
 
     scene : the lattice with its R samples.
     slip : (R, E), slip speeds, length/time.
@@ -229,15 +234,15 @@ def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, a
 
 
 def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
-    """Return the states (R samples, E contacts) of an answer, UNDECIDED where slip and friction are too small to tell
-    them.
+    """Return the contact states (R samples, E contacts) of an answer, UNDECIDED where slip and friction are too small
+    to tell them.
 
     known : (R, E), the states that are proven; a contact that has one keeps its state.
 
     Another contact becomes undecided in one of these cases:
 
     * it seems to slip, but the gap between power and lower bound could explain its slip;
-    * it seems to slip, but its friction is off the limit by more than its slip allows (MISSING_SLIP);
+    * it seems to slip, but its friction is further from the limit than its slip allows (MISSING_SLIP);
     * it seems slipless, but bears all the friction that it can;
     * the coefficients of its sample are too uneven for floating-point numbers, and no exact cut has solved it.
     """

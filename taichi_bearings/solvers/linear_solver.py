@@ -9,13 +9,12 @@ from taichi_bearings.solvers.part import Part
 
 
 class LinearSolverMethod(Minimiser):
-    """The linear solver: it finds the spins at which viscous forces balance. An iteration solves one bundle of planes
-    of a lattice (layers whose contacts couple one spin component), or all samples of a packing.
+    """The linear solver: it finds the spins at which viscous forces balance. On a lattice an iteration solves some of
+    its planes (layers whose contacts couple one spin component); in a packing it solves all samples.
     """
 
     def part_of(self) -> Part:
-        """Return the solver of the linear systems, one for each plane of a lattice or sample of a packing, whose
-        solutions are the spins at which viscous forces balance. A `Part` is the solver inside a method, chosen by the
-        kind of scene: one for lattices, one for packings.
+        """Return the solver of the linear systems whose solutions are the spins at which viscous forces balance. There
+        is one solver for lattices and one for packings.
         """
         return self.contacts.linear_systems(self.start)

@@ -26,9 +26,8 @@ if TYPE_CHECKING:
 
 
 class Method(ABC):
-    """One way to reach the state of least dissipation: its steps and what they mean, nothing else.
-
-    A method never prints, times, opens a file or decides when to stop.
+    """One way to reach the state of least dissipation: its steps, and what they have reached. It never prints, times,
+    opens a file or decides when to stop; the loop of drive.py does.
 
     options : the options of this method, an object of its class in table.py.
     scene : what it solves.
@@ -38,7 +37,7 @@ class Method(ABC):
     """
 
     resumes: ClassVar[bool] = False
-    """Whether its `state()` holds all that the further course depends on, for `restore` to go on from."""
+    """True if a run can be resumed: `state()` returns all that its further steps depend on, and `restore` takes it."""
     scene: Bearing
     contacts: Contacts
     iteration: int
@@ -49,10 +48,10 @@ class Method(ABC):
         self.options: Any = options
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare to solve a scene. Here only the contacts are chosen, with the scene and the spin axes that they have;
-        subclasses load fields (arrays on the device), if any, and compile kernels.
+        """Prepare to solve a scene. Here only the contacts are chosen, with the scene and the spin axes that they have.
+        Subclasses also load fields (arrays on the device) and compile kernels, if they have any.
 
-        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+        spin : (R samples, *N spheres, 3), of discs (R, *N), spins to start from, 1/time.
         """
         self.contacts = contacts_of(scene, spin, self.options)
         self.scene, self.spin_axes = self.contacts.scene, self.contacts.spin_axes
@@ -73,18 +72,19 @@ class Method(ABC):
         """Return the state now with its bounds; the only call that reads from the device."""
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return by name all arrays that the further iterations depend on, for a checkpoint. Only methods whose runs
-        can be resumed (`resumes`) have it."""
+        """Return by name all arrays that the further iterations depend on, for a checkpoint; empty for a method whose
+        runs cannot be resumed (`resumes` is False).
+        """
         return {}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:  # noqa: B027
-        """Continue from the arrays by name that `state` returned in an earlier call; called after `begin`. A method
-        that does not resume begins anew.
+        """Continue from the arrays by name that `state` returned in an earlier call. It is called after `begin`, and
+        only if the method can be resumed (`resumes`).
         """
 
     def found(self) -> list[Found]:
-        """Return the spins and forces that each sample of a packing has reached; empty for a method whose answers
-        follow from its progress.
+        """Return the spins and forces that each sample of a packing has reached, for a method that finds minima; empty
+        for other methods.
         """
         return []
 
@@ -92,7 +92,8 @@ class Method(ABC):
         """Return the slips of the contacts divided by the radius (`Bearing.slip_radius`), (C components, R samples, E
         contacts), 1/time.
 
-        staggered : (C, R, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, 1/time; in a packing radius
+            * spin.
         """
         return self.scene.differences(staggered, self.spin_axes)
 
@@ -104,16 +105,17 @@ class Method(ABC):
         return self.scene.pulls(force, self.spin_axes)
 
     def absolute(self, staggered: np.ndarray) -> np.ndarray:
-        """Return spins as methods carry them, but measured from zero, not from the bottom: (C components, R samples, *N
-        spheres), as energies need them.
+        """Return spins measured from zero instead of from the bottom, (C components, R samples, *N spheres), as
+        energies need them. Their signs still alternate between neighbours.
 
-        staggered : (C, R, *N spheres), spins with alternating signs, measured from the bottom, 1/time.
+        staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, less those of the bottom,
+            1/time; in a packing radius * spin.
         """
         return self.scene.absolute(staggered, self.spin_axes)
 
     def with_viscosity(self, force: np.ndarray, difference: np.ndarray) -> np.ndarray:
-        """Return forces (C components, R samples, E contacts) plus what the contacts resist by viscosity, or by a law
-        that a user has defined.
+        """Return contact forces (C components, R samples, E contacts): those given plus the resistance by viscosity, or
+        by a law that a user has defined.
 
         force : (C, R, E), friction alone.
         difference : (C, R, E), spin differences of the contacts, 1/time.
@@ -127,7 +129,8 @@ class Method(ABC):
         """Return the contact forces (C components, R samples, E contacts) of the law at some spins, with friction that
         grows from 0 over a small slip.
 
-        staggered : (C, R, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, 1/time; in a packing radius
+            * spin.
         width : spin difference, 1/time, up to which friction grows in proportion to it.
         """
         difference = self.differences(staggered)
@@ -136,15 +139,18 @@ class Method(ABC):
         return self.with_viscosity(force, difference)
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
-        checkpoint, prove.
+        """Return the lower bound (R samples,) on the objective (least power or potential) that some contact forces
+        prove.
+
+        force : (C components, R, E contacts), contact forces, such as a checkpoint keeps.
         """
         return self.contacts.proven_by(force)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: object) -> Progress:
         """Return the progress for given spins and forces: with objective, its lower bound, and the largest torque left.
 
-        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time;
+            in a packing radius * spin.
         force : (C, R, E contacts), contact forces.
         proof : (C, R, E), forces from which the lower bound follows; None for `force`.
         more : further entries of the `Progress`, by name.
@@ -154,10 +160,11 @@ class Method(ABC):
 
 
 class Minimiser(Method):
-    """A method that finds minima by a part which the contacts choose: one for lattices, another one for packings.
+    """A method that finds minima directly. Its iterations are made by a solver (`Part`), of which there is one for
+    lattices and one for packings.
 
-    start : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins at the start, 1/time.
-    part : the solver that makes the iterations.
+    start : (R samples, *N spheres, 3), of discs (R, *N), spins at the start, 1/time.
+    part : the solver.
     """
 
     contacts: WithMinima
@@ -176,7 +183,9 @@ class Minimiser(Method):
 
     @abstractmethod
     def part_of(self) -> Part:
-        """Return the solver (`Part`) that fits the contacts of this scene: one for lattices, or one for packings."""
+        """Return the solver of this method that fits the contacts of the scene: that for lattices or that for
+        packings.
+        """
 
     @property
     def iteration(self) -> int:  # type: ignore[override]
@@ -203,7 +212,7 @@ class Minimiser(Method):
         return self.part.found()
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that the further iterations depend on, by name."""
+        """Return by name all arrays that the further iterations depend on, for a checkpoint."""
         return self.part.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
@@ -214,7 +223,7 @@ class Minimiser(Method):
 class Swept(Method):
     """A method whose steps are repeated calls of one kernel that works on all spheres and contacts.
 
-    team, sweeps : the threads and the kernel, which `begin` makes.
+    team, sweeps : the threads that run the kernel, and the kernel; both are set by `begin`.
     """
 
     contacts: Stepped
@@ -223,13 +232,13 @@ class Swept(Method):
 
     @property
     def fields(self) -> Fields:
-        """The numbers of all spheres and contacts."""
+        """The arrays of numbers on all spheres and contacts."""
         return self.contacts.fields
 
     @abstractmethod
     def launches(self, steps: int) -> Iterator[Launch]:
-        """Yield the launches (calls of the kernel with the same constants), one after the other, that make `steps`
-        steps.
+        """Yield the launches (repeated calls of the kernel with the same constants), one after the other, that make
+        `steps` steps.
         """
 
     def advance(self, steps: int) -> None:
@@ -239,10 +248,11 @@ class Swept(Method):
 
 
 def contacts_of(scene: Bearing, spin: np.ndarray, options: "MethodOptions") -> Contacts:
-    """Return the contacts of a scene: with neighbours a stride apart for a lattice; of a packing in lists for methods
-    that step it, or as a linear system for methods that find minima.
+    """Return the contacts of a scene in the form that a method needs. There are three: those of a lattice; those of a
+    packing in lists, for methods that make steps; and those of a packing as a linear system, for methods that find
+    minima.
 
-    spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
+    spin : (R samples, *N spheres, 3), of discs (R, *N), spins to start from, 1/time.
     options : the method. A dynamics may begin with spin components that no minimum needs.
     """
     if scene.network.lattice is not None:

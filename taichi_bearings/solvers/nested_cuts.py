@@ -56,18 +56,18 @@ class _Cover:
 
 
 def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarray]:
-    """Return spins times radius of least power (unknowns,), length/time, as sums of two doubles, and forces along the
-    tangents of the contacts (d, A); these balance but for the rounding of each to a double.
+    """Return spins times radius of least power (unknowns,), length/time, as sums of two doubles, and contact forces
+    along the tangents (d, A). The forces balance but for the rounding of each to a double.
 
-    The law has friction alone, and each contact couples one spin component.
+    The law must have friction alone, and each contact must couple one spin component only.
 
     system : the A contacts that take part; d tangents each.
     packing : one sample.
     """
     component = system.feels.argmax(axis=1)  # (A,), the coupled component; any one where none is
-    # the graph whose minimum cuts give the spins, and the sign by which each spin is turned in it
+    # the graph whose minimum cuts give the spins, and the sign that each spin has in it
     cover, sign = _covered(system, packing, component)
-    place = _nested(cover)  # for each node, between which driven values its spin is
+    place = _nested(cover)  # for each node, the number of its spin among the sorted driven values
     force = np.zeros(len(component), dtype=object)  # whole numbers of any length
     np.add.at(force, cover.contact, cover.sign * _filling(cover, place))
     spins = _spins(cover, place, sign)
@@ -87,14 +87,15 @@ def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
 
 
 def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
-    """Return the spins u = radius * spin (unknowns,) of a minimum, as sums of two doubles, from the nodes of a graph.
+    """Return the spins u = radius * spin (unknowns,) that a set of nested minimum cuts stands for, length/time, as sums
+    of two doubles.
 
-    Each free spin is a node, or two of opposite values (twins) in parts with odd loops; then it is half the difference
-    of the two.
+    A node of the graph is a free spin, or in parts with odd loops u has two nodes (twins) with the values u and -u;
+    then u is half the difference of the two.
 
     cover : the graph, with the sorted driven values that nodes can have.
-    place : (nodes,), the number of the value of each node (its level).
-    sign : (unknowns,), sign of each unknown, by which neighbours differ.
+    place : (nodes,), for each node the number of its value among these.
+    sign : (unknowns,), sign that alternates between neighbours, by which a value is multiplied to give u.
     """
     own, twin = np.arange(len(sign)), cover.mirror[: len(sign)]
     high, low = (part[place] if len(part) else np.zeros(len(place)) for part in cover.values)
@@ -105,11 +106,11 @@ def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
 
 
 def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> tuple[_Cover, np.ndarray]:
-    """Return the graph whose minimum cuts give the least power, and the sign (unknowns,) of each unknown spin.
+    """Return the graph whose minimum cuts give the least power, and the sign (unknowns,) of each unknown spin in it.
 
-    Without odd loops neighbours have different signs, a node is sign * spin, and a contact is one edge. In a part with
-    odd loops there are no such signs: each unknown has two nodes, spin and -spin, and each contact two edges of half
-    the weight between opposite nodes (double cover).
+    Without odd loops there are signs that alternate between neighbours; a node stands for sign * spin, and a contact is
+    one edge. In a part with odd loops there are no such signs: each unknown has two nodes, for spin and -spin, and each
+    contact two edges of half the weight between opposite nodes (double cover).
 
     system : the A contacts that take part.
     packing : one sample.
@@ -183,12 +184,14 @@ def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.nd
 
 
 def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the friction limits of some contacts exactly, as whole numbers of Python, and their unit of force.
+    """Return the friction limits of some contacts exactly, as whole numbers (n,) of type object, and their common unit
+    of force.
 
-    A limit is friction coefficient times normal force; a normal force that all contacts have is part of the unit.
+    A limit is friction coefficient times normal force. A normal force that all contacts have in common is part of the
+    unit.
 
     packing : one sample.
-    contact : (n,), numbers of the contacts; the limits are (n,), dtype object.
+    contact : (n,), numbers of the contacts.
     """
     normal = np.broadcast_to(packing.normal_force, packing.contacts)[contact]
     same = bool((normal == normal[:1]).all())
@@ -208,10 +211,10 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
 def _nested(cover: _Cover) -> np.ndarray:
     """Return the level of each node at a minimum, (nodes,): the number of its value among the sorted driven values.
 
-    In parts with odd loops each spin has two nodes, twins, of opposite values. Without twins this is the minimum with
-    the lowest levels. A node with a twin has its lowest level if that is above `cover.rest`, where values become
-    positive. Otherwise, if the highest level of its twin is, it has the opposite of that, so that the two copies have
-    opposite values.
+    In parts with odd loops each spin has two nodes, twins, with opposite values. A part without twins gets the minimum
+    with the lowest levels. A node with a twin keeps its lowest level if that is above `cover.rest`, where the values
+    are positive. Else, if the highest level of its twin is above `cover.rest`, it gets the level of the value opposite
+    to that, so that the two nodes have opposite values.
     """
     twin, rounds = cover.mirror >= 0, list[_Round]()
     lowest = _levels(cover, np.zeros_like(twin), rounds)
@@ -229,15 +232,16 @@ _Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]
 
 
 def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndarray:
-    """Return the level of each node, (nodes,), by bisection; one maximum flow halves the ranges of all nodes at once.
+    """Return the level of each node, (nodes,): the number of its value among the sorted driven values, found by
+    bisection. One maximum flow halves the ranges of all nodes at once.
 
-    The level is the number of the node's value among the sorted driven values. Where several cuts are lightest, the one
-    with the smallest side of high levels is taken. The range of a node with a twin (the other copy of its spin, with
-    the opposite value) begins at `cover.rest`, the highest level whose value is not positive.
+    Several cuts can be lightest; then the one with the smallest side of high levels is taken. The range of a node with
+    a twin (a second node of the same spin with the opposite value) begins at `cover.rest`, the highest level whose
+    value is not positive.
 
-    largest : (free,), mask of nodes for which it is the cut with the largest side of high levels.
-    rounds : the bisections of an earlier search, whose flows are used again as long as the ranges are the same; it is
-        replaced by those of this search.
+    largest : (free,), mask of nodes for which the cut with the largest side of high levels is taken instead.
+    rounds : the bisections of an earlier search, whose flows are used again as long as the ranges are the same. In the
+        end it holds those of this search.
     """
     levels, count = np.arange(len(cover.opposite)), 0
     least = np.concatenate([np.where(cover.mirror >= 0, cover.rest, 0), levels])
@@ -288,7 +292,8 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
 
 
 def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
-    """Return the flow (edges,) from low to high that is balanced at all free nodes and saturates the minimum cuts.
+    """Return a flow along the edges, (edges,), from low to high, that is balanced at all free nodes and saturates the
+    minimum cuts.
 
     The cuts are nested: there is one between each two neighbouring driven values, and its edges join nodes on both
     sides. The flow is a whole number of `cover.unit` for each edge.

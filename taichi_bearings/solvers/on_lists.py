@@ -36,21 +36,22 @@ NOTHING = (0.0,)  # passed for constants that all copies of the lists share, as 
 
 
 class OnLists(Stepped):
-    """One sample of a packing, stored as flat lists of spheres and contacts, on which the kernels of methods that step
-    it work. A field is an array on the device with some numbers for each sphere, or for each contact.
+    """The contacts of one sample of a packing for methods that make steps, as flat lists of spheres and contacts on
+    which kernels work. A field is an array on the device with some numbers for each sphere, or for each contact.
 
     The field `force` holds the force on each contact as a vector; other fields of contacts hold components along its
     unit tangents.
 
-    scene : the packing, with those contacts alone that take part (that can dissipate).
+    scene : the packing, with only the contacts that can dissipate.
     spin_axes : numbers of the axes of the C spin components that are computed.
-    spec : the fields of spheres, and those of contacts: two tuples of pairs (name, numbers a sphere or contact).
+    spec : the fields of spheres, and those of contacts: two tuples of pairs (name, how many numbers each sphere or
+        contact has in it).
     points : names of the fields that hold the spins which a gradient descent changes.
     forces : names of the fields that hold the contact forces of a gradient descent.
     bounds : the lower bounds on the objective that are proven so far.
     lists : the order of spheres and contacts in memory, once `allocate` was called.
-    fields : the arrays on the device, once `allocate` was called; where several samples are stepped together, the part
-        of this sample in common arrays.
+    fields : the arrays on the device, once `allocate` was called. If several samples are stepped together, they are
+        parts of common arrays.
     """
 
     scene: Packing
@@ -78,11 +79,11 @@ class OnLists(Stepped):
         return self.scene.network.tangents
 
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
-        """Return the fields that a method needs: those of spheres and those of contacts, each as pairs of name and
-        numbers.
+        """Return the fields that a method needs: a tuple for those of spheres, and one for those of contacts, of pairs
+        (name, how many numbers each sphere or contact has in it).
 
-        spheres : numbers a sphere in each field of spheres, by name.
-        contacts : names of the fields of contacts.
+        spheres : how many numbers each sphere has, by the name of the field.
+        contacts : names of the method's fields on contacts; those of the law and the tangents are added.
         """
         tangents, _, components = self.across.shape
         counts: dict[str, int] = {"force": components, "coefficient": 1, "viscosity": 1, "work": 1}
@@ -94,10 +95,11 @@ class OnLists(Stepped):
         """Allocate the fields (arrays on the device, all 0), and load the unit tangents and the coefficients of the law
         into them. Tangents are loaded for spheres only, two vectors of 3 components for each contact.
 
-        spec : the fields of spheres, and those of contacts: two tuples of pairs (name, numbers a sphere or contact).
-        viscosity : (1, E contacts), viscosity of each contact beside its friction, multiplied by the radius: kernels
-            multiply it by a spin difference; for gradient descent also divided by the unit of the friction
-            coefficients. None for laws without.
+        spec : the fields of spheres, and those of contacts: two tuples of pairs (name, how many numbers each sphere or
+            contact has in it).
+        viscosity : (1, E contacts), viscosity of each contact beside its friction, times the radius, by which kernels
+            multiply a spin difference; for gradient descent also divided by the unit of the friction coefficients. None
+            for laws without.
         """
         network = self.scene.network
         self._numbers = np.zeros(COPY_NUMBERS)  # the constants of the launch, as last written into the field `numbers`
@@ -110,7 +112,8 @@ class OnLists(Stepped):
             self.fields.load("viscosity", viscosity[None])
 
     def _sweeps(self, kind: Callable[..., Sweeps], corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
-        """Return the threads and a kernel for all steps.
+        """Return the threads that run a kernel, and the kernel, which is compiled once for all samples with the same
+        fields.
 
         kind : class of the kernel.
         corrector : coefficients of Gear's corrector; empty for gradient descent.
@@ -139,9 +142,9 @@ class OnLists(Stepped):
         sweeps.run(self.fields, team, launch.turns, NOTHING)
 
     def load_numbers(self, launch: Launch) -> None:
-        """Load the constants of a launch where the kernel reads them, unless they are those of the last launch.
-
-        The last constant is how many sweeps were made before this launch; a turn of the kernel is two.
+        """Load the constants of a launch (repeated calls of the kernel) into the field `numbers`, unless they are there
+        already. The last constant is the number of sweeps that were made before this launch; a call of the kernel makes
+        two.
         """
         given = np.zeros(COPY_NUMBERS)
         given[: len(launch.numbers)] = launch.numbers
@@ -191,20 +194,21 @@ class OnLists(Stepped):
         return self.scene.inertias(options.mass, options.inertia, density)
 
     def common_inertia(self, inertia: Inertia) -> float:
-        """Return 1, the moment of inertia in the constants of the kernel: in a packing each sphere has one of its own,
-        in the field `is_free`.
+        """Return 1.0, the reference moment of inertia in the constants of the kernel. In a packing each sphere has its
+        own, which the field `is_free` holds as 1 over it.
 
         inertia : not used.
         """
         return 1.0
 
     def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
-        """Return two rates of the fastest motions: the decay rate by viscosity, 1/time, 0 without viscosity; and the
-        largest eigenvalue of M^-1 L if all contacts stick, 1/mass, from which the shortest period of springs follows. L
-        is the Laplacian of the contact network, with the viscosities as weights for the first and 1 for the second; M
-        has the inertias.
+        """Return two upper bounds on how fast spins can change: the decay rate by viscosity, 1/time, 0 without
+        viscosity; and the largest eigenvalue of M^-1 L if all contacts stick, 1/mass, from which the shortest period of
+        springs follows.
 
-        Both are rigorous upper bounds, by the theorem of Collatz and Wielandt on matrices without negative entries.
+        L is the Laplacian of the contact network, M the diagonal matrix of the inertias. For the decay rate the
+        contacts have their viscosities as weights in L, for the second number 1. Both are rigorous, by the theorem of
+        Collatz and Wielandt on matrices without negative entries.
 
         inertia : (N spheres,), moments of inertia over squared radii, mass.
         """
@@ -213,8 +217,8 @@ class OnLists(Stepped):
         return decay, network.largest_eigenvalue(np.ones(network.contacts), each)
 
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> Unknowns:
-        """Return the unknowns of an implicit step: u = radius * spin of the free spheres, where it makes some contact
-        slip.
+        """Return the unknowns of an implicit step: the components of u = radius * spin of the free spheres, as far as
+        they make some contact slip.
 
         spin_axes : not used, as all components of a packing move.
         unit : unit of u in the solve, length/time.
@@ -232,8 +236,9 @@ class OnLists(Stepped):
         return np.maximum(bound, self.bounds.proven)
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (1,) on the objective that contact forces (d tangents, 1, E contacts), of a
-        checkpoint, prove.
+        """Return the lower bound (1,) on the objective that the contact forces of a checkpoint prove.
+
+        force : (d tangents, 1, E contacts), contact forces.
         """
         with one_thread():
             return np.array([self.bounds.again(force)])
@@ -282,23 +287,24 @@ class OnLists(Stepped):
         bounds.witness = np.array(state["bounds.witness"])
 
     def answered(self, ended: Ended) -> Solution:
-        """Return the answer from the best spins and the best forces of a run that ended.
+        """Return the answer of a run that ended, from its best spins and forces. Nothing ends the proof of its contact
+        states early.
 
-        It is judged as a minimum found directly would be; the proof of its contact states is never given up.
+        ended : how the run ended, with the last state and the best forces.
         """
         with one_thread():
             return answered(StepsReached(self.bounds, self.scene, ended), ended, nullcontext)
 
 
 class StepsReached(PackingReached):
-    """What a method that steps a packing has reached in its one sample: the best forces, with the best spins.
+    """What a method that makes steps has reached in the one sample of a packing: the best forces, with the best spins.
 
-    What is reported is proven of the minima, as with other methods, but for three things that are those of the last
+    What is reported is proven of the minima, as for other methods, but for three things, which are those of the last
     state: the contact forces; the states (slipping or not) of a dynamics; and the states of contacts in parts of the
     packing that nothing drives.
 
-    acting : (E,), numbers of the contacts that take part, for which the method has forces.
-    of_acting : the packing without the others.
+    acting : (E,), numbers of the contacts that can dissipate, for which the method has forces.
+    of_acting : the packing with these contacts alone.
     last : the last state.
     """
 
@@ -328,9 +334,11 @@ class StepsReached(PackingReached):
         return force
 
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
-        """Return the states (1, E contacts) that slips and forces of the last step of a motion show. Contacts that take
-        no part in the minimum are told by their slips alone; all others by slip and friction, or, in laws without
-        friction, by whether the gap between power and bound leaves room for a slip of 0.
+        """Return the states (1, E contacts) that slips and forces of the last state show.
+
+        With friction, a contact slips if it is faster than the method can resolve and its force is at the limit.
+        Without friction, contacts in parts of the packing that nothing drives are judged by their speed alone; and a
+        contact is undecided if the gap between power and bound allows that it does not slip at the minimum.
 
         answer : the answer so far.
         known : (1, E), the states that are proven, or None.
@@ -350,7 +358,7 @@ class StepsReached(PackingReached):
 
 
 def team_of(fields: Fields, spec: ListSpec) -> Team:
-    """Return the threads for sweeps over these fields, as many as pay.
+    """Return the threads for sweeps over some fields, as many as make them faster.
 
     spec : names and sizes of the fields of spheres, and of those of contacts.
     """

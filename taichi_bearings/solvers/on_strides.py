@@ -34,14 +34,15 @@ UNCACHED_SPHERES = 60_000  # so many spheres have 12 MB of fields in a dynamics,
 
 
 class OnStrides(Stepped, WithMinima):
-    """The contacts of all samples of a lattice, as methods step them: neighbours are a constant stride apart in memory.
+    """The contacts of all samples of a lattice, for methods that make steps and for those that find minima. In the
+    arrays on the device neighbours are a constant stride apart.
 
     scene : the lattice, with its R samples.
     spec : names of the fields, with the numbers that each sphere has in them.
     spin_axes : numbers of the axes of the C spin components that are computed.
     points : names of the fields that hold the spins of a gradient descent.
     forces : empty, as the sweeps of a gradient descent compute the contact forces anew and need no field for them.
-    fields : the numbers on the device, once `allocate` was called.
+    fields : the arrays on the device, once `allocate` was called.
     stencil : constants for which kernels are compiled, once `allocate` was called.
     """
 
@@ -54,7 +55,7 @@ class OnStrides(Stepped, WithMinima):
 
         scene : the lattice.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), spins to start from, 1/time.
-        moves : True for a dynamics, which needs all components that turn at the start; False for a minimum.
+        moves : True for a dynamics, which needs all components that are not at rest at the start; False for a minimum.
         """
         self.scene = of_lattice(scene)
         self.spin_axes = _moving_axes(self.scene, spin) if moves else scene.minimum_spin_axes
@@ -63,8 +64,8 @@ class OnStrides(Stepped, WithMinima):
         """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
         along which Newton steps lead to the minimum.
 
-        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
-        settle : True to go on along them until contact states are settled.
+        spin : (R samples, *N spheres, 3), in 2D (R, *N), spins to start from, 1/time.
+        settle : True to go on along the paths until it is known which contacts slip.
         """
         from taichi_bearings.solvers.lattice_paths import LatticePaths
 
@@ -100,11 +101,11 @@ class OnStrides(Stepped, WithMinima):
         return self.scene.lattice.sites * self.scene.replicas < UNCACHED_SPHERES
 
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> FieldSpec:
-        """Return the fields that a method needs, as pairs of name and numbers a sphere.
+        """Return the fields that a method needs, as pairs (name, how many numbers each sphere has in it).
 
-        spheres : numbers a sphere in each field of spheres, by name.
-        contacts : names of the fields of contacts. Their numbers stand at the lower sphere of each contact: one for
-            each axis, or for each component of a force.
+        spheres : how many numbers each sphere has, by the name of the field.
+        contacts : names of the method's fields on contacts. A contact has its numbers at its lower sphere: one for each
+            axis, or one for each component of a force.
         """
         dimension, forces = self.scene.lattice.dimension, self.stencil_of(1).force_components
         counts = {"coefficient": dimension, "viscosity": dimension, "work": 1}
@@ -128,9 +129,9 @@ class OnStrides(Stepped, WithMinima):
     def allocate(self, spec: Any, viscosity: np.ndarray | None) -> None:
         """Allocate the fields, and load the coefficients of the law into them.
 
-        spec : pairs (name of a field, numbers that each sphere has in it).
-        viscosity : (R samples, E contacts), viscosity of each contact beside its friction, multiplied by the radius:
-            kernels multiply it by a spin difference; for gradient descent also divided by the unit of the friction
+        spec : pairs (name of a field, how many numbers each sphere has in it).
+        viscosity : (R samples, E contacts), viscosity of each contact beside its friction, times the radius, by which
+            kernels multiply a spin difference; for gradient descent also divided by the unit of the friction
             coefficients. None for laws without.
         """
         self.spec, self.fields = spec, self.on_device(spec)
@@ -190,8 +191,8 @@ class OnStrides(Stepped, WithMinima):
         sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Return for each spin component of each sphere the sum of `bounds` over the contacts that slip by it: (C
-        components, R samples, *N spheres).
+        """Return for each spin component of each sphere the sum of `bounds` over the contacts that this component makes
+        slip: (C components, R samples, *N spheres).
 
         bounds : (R, E contacts), a number for each contact, such as a bound on its curvature.
         """
@@ -213,10 +214,9 @@ class OnStrides(Stepped, WithMinima):
         return float(inertia)
 
     def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
-        """Return the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, of the fastest modes.
-
-        R is the radius, I the moment of inertia, lambda the largest eigenvalue of the Laplacian of the contacts if all
-        stick.
+        """Return two numbers of the fastest modes: the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, if
+        all contacts stick. R is the radius, I the moment of inertia, lambda the largest eigenvalue of the Laplacian of
+        the contacts.
 
         inertia : I, mass * length^2.
         """
@@ -234,14 +234,14 @@ class OnStrides(Stepped, WithMinima):
         return OfLattice(self.scene, spin_axes, unit)
 
     def stopped_spins(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """Return what the spins of a component are once friction has stopped it: (R samples, *N spheres), 1/time; None
-        if the top is driven in it.
+        """Return the spins (R samples, *N spheres), 1/time, to which friction brings one spin component; None if the
+        top is driven in it.
 
         Without drive a component ends at 0. But about the height each layer keeps its mean spin, which no contact
         changes.
 
         component : number of the axis of the spin component.
-        spins : (R, *N), its spins now, 1/time, with signs by which neighbours differ, measured from the bottom.
+        spins : (R, *N), its spins now, 1/time, with signs that alternate between neighbours, less that of the bottom.
         """
         rest, free = spins.copy(), spins[..., 1:-1]
         if component == self.scene.lattice.height_axis:
@@ -253,8 +253,10 @@ class OnStrides(Stepped, WithMinima):
         return rest
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R samples,) on the objective that contact forces (C components, R, E contacts), of a
-        checkpoint, prove.
+        """Return the lower bound (R samples,) on the objective (least power or potential) that some contact forces
+        prove.
+
+        force : (C components, R, E contacts), contact forces, such as a checkpoint keeps.
         """
         return lower_bound(self.scene, force, self.spin_axes)
 
@@ -265,14 +267,17 @@ class OnStrides(Stepped, WithMinima):
         return JUDGED_SECONDS[lattice.dimension] * lattice.sites * self.scene.replicas
 
     def answered(self, ended: Ended) -> Solution:
-        """Return the answer to all samples from the best spins and the best forces of a run that ended."""
+        """Return the answer to all samples, from the best spins and the best forces of a run.
+
+        ended : how the run ended, with the best that it has reached.
+        """
         return answered(LatticeReached(self.scene, ended), ended, ended.while_wanted)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
         """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
         left.
 
-        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time.
         force : (C, R, E contacts), contact forces at these spins.
         proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
         more : further fields of :class:`Progress`, by name.
@@ -303,11 +308,12 @@ def inertia_of(scene: Scene, options: "Motion") -> float:
 
 
 def fastest_modes(scene: Scene, spin_axes: tuple[int, ...], inertia: float) -> tuple[float, float]:
-    """Return the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, of the fastest modes of a lattice.
+    """Return two numbers of the fastest modes of a lattice: the decay rate by viscosity, 1/time, and R^2 lambda / I,
+    1/mass, if all contacts stick.
 
-    The first follows from the largest eigenvalue of the Laplacian weighted by the viscosities, raised by what Lanczos'
-    method may miss; it is 0 without viscosity. The second has the largest eigenvalue lambda of the Laplacian of
-    contacts that all stick, which is known in closed form.
+    The first follows from the largest eigenvalue of the Laplacian weighted by the viscosities, as an upper estimate; it
+    is 0 without viscosity. For the second, lambda is the largest eigenvalue of the Laplacian with weights 1, in closed
+    form.
 
     scene : the lattice, with the viscosities of its contacts.
     spin_axes : numbers of the axes of the spin components that are computed.
@@ -319,10 +325,11 @@ def fastest_modes(scene: Scene, spin_axes: tuple[int, ...], inertia: float) -> t
 
 
 def _moving_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
-    """Return the axes of the spin components that a motion needs: those that the minimum has, and others that turn at
-    first.
+    """Return the axes of the spin components that a motion needs: those that the minimum has, and others in which
+    something moves at the start.
 
-    A component turns if some sphere has another staggered spin in it than the bottom plane.
+    A component moves if some sphere has another spin in it than the bottom, with signs that alternate between
+    neighbours.
 
     scene : the lattice with its R samples.
     spin : (R samples, *N spheres, 3), in 2D (R, *N), spins at the start, 1/time.

@@ -32,19 +32,20 @@ MOST_CAPS, LESS_POWER = 12, 0.5  # how often friction is cut off at most; factor
 
 
 class OnSystem(WithMinima):
-    """R samples of a packing, all with the same contacts taking part, in the form that minimising methods use: the
-    slips of the contacts are a linear map of the spins.
+    """R samples of a packing for methods that find minima. The same contacts take part in all samples, and their slips
+    are a linear map of the spins.
 
     scene : the packing with these R samples.
     samples : R packings, each sample alone.
-    system : the A contacts that all samples share, with the matrix that maps spins to their slips.
+    system : the A contacts that take part, with the matrix that maps spins to their slips. They are those that can
+        dissipate, in parts of the packing that touch a driven sphere.
     spin_axes : numbers of the axes of the C spin components that are computed.
     """
 
     scene: Packing
 
     def __init__(self, packing: Packing) -> None:
-        """Take the R samples of a packing, and find the system of their contacts, by the first sample."""
+        """Take the R samples of a packing, and build the system of their contacts from the first sample."""
         runtime.current()  # starts the default runtime if none runs
         self.scene, self.spin_axes = packing, packing.minimum_spin_axes
         self.samples = [packing.sample(number) for number in range(packing.replicas)]
@@ -55,7 +56,7 @@ class OnSystem(WithMinima):
 
     @property
     def is_still(self) -> bool:
-        """Whether nothing is driven, so that all spheres of the system are at rest."""
+        """True if nothing is driven, so that all spheres of the system are at rest."""
         return not self.system.unknowns or not self.system.offset.any()
 
     def at_rest(self, method: str = "linear-solver", steps: int = 0) -> Found:
@@ -67,9 +68,9 @@ class OnSystem(WithMinima):
         return Found(np.zeros(self.system.unknowns), np.zeros_like(self.system.offset), method, steps=steps)
 
     def paths(self, spin: np.ndarray, settle: bool) -> Part:
-        """Return the solver of the interior-point method: the central paths of all samples. A central path is the curve
-        of spins and forces along which Newton steps lead from a start of its own to the minimum. Paths are always
-        followed until it is known which contacts slip.
+        """Return the solver of the interior-point method: the central paths of all samples. A central path is a curve
+        of spins and forces along which Newton steps lead to the minimum. It is always followed until it is known which
+        contacts slip.
 
         spin, settle : not used; they are for lattices.
         """
@@ -99,7 +100,7 @@ class OnSystem(WithMinima):
         return OneByOne(self, self.flowing, "linear-solver")
 
     def flowing(self, number: int) -> Found:
-        """Return the spins and forces of a sample at which viscous forces alone are in balance.
+        """Return the spins and forces of a sample at which its viscous forces, without friction, are in balance.
 
         number : of the sample.
         """
@@ -110,7 +111,8 @@ class OnSystem(WithMinima):
         return Found(spins, viscosity * system.differences(spins), "linear-solver", steps=1)
 
     def on_the_way(self, ends: Sequence[Found], iteration: int) -> Progress:
-        """Return the progress of all samples before they are at their minima, where nothing is proven.
+        """Return the progress of all samples before they are at their minima. No lower bound is proven yet; it is given
+        as 0.
 
         ends : spins and forces of each sample now.
         iteration : number of iterations that were made.
@@ -124,7 +126,7 @@ class OnSystem(WithMinima):
         )  # fmt: skip
 
     def at_the_end(self, ends: Sequence[Found], iteration: int) -> Progress:
-        """Return the progress of all samples at their minima, with what these prove.
+        """Return the progress of all samples at their minima, with the bounds that are proven.
 
         ends : spins and forces of each sample.
         iteration : number of iterations that were made.
@@ -152,11 +154,13 @@ class OnSystem(WithMinima):
         return np.nan_to_num(spins), np.nan_to_num(force)
 
     def reached(self, ends: Sequence[Found]) -> PackingReached:
-        """Return the minima of all samples, with what they prove: states without slip where such exist.
+        """Return what spins and forces of all samples prove of their minima. A sample that has a state without slip
+        gets that state.
 
         Raises InputError if no arithmetic can judge the numbers.
 
-        ends : spins and forces that were found of each sample. The same ones are judged once.
+        ends : spins and forces that were found of each sample. The result of the last call is returned again if they
+            are the same objects.
         """
         known = self._judged
         if known is None or any(one is not other for one, other in zip(known[0], ends, strict=True)):
@@ -164,9 +168,9 @@ class OnSystem(WithMinima):
         return known[1]
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return 0 (R samples,): what forces prove is found at the end, from forces and spins.
+        """Return 0 for each sample, (R samples,): a bound is proven only at the end, from forces and spins.
 
-        force : (d tangents, R, E contacts), contact forces of a checkpoint.
+        force : not used.
         """
         return np.zeros(self.scene.replicas)
 
@@ -185,14 +189,16 @@ class OnSystem(WithMinima):
         return Solution.joined(found, self.scene)
 
     def _without_contrast(self, number: int, found: Solution, ended: Ended) -> Solution:
-        """Return the answer `found`, or a better one if it is not certified and some contacts have far more friction.
+        """Return the answer `found`, or a better one if it is not certified and some contacts have far more friction
+        than others.
 
         A contact that can bear far more than the power over the fastest driven surface hardly slips. So its friction is
-        cut off there, which makes the problem better conditioned; a lower bound for less friction is one for the whole.
-        The spins of that solution are then corrected so that these contacts roll, to the rounding of sums of two
-        doubles, and judged with the whole friction. This is repeated with the new power while it pays.
+        cut off there, which makes the problem better conditioned; a lower bound with less friction is a lower bound
+        with all of it. The spins of that solution are then corrected so that these contacts roll, to the rounding of
+        sums of two doubles, and judged with the whole friction. This is repeated with the new power while it pays.
 
         number : of the sample.
+        found : its answer so far.
         ended : how the run ended.
         """
         system, sample, tolerance = self.system, self.samples[number], ended.stop.tolerance
@@ -252,7 +258,7 @@ class OneByOne(Part):
         self.iteration = 1
 
     def progress(self) -> Progress:
-        """Return spins and forces of all samples; their bounds once all of them are solved."""
+        """Return spins and forces of all samples, with their bounds once all samples are solved."""
         return (self.contacts.at_the_end if self.iteration else self.contacts.on_the_way)(self.ends, self.iteration)
 
     def found(self) -> list[Found]:

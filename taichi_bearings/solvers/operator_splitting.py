@@ -82,7 +82,7 @@ class OperatorSplittingMethod(Method):
     tie the slip (v - f) / rho of the contact to D Omega. An iteration is one pass over all contacts and one Poisson
     solve for each spin component.
 
-    The fields, C spin components or V force components at each site:
+    Fields, with C spin components or V force components at each site:
 
     friction : mu F_n of the contact above a site, by axis.
     trial : (V), v.
@@ -90,9 +90,11 @@ class OperatorSplittingMethod(Method):
     potential : (C), rho Omega.
     pull : (C), the sum of the spring forces on each sphere before the Poisson step.
 
+    Attributes:
+
     stiffness : (R samples,), rho of each sample.
     weights, weight : stiffness of the springs over rho, by lattice axis, and by contact (E contacts,).
-    changing : names of the fields that the iteration changes.
+    changing : names of the fields that iterations change.
     layout, stencil : where the numbers of a site stand in the fields, and constants for which kernels are compiled.
     balance : the solver of the Poisson problem, which adds the change of the spins to `potential`.
     contact_step, team : the kernel of the pass over the contacts, and the threads that run it.
@@ -101,7 +103,7 @@ class OperatorSplittingMethod(Method):
     scene: Scene
     contacts: OnStrides
     resumes = True
-    changing = ("trial", "spring", "potential", "pull")  # fields that iterations and looks change
+    changing = ("trial", "spring", "potential", "pull")
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare the iteration: allocate the fields, build the Poisson solver, compile the kernels, and load the
@@ -136,10 +138,9 @@ class OperatorSplittingMethod(Method):
 
     def _load(self, staggered: np.ndarray) -> None:
         """Load the first iterate: the friction limits, the spins, and the forces that the springs bear at these spins.
-
         The first stiffness follows from the power of spins that change linearly with the height.
 
-        staggered : (C components, R samples, *N spheres), spins with alternating signs as methods carry them, 1/time.
+        staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time.
         """
         scene = self.scene
         friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), ABSENT_FRICTION)
@@ -154,7 +155,9 @@ class OperatorSplittingMethod(Method):
         self._load_trial_forces(self.weight * self.stiffness[:, None] * self.differences(staggered))
 
     def _load_trial_forces(self, trial: Forces) -> None:
-        """Write trial forces v, (C components, R samples, E contacts), into their field."""
+        """Write trial forces, (C components, R samples, E contacts), into their field. A trial force is cut off at the
+        friction limit to give the friction of the contact.
+        """
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def state(self) -> dict[str, np.ndarray]:
@@ -190,7 +193,7 @@ class OperatorSplittingMethod(Method):
 
     def _step_contacts(self, relaxation: float) -> None:
         """Make the pass over the contacts: cut off trial forces at friction, update them, and sum the spring forces on
-        spheres.
+        each sphere.
 
         relaxation : alpha, the factor of the over-relaxation; with 0 the trial forces stay, and only the spring forces
             are computed anew.
@@ -233,21 +236,24 @@ class OperatorSplittingMethod(Method):
         )
 
     def _seen(self, *names: str) -> list[np.ndarray]:
-        """Return fields by name: on a CPU as they are in memory, where changes reach them; of a GPU copies."""
+        """Return fields by name: on a CPU the arrays themselves, so that they can be changed in place; of a GPU
+        copies.
+        """
         see = self.fields.read if runtime.current().is_gpu else self.fields.view
         return [see(name) for name in names]
 
     def _change_stiffness(self, change: np.ndarray) -> None:
-        """Multiply the stiffness of each sample by a factor; spins and friction f stay, so that rho z and rho Omega are
-        scaled.
+        """Multiply the stiffness rho of each sample by a factor, in place. Spins Omega and friction f stay, so that rho
+        Omega and the rest v - f of the trial forces are multiplied.
 
-        f has the same bits as in the pass over the contacts, so that a contact that sticks stays so.
+        f keeps its bits, so that a contact that sticks goes on to stick.
 
-        change : (R samples,), the factors; where all are 1 nothing is done.
+        change : (R samples,), the factors; if all are 1 nothing is done.
         """
         if (change == 1).all():
             return
         self.stiffness = change * self.stiffness
+        # the fields, in pieces that fit into the cache and that the threads share
         of_sites = self._along_lattice(change)
         potential, trial, friction = self._seen("potential", "trial", "friction")
         potential *= of_sites
@@ -277,13 +283,12 @@ class OperatorSplittingMethod(Method):
         )
 
     def _stiffness_factors(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> np.ndarray:
-        """Return factors (R samples,) by which the stiffness is to change, so that the two parts of the gap keep their
-        ratio; 1 for none.
+        """Return factors (R samples,) by which the stiffness is to change so that the two parts of the gap get the
+        ratio FORCES_BEHIND; 1 for no change.
 
-        The part power - balanced_power is large if springs are too soft, balanced_power - bound if they are too hard.
-        The stiffness may be off its usual value by a ratio that grows only slowly with the iterations: without that
-        limit a scene whose two parts shrink in proportion would change the stiffness without end. Small changes are not
-        made.
+        The part power - balanced_power is large if the springs are too soft, balanced_power - bound if they are too
+        hard. The stiffness may differ from its usual value only by a ratio that grows slowly with the iterations;
+        without that limit it could grow for ever, if both parts shrink in proportion. Small changes are not made.
 
         power : (R,), power of the spins.
         balanced_power : (R,), work of the driven spheres against the balanced forces.
@@ -309,8 +314,7 @@ class TorqueBalance:
     The problem is: sum over axes a of weight_a (-Laplace_a) u = `pull`, with u = 0 on the driven planes. A spin
     component is coupled along the height and one other axis only. A sine transform along the height separates the
     modes; each of them is a chain, or a ring, along the other axis, and is solved with factors that are computed once.
-
-    On a GPU the solve is one launch. On a CPU the products with the sines are made by the BLAS library (see `solve`).
+    On a GPU the solve is one launch. On a CPU the BLAS library multiplies by the sines.
 
     fields : the fields of the method.
     kernels : the kernels of the solve.
@@ -373,8 +377,8 @@ class TorqueBalance:
         return on_device(values) if runtime.current().is_gpu else values.astype(self.products)
 
     def begin(self) -> AbstractContextManager[None]:
-        """Return the context in which `solve` is called. It limits the BLAS library to one thread where threads of this
-        class share the planes, and changes nothing otherwise: on a GPU, or in lattices so low that BLAS uses one thread
+        """Return the context in which `solve` is called. It limits the BLAS library to one thread where the threads of
+        this object share the planes. It changes nothing on a GPU, or in lattices so low that BLAS uses one thread
         anyway.
         """
         return nullcontext() if self.workers == 0 or self.is_small else one_thread()
@@ -397,8 +401,8 @@ class TorqueBalance:
         list(self.each(_from_modes, self.potentials, repeat(self.sines)))
 
     def _shares(self, name: str) -> list[Planes]:
-        """Divide a field among the threads: for each a list of pairs (planes of the field, the same planes of the
-        modes).
+        """Divide a field among the threads. Return for each thread a list of pairs (planes of the field, the same
+        planes of the array of modes).
 
         A plane is spanned by the last side of the lattice and the height; a pair has so few planes that they fit into
         the cache.
@@ -443,7 +447,8 @@ def _from_modes(planes: Planes, sines: np.ndarray) -> None:
 
 
 def _rescale(force: list[np.ndarray], friction: np.ndarray, change: np.ndarray) -> None:
-    """Multiply what friction leaves of trial forces by a factor, in place, for a piece of the contacts along an axis.
+    """Multiply the part of trial forces beyond the friction limit by a factor, in place, for some contacts along one
+    axis.
 
     force : a list of one or two components of trial forces, arrays (R samples, *N sites) each.
     friction : (R, *N), their friction limits, negative where there is no contact.

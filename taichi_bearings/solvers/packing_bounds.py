@@ -23,9 +23,9 @@ class PackingBounds:
     """The best lower bound on the objective of a packing so far, and what proves it.
 
     packing : the packing with all contacts.
-    acting : (E,), numbers of the contacts that take part, for which forces are given.
+    acting : (E,), numbers of the contacts that can dissipate, for which forces are given.
     system : the A contacts among them that lie in parts of the packing which touch a driven sphere.
-    of_system : (A,), places, among the E contacts, of the A contacts of the system.
+    of_system : (A,), places of the contacts of the system among the E contacts.
     matrix : Newton matrix of the system, for forces that are to be balanced.
     proven : the best bound, energy/time.
     witness : (C components, 1, N spheres), u = radius * spin with which it was proven.
@@ -55,11 +55,11 @@ class PackingBounds:
         """Return a proven lower bound on the objective, 0 if none follows, and the forces (d, 1, E contacts) that prove
         it.
 
-        Where normals are oblique only balanced forces prove a bound.
+        If some normals are oblique, not along the axes, only balanced forces prove a bound.
 
         force : (d, 1, E), contact forces along d tangents.
         spins : (C components, 1, N spheres), u = radius * spin.
-        whole : True to try these forces with their leftover torques balanced too, which costs a factorisation.
+        whole : True to try the forces also with their leftover torques balanced, which costs a factorisation.
         """
         system = self.system
         if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():

@@ -39,12 +39,12 @@ MOST_STEPS, SLACK = 80, 0.3  # steps of the path; bound of a contact without sli
 
 
 def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
-    """Return the spins (unknowns,) at which viscous forces are in balance.
+    """Return the spins u = radius * spin (unknowns,) at which viscous forces are in balance.
 
     Each tangent of a contact is treated as a contact of its own, as viscosity does not couple them.
 
     system : the A contacts that take part.
-    viscosity : (A,), of these contacts.
+    viscosity : (A,), viscosity of each.
     """
     offset = system.offset.reshape(1, -1)
     rows = ContactSystem(system.unknowns, offset, np.ones(offset.shape, dtype=bool), None, system.operator)
@@ -54,11 +54,12 @@ def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Strengths:
-    """Friction and viscosity of the A contacts of one sample, in units in which the largest of both is about 1.
+    """Friction limits and viscosities of the A contacts of one sample, scaled so that the largest of them is about 1.
 
-    The unit of spins is such that the fastest imposed one is about 1.
+    Forces are divided by `force_unit`. Speeds u = radius * spin are divided by a unit near the fastest imposed one.
 
-    friction, viscosity : (A,), in units of force, and of force over spin.
+    friction : (A,), friction limit over the unit of force.
+    viscosity : (A,), force per speed, in units of force over speed.
     force_unit : the unit of forces.
     """
 
@@ -72,8 +73,8 @@ class PackingPaths(Paths):
     spins and forces along which Newton steps lead from the spins that viscous friction would give to the minimum.
 
     numbers : numbers of the samples that are solved.
-    strengths : friction and viscosity, (A,) each, of the samples that have a path, by the number of the sample. Samples
-        without friction have no path: one linear system solves them.
+    strengths : friction and viscosity of the samples that have a path, by the number of the sample. Samples without
+        friction have no path: one linear system solves them.
     samples : the state of each of these paths, in the order of `strengths`.
     ends : spins and forces at the minimum, by the number of the sample, once they are found.
     fastest : unit of the spins u on the paths, a power of two near the fastest imposed one, length/time; not set if
@@ -81,8 +82,8 @@ class PackingPaths(Paths):
     """
 
     def __init__(self, contacts: "OnSystem", resisting: Mapping[int, tuple[np.ndarray, ...]] | None = None) -> None:
-        """Put the samples at the starts of their paths: at the spins that would balance if friction were viscous. If
-        nothing is driven, all ends are known: spins and forces 0.
+        """Put each sample at the start of its path: at the spins that would balance if friction were viscous. If
+        nothing is driven, all results are known: spins and forces 0.
 
         contacts : the contacts of the samples, A of which take part.
         resisting : by the number of each sample that is solved, the coefficients of its law, arrays (A,); None for all
@@ -111,9 +112,10 @@ class PackingPaths(Paths):
         self.samples = [_begun(system, path, of, shared.matrix) for of in self.strengths.values()]
 
     def _strengths(self, of: tuple[np.ndarray, ...]) -> "Strengths | None":
-        """Return friction and viscosity of a sample in units in which both are about 1; None without friction.
+        """Return the friction limits and viscosities of one sample, scaled so that the largest is about 1: forces by a
+        power of two near the largest force, speeds by `fastest`. Return None if no contact has friction.
 
-        of : coefficients of the law, (A,) each.
+        of : coefficients of the law of the sample, a tuple of arrays (A,).
         """
         law, none = self.contacts.scene.law, np.zeros(len(self.contacts.system.numbers))
         held, viscosity = (none if v is None else v for v in (law.holding_force(of), law.viscosity(of)))
@@ -125,8 +127,8 @@ class PackingPaths(Paths):
         return Strengths(held / force, viscosity * speed / force, force)
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next: that after the next step, but in small samples that
-        at the end.
+        """Return the iteration at which to read the progress next: after the next step, or for small samples, which are
+        not read on their way, at the end.
 
         iteration : the one at which it is read now.
         """
@@ -149,41 +151,50 @@ class PackingPaths(Paths):
                         self.ends[number] = self._end(number)
 
     def _path_of(self, number: int) -> Sample:
-        """Return the path of a sample that has one.
+        """Return the state on its central path of a sample with friction; ValueError for one without, which has no
+        path.
 
-        number : of the sample.
+        number : number of the sample, 0 to R - 1.
         """
         return self.samples[list(self.strengths).index(number)]
 
     def _end(self, number: int) -> Found:
-        """Return the spins and forces to which the path of a sample leads. A sample without friction has no path; then
-        its viscous forces balance at the spins that are returned.
+        """Return the spins and forces at the minimum of a sample: the end of its central path. For a sample without
+        friction, which has no path, they are those at which its viscous forces balance.
 
         number : of the sample.
         """
         if number not in self.strengths:
             return self.contacts.flowing(number)
-        way = self._path_of(number)
-        return _ended(self.contacts.system, way, self.strengths[number], self.shared.matrix, self.fastest)
+        path = self._path_of(number)
+        return _ended(self.contacts.system, path, self.strengths[number], self.shared.matrix, self.fastest)
 
     def found(self) -> list[Found]:
         """Return spins and forces of each sample: at the end of its path, or where it is now."""
         return [self.ends.get(number) or self._now(number) for number in self.numbers]
 
     def _now(self, number: int) -> Found:
-        """Return the spins and forces of the point of the path where a sample, given by its number, is now."""
+        """Return the spins and forces that a sample has now: those of its point on the central path, those of its
+        minimum if the contact states are settled, or 0 if it has no path.
+
+        number : of the sample.
+        """
         if number not in self.strengths:
             return self.contacts.at_rest()
-        way = self._path_of(number)
-        if way.resolved is not None:
+        path = self._path_of(number)
+        if path.resolved is not None:
             return self._end(number)
-        path, of, sign = way.iterate.system, self.strengths[number], way.iterate.system.sign
-        spins = way.iterate.spins if sign is None else sign[self.contacts.system.moved >= 0] * way.iterate.spins
-        force = along_tangents(self.contacts.system, path, -way.unit * way.iterate.whole_dual) * of.force_unit
-        return Found(spins * self.fastest, force, "interior-point", steps=way.steps)
+        point = path.iterate
+        contacts, of, sign = point.system, self.strengths[number], point.system.sign
+        # on the path spins may have signs that alternate between neighbours, and forces are minus the dual
+        spins = point.spins if sign is None else sign[self.contacts.system.moved >= 0] * point.spins
+        force = along_tangents(self.contacts.system, contacts, -path.unit * point.whole_dual) * of.force_unit
+        return Found(spins * self.fastest, force, "interior-point", steps=path.steps)
 
     def progress(self) -> Progress:
-        """Return the state of all samples: at the ends of their paths, or where they are now."""
+        """Return the progress of all samples: their minima with proven bounds, once all are found; before that their
+        points on the central paths, where nothing is proven.
+        """
         if len(self.ends) == len(self.numbers):
             return self.contacts.at_the_end(self.found(), self.iteration)
         found = self.contacts.on_the_way(self.found(), self.iteration)
@@ -192,11 +203,12 @@ class PackingPaths(Paths):
 
 
 def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix: NewtonMatrix) -> Sample:
-    """Return the start of the path of one sample: its contacts with their friction, the spins that would balance if
-    friction were viscous, and zero forces. The spins are 0 if the matrix of that balance is not positive definite.
+    """Return the start of the central path of one sample: its contacts with their friction, the spins that would
+    balance if friction were viscous, and zero forces. The spins are 0 if the matrix of that balance is not positive
+    definite.
 
-    On the path friction and viscosity are divided once more, by a power of two near the mean of their sum; the result
-    keeps it as `unit`, so that its forces are in units of `unit` * `of.force_unit`.
+    On the path friction and viscosity are divided once more, by a power of two near the mean of their sum. The result
+    keeps it as `unit`; its forces are in units of `unit` * `of.force_unit`.
 
     system, contacts : the A contacts of the packing, and those of them that are on the path.
     of : friction and viscosity (A,) of the A contacts of the packing, scaled to about 1, and the unit of force.
@@ -214,22 +226,23 @@ def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix
     return Sample(start if (of.friction > 0).all() else replace(start, smooth=strength == 0), unit)
 
 
-def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
-    """Return the spins and forces that a path has found, in the units of the packing, with its contact states: those
-    that the path has settled, or else those found by springs that slip at the friction limit (method of multipliers).
+def _ended(system: ContactSystem, path: Sample, of: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
+    """Return the spins and forces at the end of a central path, in the units of the packing, with the contact states:
+    those that the path has settled, or else those found by springs that slip at the friction limit (method of
+    multipliers).
 
     system : the contacts of the packing.
-    way : the sample at the end of its path. `way.resolved` is the minimum with settled contact states, None if the path
-        ended without; then `open_` marks contacts that stay undecided. Else `ties` marks those that slip at some minima
-        only.
+    path : the sample at the end of its path. `path.resolved` is the minimum with settled contact states, None if the
+        path ended without. In the first case the result marks contacts that slip at some minima only (`ties`), in the
+        second those that stay undecided (`open`).
     of : friction and viscosity (A,) of the A contacts, scaled to about 1, and the unit of force.
     matrix : Newton matrix of the path.
     fastest : unit of the products of spin and radius on the path, length/time.
     """
-    contacts, settled, ties, open_ = way.iterate.system, way.resolved, None, None
+    contacts, settled, ties, open_ = path.iterate.system, path.resolved, None, None
     if settled is None:
         with stage("settling contact states"):
-            spins, dual, slipping, open_ = settled_by_springs(way.iterate, matrix)
+            spins, dual, slipping, open_ = settled_by_springs(path.iterate, matrix)
     else:
         spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
         ties = settled.known_to_slip_sometimes | settled.at_limit
@@ -242,19 +255,18 @@ def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatr
     slips, opens, tie = (
         None if kind is None else _everywhere(own, kind, len(of.friction)) for kind in (slipping, open_, ties)
     )
-    force = along_tangents(system, contacts, -way.unit * dual) * of.force_unit
+    force = along_tangents(system, contacts, -path.unit * dual) * of.force_unit
     rest = None if rest is None else rest * fastest
-    return Found(spins * fastest, force, "interior-point", slips, tie, way.steps, open=opens, rest=rest)
+    return Found(spins * fastest, force, "interior-point", slips, tie, path.steps, open=opens, rest=rest)
 
 
 def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:
-    """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those that the
-    interior-point method has computed on its central path.
+    """Return contact forces along the tangents of the packing, (d tangents, A contacts), from those on the central path
+    of the interior-point method.
 
-    Where no contact mixes spin components, the path is computed with staggered spins (times signs by which neighbours
-    differ), and only on the n of the A contacts that some unknown spin makes slip. Its forces are then vectors along
-    the axes; they are projected on the tangents here, and the other contacts have no force. Otherwise forces are
-    returned as they are.
+    If no contact mixes spin components, the path is computed with signs that alternate between neighbours, and only on
+    the n of the A contacts that some unknown spin makes slip. Its forces are then vectors along the axes; they are
+    projected on the tangents here, and the other contacts have no force. Otherwise the forces are returned as they are.
 
     system : the A contacts of the packing that take part.
     contacts : the n contacts of the path.

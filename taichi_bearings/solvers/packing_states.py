@@ -34,9 +34,10 @@ MOVED = 1e-7  # relative slip above which a motion moves a contact
 
 
 class PackingReached(Reached):
-    """What a method has reached in samples of a packing in which the same contacts take part; they are judged together.
+    """What a method has reached in samples of a packing, and what it proves. The same contacts take part in all
+    samples, which are judged together.
 
-    system : the contacts that take part.
+    system : the contacts that take part (can dissipate, in parts of the packing that touch a driven sphere).
     samples : each sample alone.
     found : spins and forces of each sample.
     scene : the packing with all these samples.
@@ -86,7 +87,7 @@ class PackingReached(Reached):
         return np.stack([forces_of(self.system, _finite(of.force))[0] for of in self.found])
 
     def indicated(self, slip: np.ndarray) -> Indicated:
-        """Return the contacts that take no part, and no state of the others.
+        """Return the states before anything is proven: DRIVEN for contacts that take no part, UNDECIDED for all others.
 
         slip : not used.
         """
@@ -98,16 +99,17 @@ class PackingReached(Reached):
 
     def known(self, has_ended: bool) -> np.ndarray:
         """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is.
+
         has_ended : not used.
         """
         return self.judgement.known
 
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
-        """Return the states (R samples, E contacts) that slips and friction margins show.
+        """Return the states (R samples, E contacts) that slips and friction margins (friction limit minus force) show.
 
         answer : the answer so far.
-        known : (R, E), the states that are proven, UNDECIDED elsewhere. None if no proof of states was wanted; then
-            states that the method has settled are not used either, since it takes long to tell which contacts slip in
+        known : (R, E), the states that are proven, UNDECIDED elsewhere; None if the proof of states was given up. Then
+            states that the method has settled are not used either, since it takes long to find which contacts slip in
             some minima only.
         """
         found = self.found if known is not None else [replace(of, slips=None) for of in self.found]
@@ -120,10 +122,11 @@ class PackingReached(Reached):
 def _as_minima(
     system: ContactSystem, samples: Sequence[Packing], found: Sequence[Found]
 ) -> tuple[Sequence[Found], Judgement | None]:
-    """Return what was found, and what it proves, or None; samples that have a state without slip get that.
+    """Return what was found, and what it proves (None for numbers that no arithmetic can judge). A sample in which a
+    state without slip is proven to exist gets that state instead.
 
     system : the contacts that take part.
-    samples : samples of one network, of which the same contacts take part.
+    samples : samples of one network, in which the same contacts take part.
     found : spins and forces of each sample.
     """
     judgement = judgement_of(system, samples, found)
@@ -141,7 +144,7 @@ def judgement_of(system: ContactSystem, samples: Sequence[Packing], found: Seque
     Numbers that are not finite count as 0.
 
     system : the contacts that take part.
-    samples : samples of one network, of which the same contacts take part.
+    samples : samples of one network, in which the same contacts take part.
     found : spins and forces of each sample.
     """
     spins, friction = [], []
@@ -160,11 +163,12 @@ def _finite(force: np.ndarray) -> np.ndarray:
 
 
 def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:
-    """Return the state in which no contact slips and none bears a force, to the rounding of sums of two doubles.
+    """Return the state in which no contact slips and none bears a force. Its spins roll exactly, but for the rounding
+    of sums of two doubles.
 
-    system : contacts that take part.
+    system : the contacts that take part.
     packing : one sample.
-    found : spins and forces of a method, to be replaced.
+    found : spins and forces of a method, which are replaced.
     """
     from taichi_bearings.conic.rolling import rolled  # and with it Taichi's kernels
 
@@ -189,18 +193,19 @@ def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the contact states (E contacts,) that slips and friction margins show, for contacts without a proven
-    state.
+    """Return the contact states (E contacts,) that slips and friction margins show.
 
-    A contact slips if it is fast and its friction is at the limit, is slipless if neither, and is undecided otherwise.
-    Where the method has settled the states these are taken instead, if slip or margin (1 - force over friction limit)
-    is clear (SURE_SLIP, SURE_MARGIN). Slips that are not the same at all minima leave a contact undecided.
+    By slip and force alone, a contact slips if it is fast and its force is at the friction limit, is slipless if
+    neither is so, and is undecided otherwise. If the method has settled the states, these are taken, where slip or
+    relative margin (1 - force over friction limit) is clearly not 0 (SURE_SLIP, SURE_MARGIN). Contacts whose slip is
+    not the same at all minima are undecided.
 
     system : the contacts that take part.
     packing : one sample.
     found : spins and forces of the method.
-    slip : (E,), slip speeds.
-    known : (E,), proven states, UNDECIDED where nothing is proven.
+    slip : (E,), slip speeds, length/time.
+    known : (E,), proven states, UNDECIDED where nothing is proven. If every slipping contact is proven, no search for
+        slips that differ between minima is made.
     """
     law = packing.law
     fastest = float(np.abs(packing.driven_speed).max(initial=0.0))
@@ -225,12 +230,12 @@ def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndar
 
 
 def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """Return True (A,) for slipping contacts whose slip is not the same at all minima.
+    """Return the mask (A,) of the slipping contacts whose slip is not the same at all minima.
 
-    The force of a slipping contact is the same at all minima, so that the slips of two minima differ along it alone. So
-    the changes of spins between minima lie in a kernel: they make no slip across the force of a slipping contact, and
-    none at all of a slipless contact. If only the slipless motions of the whole network are in that kernel, all minima
-    have the same slips.
+    The force of a slipping contact is the same at all minima, so that its slips at two minima differ along this force
+    alone. So a change of spins from one minimum to another lies in a kernel: it makes no slip across the force of any
+    slipping contact, and none at all at slipless contacts. If the kernel has only the slipless motions of the whole
+    network, all minima have the same slips.
 
     system : the A contacts that take part.
     force : (d, A), forces at a minimum, along d tangents.

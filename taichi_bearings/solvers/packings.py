@@ -45,9 +45,10 @@ def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto
 
 
 def side_by_side(scene: Bearing) -> Iterator[tuple[int, int]]:
-    """Yield the samples of a packing whose minima are found together: the first number, and the one after the last.
+    """Yield pairs (first number, number after the last) of samples of a packing whose minima are found together.
 
-    In these samples, which are small ones, the same contacts take part.
+    In these samples the same contacts take part. Only samples of small packings are taken together, at most
+    MOST_SIDE_BY_SIDE.
 
     scene : the packing with its samples.
     """
@@ -61,7 +62,7 @@ def side_by_side(scene: Bearing) -> Iterator[tuple[int, int]]:
 
 
 def some_of(scene: Bearing, begin: int, end: int) -> Bearing:
-    """Return a scene with the samples from number `begin` to the one before `end`."""
+    """Return a scene with the samples number `begin` to `end` - 1 of another."""
     return scene.sample(begin) if end == begin + 1 else scene.some(slice(begin, end))
 
 
@@ -86,7 +87,7 @@ def least_power(
 
 
 def _able(scene: Bearing, method: str) -> str:
-    """Return the name of the method that solves a packing.
+    """Return the name of the method that solves a packing; raise InputError if the one that is asked for does not.
 
     scene : the packing, of which the first sample is looked at.
     method : its name, or "auto" for the quickest one.

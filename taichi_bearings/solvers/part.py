@@ -31,7 +31,7 @@ class Part(ABC):
 
     @abstractmethod
     def progress(self) -> Progress:
-        """Return spins and forces now, with the bounds on the objective that they prove."""
+        """Return the progress now: spins and forces, with the bounds on the objective that they prove."""
 
     def found(self) -> list[Found]:
         """Return the spins and forces that each sample of a packing has reached; empty for lattices, whose answers
@@ -40,13 +40,14 @@ class Part(ABC):
         return []
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return by name all arrays that the further iterations depend on, for a checkpoint. Only methods whose runs
-        can be resumed (`resumes`) have it."""
+        """Return by name all arrays that the further iterations depend on, for a checkpoint; empty for a method whose
+        runs cannot be resumed.
+        """
         return {}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:  # noqa: B027
-        """Continue from the arrays by name that `state` returned in an earlier call. A method that does not resume
-        begins anew.
+        """Continue from the arrays by name that `state` returned in an earlier call. Here nothing is done, as for a
+        method whose runs cannot be resumed.
 
-        Raises ValueError if they do not fit the scene.
+        Raises ValueError if the arrays do not fit the scene.
         """

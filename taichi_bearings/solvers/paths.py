@@ -18,8 +18,8 @@ OF_A_MINIMUM = {name: name for name in FIELDS} | {"tied": "sometimes_slips"}
 
 
 class Paths(Descent, Part):
-    """Samples on their central paths: the part of the interior-point method that makes its iterations. One iteration is
-    a Newton step of every sample that is not yet done.
+    """The samples of a scene on their central paths, curves of spins and forces that end at the minimum: the solver of
+    the interior-point method. One iteration is a Newton step of every sample that is not yet done.
     """
 
     @property
@@ -53,9 +53,8 @@ class Paths(Descent, Part):
         return found
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from the arrays by name that `state` returned in an earlier call.
-
-        Raises ValueError where they are not those of these paths.
+        """Continue from the arrays by name that `state` returned in an earlier call; raise ValueError if they do not
+        fit these paths.
         """
         for number, sample in enumerate(self.samples):
             points: list[Any] = [
@@ -71,11 +70,11 @@ class Paths(Descent, Part):
 
 
 def _settled(state: Mapping[str, np.ndarray], number: int, now: Iterate) -> Resolved:
-    """Return the settled minimum of a sample (spins, forces and which contacts slip) from the arrays of a checkpoint;
-    raise ValueError if they do not fit it.
+    """Return the minimum of a sample with settled contact states (spins, forces, and which contacts slip) from the
+    arrays of a checkpoint; raise ValueError if their types or shapes do not fit.
 
     state : all arrays of the checkpoint, by name.
-    number : index of the sample.
+    number : number of the sample.
     now : its point on the path.
     """
     begin = f"{number}/settled/"

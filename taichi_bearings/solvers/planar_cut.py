@@ -9,10 +9,12 @@ from taichi_bearings.solvers.part import Part
 
 
 class PlanarCutMethod(Minimiser):
-    """The planar cut. Its only iteration cuts all grids of a lattice, or all samples of a packing."""
+    """The planar cut: minimum cuts give the exact least power of friction. Its only iteration cuts all planes of a
+    lattice, or the networks of all samples of a packing.
+    """
 
     def part_of(self) -> Part:
-        """Return the solver that finds the minimum cuts of the contacts of this scene. A `Part` is the solver inside a
-        method, chosen by the kind of scene: one for lattices, one for packings.
+        """Return the solver that finds the minimum cuts of the contacts. There is one solver for lattices and one for
+        packings.
         """
         return self.contacts.cuts(self.start)

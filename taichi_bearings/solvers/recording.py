@@ -20,11 +20,11 @@ SAME_TIME = 1e-9  # relative distance below which two simulated times are the sa
 class Recording:
     """The simulated times at which a run is recorded.
 
-    A state is recorded at the end of the first step that reaches a time; methods that choose their own steps end one
+    A state is recorded at the end of the first step that reaches a time. Methods that choose their own steps end one
     exactly there.
 
-    history : times of the rows of the history; empty for a row whenever the progress is read.
-    snapshots : times at which all spins are kept.
+    history : times of the rows of the history, ascending; if empty, there is a row each time that the progress is read.
+    snapshots : times at which all spins are recorded, ascending.
     """
 
     history: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -125,7 +125,11 @@ class Recorder:
                 self._columns.setdefault(name, []).append(value)
 
     def _is_due(self, progress: Progress, times: np.ndarray) -> bool:
-        """Return True if one of some simulated times was reached since the progress was last read."""
+        """Return True if one of some simulated times was reached since the progress was last read.
+
+        progress : the state now, with its simulated time, None for a method that is no dynamics.
+        times : the times.
+        """
         if progress.time is None:
             return False
         reached = progress.time * (1 + SAME_TIME)
@@ -173,7 +177,7 @@ class Recorder:
         return Snapshots(np.array(self._snapshot_times), np.stack(self._snapshot_spins))
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that was recorded so far, by name, for a checkpoint."""
+        """Return all that was recorded so far, arrays by name, for a checkpoint."""
         found = {f"history/{name}": values for name, values in self.history().items()}
         snapshots = self.snapshots()
         if snapshots is not None:
@@ -181,9 +185,9 @@ class Recorder:
         return found | {"last_time": np.array(self._last_time)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Take the record from a checkpoint; raise ValueError where its arrays do not fit the scene.
+        """Take the record from a checkpoint; raise ValueError if its arrays do not fit the scene.
 
-        state : the arrays by name, as `state` returned them.
+        state : the arrays by name that `state` returned in an earlier call.
         """
         begin = "history/"
         self._columns = {name[len(begin) :]: list(values) for name, values in state.items() if name.startswith(begin)}

@@ -43,7 +43,7 @@ class RigidLimitMethod(Dynamics):
     R samples together.
 
     length, last_length : length of the next and of the last step, time.
-    unit, largest : spread of the spins and largest spin at the start, 1/time.
+    unit, largest : largest difference of spins within a component, and largest spin, both at the start, 1/time.
     creep : spin difference, 1/time, up to which a contact may have no slip.
     staggered, force : spins (C components, R, *N spheres) and contact forces (C, R, E contacts) of the last step.
     moving : axes of the spin components that friction has not stopped.
@@ -89,10 +89,10 @@ class RigidLimitMethod(Dynamics):
         self.slipping = (slips > scene.slip_radius * self.creep).sum(axis=1)
 
     def _set_up_steps(self) -> None:
-        """Set up the solver of steps for the spin components that still move (`moving`).
+        """Make the solver of steps for the spin components that still move (`moving`).
 
-        It sets: slots, the place of each moving component among all components; rows, the places of the force
-        components that the solver returns; and steps, the solver, None if no sphere is free to move.
+        Three attributes are set: slots, the place of each moving component among all components; rows, the places of
+        the force components that the solver returns; and steps, the solver, None if no sphere is free to move.
         """
         self.slots = [self.spin_axes.index(component) for component in self.moving]
         self.steps: ProximalSteps | None = None
@@ -104,7 +104,7 @@ class RigidLimitMethod(Dynamics):
 
     @property
     def relaxation_time(self) -> float:
-        """The time in which a typical contact alone stops a sphere from the largest spin."""
+        """The time, on average, in which the force of one contact alone would stop a sphere with the largest spin."""
         scene, fastest = self.scene, self.scene.slip_radius * self.largest
         if not scene.network.has_free_end.any():
             return 1.0  # no contact acts on a free sphere, and any step is exact
@@ -153,7 +153,8 @@ class RigidLimitMethod(Dynamics):
             self.length = min(max(duration * factor, least), most)
 
     def _trial_step(self, duration: float) -> Step:
-        """Return the result of a step, not yet accepted, for all spin components, those that have stopped included.
+        """Return the result of a step that is not yet accepted, for all spin components. Components that have stopped
+        stay as they are, without forces.
 
         duration : length of the step, time.
         """
@@ -205,12 +206,13 @@ class RigidLimitMethod(Dynamics):
         self.still = 0 if falls.any() else self.still + 1
 
     def _stop_components(self) -> None:
-        """Stop the spin components that the driving does not move and that hardly vary any more.
+        """Set to rest the spin components that the driving does not move and that hardly vary any more. They cost
+        nothing from then on.
 
-        One is stopped if no spin changes thereby by more than STOPPED_SPREAD, and the kinetic energy by no more than
-        STOPPED_ENERGY of that at the start. From then on it costs nothing.
+        A component is stopped if no spin changes thereby by more than STOPPED_SPREAD, and the kinetic energy by no more
+        than STOPPED_ENERGY of that at the start.
         """
-        moving, bottom = [], self.absolute(np.zeros_like(self.staggered))
+        moving, bottom = [], self.absolute(np.zeros_like(self.staggered))  # spins are measured from those of the bottom
         for component in self.moving:
             slot = self.spin_axes.index(component)
             spins = self.staggered[slot]
@@ -230,8 +232,8 @@ class RigidLimitMethod(Dynamics):
             self._set_up_steps()
 
     def progress(self) -> Progress:
-        """Return the progress now with its bounds and energies, whether it is at rest, and whether it can come no
-        closer.
+        """Return the progress now with its bounds and energies. It says whether the motion is at rest (`at_rest`), and
+        whether it can come no closer to the minimum (`exhausted`).
         """
         scene = self.scene
         found = self.judged(
@@ -249,9 +251,8 @@ class RigidLimitMethod(Dynamics):
         return replace(found, at_rest=at_rest, exhausted=stuck)
 
     def may_be_at_rest(self, found: Progress) -> bool:
-        """Return True if a state without change may be called rest, as its gap to the best lower bound is small.
-
-        Where no bound can be proven it may at once, as there are no springs that would have to load.
+        """Return True if a state that does not change may be called rest: if its gap to the best lower bound is small,
+        or if no bound can be proven, as there are no springs that would have to load first.
 
         found : the progress now.
         """

@@ -10,7 +10,9 @@ OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")  # al
 
 
 def system_of_sample(packing: Packing) -> ContactSystem:
-    """Return the contact system of a packing: that of the last one if only coefficients differ, as between seeds."""
+    """Return the contact system of a packing: the contacts that take part, and the linear map from spins to their
+    slips. If only coefficients differ from the packing of the last call, as between seeds, it is the one returned then.
+    """
     from taichi_bearings.conic.shared import system_of  # and with it Taichi's kernels
 
     global _last
@@ -22,6 +24,8 @@ def system_of_sample(packing: Packing) -> ContactSystem:
 
 
 def _alike(one: Packing, other: Packing) -> bool:
-    """Return True if two packings have the same network, and the same contacts of it take part."""
+    """Return True if two packings have the same spheres, contacts and imposed spins, and the same contacts take
+    part.
+    """
     same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
     return same and np.array_equal(one.acting, other.acting)

@@ -32,19 +32,23 @@ Part = tuple[slice, slice]
 
 
 class Looked(NamedTuple):
-    """What one iterate of operator splitting is worth: its forces, its power and the bound that it proves. Shapes: C
-    spin components, R samples, E contacts."""
+    """What one iterate of operator splitting is worth: its forces, its power, and the bound that it proves.
 
-    friction: Forces  # (C, R, E), the trial forces, each cut off at its friction limit
-    balanced: Forces  # (C, R, E), the forces of the springs
+    Operator splitting puts a spring into each contact. The trial force of a contact is the force that it would have
+    without a friction limit. The forces of the springs balance all torques, but may exceed the friction limits. Shapes:
+    C spin components, R samples, E contacts.
+    """
+
+    friction: Forces  # (C, R, E), force, the trial forces, each cut off at its friction limit
+    balanced: Forces  # (C, R, E), force, the forces of the springs
     power: np.ndarray  # (R,), of the spins, energy/time
     work: np.ndarray  # (R,), of the driven planes against the forces of the springs, energy/time
     bound: np.ndarray  # (R,), lower bound on the least power that the forces of the springs prove, energy/time
-    creep: float  # length/time, the fastest slip of a contact that bears its trial force
+    creep: float  # length/time, the fastest slip of contacts within their friction limit; it is 0 at the minimum
 
 
 class Sums(NamedTuple):
-    """Sums and largest values over one piece of the contacts, for r of the R samples."""
+    """What one piece of the contacts adds to the power, and its largest values, for r of the R samples."""
 
     samples: slice  # which of the R samples the piece is of
     power: np.ndarray  # (r,), of these contacts, energy/time
@@ -54,13 +58,17 @@ class Sums(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """An iterate of operator splitting, to be looked at.
+    """An iterate of operator splitting, whose forces, power and lower bound are to be computed.
+
+    The method puts a spring into each contact. The trial force of a contact is the force that it would have without a
+    friction limit. Shapes: R samples, E contacts, C spin components, and V force components at a site, one for each
+    axis and each spin component that makes its contacts slip.
 
     scene : R samples of a lattice with friction.
     stencil, layout : which components make contacts slip, and where the forces of contacts stand in `trial`.
     spin_axes : axes of the C spin components.
-    staggered : (C, R, *N), the spins of the iterate, 1/time.
-    trial : (V, R, *N), the trial force of each contact at its lower sphere.
+    staggered : (C, R, *N spheres), the spins of the iterate, with signs that alternate between neighbours, 1/time.
+    trial : (V, R, *N), the trial force of each contact, at its lower sphere.
     stiffness : (R,), of springs sideways, force * time.
     weights : stiffness of the springs along each axis of the lattice over `stiffness`.
     """
@@ -92,22 +100,24 @@ class Look:
 
     @cached_property
     def friction(self) -> Forces:
-        """(C, R, E), for the trial forces, each cut off at its friction limit; 0 before the look."""
+        """(C, R, E), the trial forces, each cut off at its friction limit; 0 until `look` has filled it."""
         return np.zeros((len(self.spin_axes), self.scene.replicas, self.scene.lattice.all_contacts))
 
     @cached_property
     def balanced(self) -> Forces:
-        """(C, R, E), for the forces of the springs; 0 before the look."""
+        """(C, R, E), the forces of the springs; 0 until `look` has filled it."""
         return np.zeros_like(self.friction)
 
     @cached_property
     def capped(self) -> Forces:
-        """(C, R, E), for the forces of the springs, each cut off at its friction limit; 0 before the look."""
+        """(C, R, E), the forces of the springs, each cut off at its friction limit; 0 until `look` has filled it."""
         return np.zeros_like(self.friction)
 
     @cached_property
     def _length(self) -> Callable[[list[np.ndarray]], np.ndarray]:
-        """Function that returns the lengths of vectors, given by a list of one or two arrays, a component each."""
+        """Function that computes the lengths of vectors, given as a list of one or two arrays, one for each component.
+        A slower one is taken if squares of forces could overflow.
+        """
         largest = float(self.scene.inverse_limit.max(initial=0.0))
         least = float(inverse(self.scene.inverse_limit).max(initial=0.0))
         return _length if largest < 1 / LEAST_LIMIT and least < GREATEST_LIMIT else _safe_length
@@ -144,15 +154,18 @@ class Look:
         self, samples: slice, weight: float, spins: list[list[np.ndarray]], trial: list[np.ndarray],
         found: list[list[np.ndarray]], limit: tuple[np.ndarray, np.ndarray],
     ) -> Sums:  # fmt: skip
-        """Look at a piece of the contacts along one axis: write its forces, and return its sums.
+        """Compute one piece of the contacts along one axis: write its forces, and return its sums.
 
-        samples : which of the R samples it is of, r in number. Arrays have the shape (r, n, ...) of the piece; lists
-            have one for each component that makes these contacts slip.
+        Arrays have the shape (r, n, ...) of the piece, for r of the R samples. Lists have an array for each component
+        that makes these contacts slip.
+
+        samples : which of the R samples the piece is of.
         weight : stiffness of these springs over `stiffness`.
-        spins : the components of the lower and of the upper spheres.
-        trial : those of the trial forces.
-        found : where the components of friction, of spring forces, and of capped spring forces are written.
-        limit : coefficient of each contact, 0 where it takes no part, and the inverse of its friction limit, likewise.
+        spins : two lists, the spin components of the lower and of the upper spheres, 1/time.
+        trial : the components of the trial forces.
+        found : three lists, into which the components of friction, of spring forces, and of capped spring forces are
+            written.
+        limit : coefficient of each contact, 0 where it takes no part, and one over its friction limit, likewise.
         """
         scene, (friction, balanced, capped), (coefficient, inverse_limit) = self.scene, found, limit
         radius, by_sample = scene.lattice.radius, (-1, *(1,) * (inverse_limit.ndim - 1))

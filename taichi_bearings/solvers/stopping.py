@@ -95,9 +95,9 @@ def is_certified(status: Status, gap: float, tolerance: float, has_duration: boo
 def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool) -> Status:
     """Return the status of an answer, from the status with which its loop ended and from what its proof has shown.
 
-    An answer may be certified (`is_certified`) even where the loop knew less. Where the loop was certified but the
-    proof shows less, the answer is STALLED; that of a dynamics is STATIONARY if a lower bound is 0, as no relative gap
-    to a least power of 0 can be small.
+    An answer may be certified even where the loop knew less. If the loop was certified but the proof shows less, the
+    answer is STALLED. A dynamics is STATIONARY instead if a lower bound is 0: no relative gap to a least power of 0 can
+    be small.
 
     status : of the loop.
     found : the answer with its proven gap.

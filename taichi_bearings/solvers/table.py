@@ -40,10 +40,10 @@ SPLITTING_TOLERANCE, SPLITTING_TOLERANCE_BEYOND = 3e-5, 1e-6
 
 
 def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[[Law], bool]":
-    """Return a function that is True for the laws which a method solves: friction, viscosity or both, if a condition
-    holds.
+    """Return a function of a law that says whether a method solves it: True for friction, viscosity or both, if a
+    condition holds; False for laws that users have defined.
 
-    condition : function of the law that returns True or False. Laws that users have defined are excluded.
+    condition : function of the law that returns True or False.
     """
     return staticmethod(lambda law: law.is_sum and condition(law))
 
@@ -69,9 +69,8 @@ FACTORISING_BYTES = {2: 2800.0, 3: 5500.0}
 
 
 def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:
-    """Return the most memory, bytes, that a method takes which factorises a Laplacian of the free spins of a lattice.
-
-    The result is infinite if the factor is too large to index.
+    """Return the most memory, bytes, of a method that factorises a Laplacian of the free spins of a lattice; infinity
+    if the factor is too large to index.
 
     shape : of the lattice.
     periodic : its periodic axes.
@@ -85,7 +84,7 @@ def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:
     return 8 * numbers + FACTORISING_BYTES[len(shape)] * prod(shape) if numbers < MOST_FACTOR_NUMBERS else inf
 
 
-material = partial(option, laws=attrgetter("holds"))  # of contacts that bear a force without slipping
+material = partial(option, laws=attrgetter("holds"))  # an option that only laws with friction have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,8 +100,8 @@ class MethodOptions:
     keeps_checkpoints : True if it can continue from a checkpoint.
     needs_taichi : True if it uses kernels or fields.
     cpu_only : True if it works in the memory of the CPU, in double precision whatever is asked.
-    alike_in_a_block : number of spheres up to which solving several seeds at once is faster, and gives each seed the
-        same bits as solving it alone.
+    alike_in_a_block : number of spheres of a sample up to which several seeds are solved together; that is faster, and
+        gives each seed the same bits as solving it alone.
     colour, marker : of its curves in figures.
     solves : function that is True for the laws that it solves.
     """
@@ -201,7 +200,8 @@ def register(row: Row) -> Row:
 @register
 @dataclass(frozen=True, kw_only=True)
 class PlanarCut(MethodOptions):
-    """Exact minimum cuts of planes: Coulomb discs, and spheres driven about x or y alone.
+    """Find the minimum exactly, as minimum cuts of planar graphs: discs with Coulomb friction, and lattices of spheres
+    whose planes are driven about x or y alone, where each plane of spheres is solved by itself.
 
     It has no options. Packings of discs with friction are solved too, and those of spheres in which each contact
     couples one spin component.
@@ -247,7 +247,8 @@ class PlanarCut(MethodOptions):
 @register
 @dataclass(frozen=True, kw_only=True)
 class InteriorPoint(MethodOptions):
-    """Primal-dual central path: a proven minimum to round-off in about twenty Newton steps.
+    """Follow the central path by the primal-dual interior-point method: a proven minimum to round-off in about twenty
+    Newton steps.
 
     Parameters
     ----------
@@ -352,7 +353,7 @@ class OperatorSplitting(MethodOptions):
 @register
 @dataclass(frozen=True, kw_only=True)
 class LinearSolver(MethodOptions):
-    """Sparse factorisations of the viscous law: exact to round-off.
+    """Solve the linear equations of viscous contacts by sparse factorisations, exactly but for rounding.
 
     It has no options.
 
@@ -577,7 +578,7 @@ class CundallStrack(Motion):
     energy: bool = how(False, TRUTH, "Record the energy balance; a time step takes a third longer.", rare=True)
 
     def after_slip(self, span: float) -> tuple[float, float]:
-        """Return how the elongation of a slipping contact follows from its force after a step: two numbers a and b in
+        """Return two numbers a and b that give the elongation of a slipping spring after a step:
 
             elongation = a * force + b * elongation before the step.
 

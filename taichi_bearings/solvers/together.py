@@ -21,19 +21,19 @@ MOST_ON_CPU, MOST_ON_GPU = 4_000, 4_000_000
 
 
 def samples_at_once(scene: Bearing) -> int:
-    """Return how many samples of a scene to solve at a time: so many that the device is busy and caches hold their
-    numbers.
+    """Return how many samples of a packing to step at a time: so many that a GPU is busy, or that the caches of a CPU
+    hold their numbers.
     """
     most = MOST_ON_GPU if runtime.current().is_gpu else MOST_ON_CPU
     return max(1, min(scene.replicas, most // max(scene.network.spheres, 1)))
 
 
 class Together:
-    """Methods that have begun, each with a sample of one packing, and that advance by the same numbers of steps.
+    """Methods that solve one sample of a packing each, and that advance by the same numbers of steps.
 
     going : the methods that have not ended.
-    joined : the methods whose fields lie in one memory, so that one call of a kernel steps them all. It is empty, and
-        each method is advanced alone, where the samples have different contacts or a method does not step by sweeps.
+    joined : the methods whose fields lie in one memory, so that one call of a kernel steps them all. If the samples
+        have different contacts, or a method does not use such kernels, it is empty, and each method is advanced alone.
     fields, team, sweeps : the common fields, and the threads and the kernel for them.
     """
 
@@ -86,7 +86,9 @@ class Together:
             launches = [_rest_of_plan(launch, turns, plan) for launch, (_, plan) in zip(launches, plans, strict=True)]
 
     def drop(self, ended: Method) -> None:
-        """Take out a method that has ended. Its fields are still stepped until half of the methods have ended."""
+        """Take out a method that has ended. Its fields go on to be stepped, to no effect on others, until half of the
+        methods have ended.
+        """
         self.going = [method for method in self.going if method is not ended]
         if self.joined and self.going and 2 * len(self.going) <= len(self.joined):
             self.joined = [method for method in self.joined if method in self.going]
@@ -100,10 +102,11 @@ def _contacts(method: "Swept") -> OnLists:
 
 
 def _rest_of_plan(launch: Launch | None, turns: int, plan: Iterator[Launch]) -> Launch | None:
-    """Return what is left of a launch after `turns` turns, else the next launch of the plan; None at its end.
+    """Return what is left of a launch (repeated calls of a kernel) after some of its calls were made; if nothing is
+    left, the next launch of the plan, None at its end.
 
-    launch : some calls of a kernel with the same constants; None to begin.
-    turns : how many of them were made.
+    launch : the launch; None to begin.
+    turns : how many of its calls were made.
     plan : the launches that follow.
     """
     if launch is None or launch.turns == turns:
