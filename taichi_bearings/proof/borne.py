@@ -68,12 +68,14 @@ YIELDING, CARRYING_STEPS = -1e-13, 3  # minus what is added to the diagonal, to 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """Return the mask (E,) of the contacts that are proven to rest at every minimum, in a packing with E contacts whose
-    normals have any direction. There are two ways to it. A contact of a loop rests if a bound on its friction at every
-    minimum is below its limit mu F_n. Contacts that can all roll exactly at once rest if friction below all their
-    limits can take the place of that at the minimum.
+    normals have any direction. There are two ways to prove it:
 
-    bounds : the network, its friction after springs have balanced it, and the mask of the spin components that these
-        springs hold. Nothing is proven without springs.
+    * A contact of a loop rests if a bound on its friction at every minimum is below its limit mu F_n.
+    * Contacts that can all roll exactly at once rest if friction below all their limits can take the place of that at
+      the minimum.
+
+    bounds : bounds on the power, with the friction in which forces of fictitious springs at the contacts have balanced
+        all torques. If no springs were made (`unknown` is None) nothing is proven.
     far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known.
     """
     network, unknown = bounds.network, bounds.unknown
@@ -102,13 +104,14 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ExactlyRolling:
-    """The q contacts that can all roll exactly at once (called X, on spheres with n unknown spin components), and what
-    the other contacts may load on them.
+    """The q contacts that can all roll exactly at once, on spheres with n unknown spin components. It is to be proven
+    that they bear the torques that changes of friction at the other contacts may cause.
 
-    friction_bounds : for all contacts of the packing, bounds on the size of their optimal friction, and on that of its
-        change f from the friction at hand.
-    loop_pieces : groups of contacts beside X that form loops. Each group knows, for the friction c that circulates
-        along each of its loops, an interval that contains c."""
+    A change is that from the stored friction to the friction at a minimum.
+
+    friction_bounds : for all contacts of the packing, bounds on the size of the friction at minima, and of its change.
+    loop_pieces : groups of other contacts that form loops. For each loop an interval is known that contains the
+        friction which circulates along it."""
 
     friction_bounds: FrictionBounds
     loop_pieces: list[Piece]
@@ -126,16 +129,16 @@ class ExactlyRolling:
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """Exact matrix (3 q, n) of the slips of the q exactly rolling contacts from the n unknown spin components of
-        their spheres; the three rows of a contact follow each other."""
+        """Matrix (3 q, n), without rounding, that gives the slips of the q exactly rolling contacts from the n unknown
+        spin components of their spheres; the three rows of a contact follow each other."""
         whole = slip_rows(self.friction_bounds.network, self.friction_bounds.number)
         at = self.contacts[:, None] + np.arange(3) * len(self.friction_bounds.most_change)
         return sparse.csr_array(whole[at.ravel()][:, self.columns])
 
     @cached_property
     def motions(self) -> sparse.csr_array:
-        """Matrix (n, z) whose columns are all z independent motions of the n unknown spin components in which no
-        exactly rolling contact slips."""
+        """Matrix (n, z): each column is a motion of the n unknown spin components in which no exactly rolling contact
+        slips. There are z independent ones; all others are sums of them."""
         of = self.friction_bounds.exact.motions
         if of is None:
             return sparse.csr_array((len(self.columns), 0))
@@ -143,8 +146,8 @@ class ExactlyRolling:
 
     @cached_property
     def part(self) -> np.ndarray:
-        """(n,), for each unknown the number of the part that it belongs to. The exactly rolling contacts fall into
-        parts that share no free sphere."""
+        """(n,), for each of the n unknown spin components the number of the part to which its sphere belongs. The
+        exactly rolling contacts fall into parts that share no free sphere."""
         network = self.friction_bounds.network
         first, second = network.graph.contact[:, self.contacts]
         inner = network.free[first] & network.free[second]
@@ -153,7 +156,7 @@ class ExactlyRolling:
     @cached_property
     def bounded_contacts(self) -> np.ndarray:
         """(k,), indices of the contacts of which only a bound on |change of friction| is known. The change is that from
-        the friction at hand to the friction at a minimum.
+        the stored friction to the friction at a minimum.
 
         These are all contacts that can dissipate, except those that can roll exactly, and except those in
         `loop_pieces`: there the friction that circulates along each loop is known to lie in an interval."""
@@ -164,12 +167,12 @@ class ExactlyRolling:
 
     @cached_property
     def loads(self) -> tuple[sparse.csc_array, sparse.csc_array]:
-        """Return the torques on the n unknowns of the exactly rolling contacts by a unit of what the other contacts may
-        change, as two matrices.
+        """Two matrices that map unknown friction at other contacts to torques on the n unknown spin components at the
+        exactly rolling contacts.
 
-        The first, (n, 2 k), has a column for either tangential component of friction on each of the k contacts in
-        `bounded_contacts`. A unit of it also changes friction on loops, and the torques of that are in the column, too.
-        The second, (n, m), is for friction that circulates along each of the m loops.
+        First, (n, 2 k): from changes of friction at the k `bounded_contacts`, two tangential components each. Such a
+        change also changes the friction on loops; these torques are included.
+        Second, (n, m): from the friction that circulates along each of m loops.
         """
         rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.bounded_contacts)
         place = np.full(rows.shape[0], -1)
@@ -186,14 +189,14 @@ class ExactlyRolling:
 
     @cached_property
     def rounding(self) -> float:
-        """Bound on the rounding error of any sum here, over the sum of the sizes of its terms: no sum has more than 2 k
-        + n + 64 terms, for k other contacts and n unknowns, and 4 roundings are allowed for each."""
+        """Bound on the rounding error of any sum in this class, relative to the sum of the sizes of its terms. No sum
+        has more than 2 k + n + 64 terms, for k `bounded_contacts` and n unknowns; 4 roundings are allowed for each."""
         return float(4 * (2 * len(self.bounded_contacts) + len(self.columns) + 64) * EPS)
 
     @cached_property
     def unknown_torques(self) -> np.ndarray:
-        """(n,), bound on the size of the torque on each unknown that is not a multiple of a column of `loads`: what the
-        friction at hand leaves over, and rounding."""
+        """(n,), bound on the size of the torque on each of n unknown spin components that is not due to the changes of
+        friction of which `loads` gives the torques: what the stored friction leaves over, and rounding."""
         more = self.rounding * self.friction_bounds.most_change
         for piece in self.loop_pieces:
             more[piece.contacts] += piece.by_rounding + self.rounding * piece.most_off_loops
@@ -203,8 +206,8 @@ class ExactlyRolling:
 
     @cached_property
     def margin(self) -> np.ndarray:
-        """(q,), for each exactly rolling contact the friction that it has left: mu F_n less the size of the friction at
-        hand."""
+        """(q,), for each exactly rolling contact the friction that it has left: its limit mu F_n less the size of the
+        stored friction."""
         holding, force = (
             self.friction_bounds.network.holding.least[self.contacts],
             self.friction_bounds.friction[self.contacts],
@@ -214,9 +217,10 @@ class ExactlyRolling:
     def rests(self) -> np.ndarray:
         """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum.
 
-        Springs at these contacts find friction that bears each load of the other contacts. The friction at hand plus
-        all loads, at their largest, must stay below the limit at every contact of a part; then the part rests. Springs
-        are made weaker where contacts bear too much, and tried again, up to MOST_TRIALS times."""
+        Changes of friction at the other contacts exert torques (loads). Fictitious springs at the exactly rolling
+        contacts find friction that balances each load. If this friction and the stored one, for the largest loads, stay
+        below the limit at every contact of a part, the part rests. Springs are made weaker where contacts bear too
+        much, and tried again, up to MOST_TRIALS times."""
         margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
         springs = SpringsUnderLoad.of(self, margin**2)
         most_change = self.friction_bounds.most_change[self.bounded_contacts]
@@ -264,13 +268,13 @@ class ExactlyRolling:
         return found
 
     def _faint(self, most_change: np.ndarray) -> np.ndarray:
-        """Return the mask (k,) of those contacts in `bounded_contacts` that load the exactly rolling ones so little
-        that no friction is computed for them: one correction takes all these loads away together.
+        """Return the mask (k,) of those contacts in `bounded_contacts` whose changes of friction exert so small torques
+        on the exactly rolling ones that these are not balanced one by one, but by one correction for all.
 
-        These are as many as need a correction of friction of at most FAINT_LOADS times the least friction left at an
-        exactly rolling contact; and in any case all but the MOST_OTHERS contacts with the largest loads.
+        As many are taken as need a correction of friction of at most FAINT_LOADS times the least friction left at an
+        exactly rolling contact; and in any case all but the MOST_OTHERS contacts with the largest torques.
 
-        most_change : (k,), bound on the change of the friction of each of the k contacts."""
+        most_change : (k,), bound on the change of the friction of each of the k contacts, force."""
         squares = np.asarray(self.loads[0].power(2).sum(axis=0)).reshape(-1, 2).sum(axis=1) * most_change**2
         order, floor = np.argsort(squares), self.friction_bounds.exact.floor[0]
         faint = np.zeros(len(most_change), dtype=bool)
@@ -279,13 +283,12 @@ class ExactlyRolling:
         return faint
 
     def _bears(self, largest: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Return the mask (q,) of the exactly rolling contacts that are in parts all of whose contacts stay below their
+        """Return the mask (q,) of the exactly rolling contacts that lie in parts all of whose contacts stay below their
         friction limits. (Parts share no free sphere.)
 
-        largest : (q,), bound on the size of the friction of each contact, before a correction that takes `residual`
-            away.
-        residual : (n,), bound on the torque on each unknown that this correction has to take away. It is no larger than
-            the norm of these over the least singular value, other than 0, of the matrix of slips."""
+        largest : (q,), bound on the size of the friction of each contact, but for a last correction.
+        residual : (n,), bound on the torque on each unknown which that correction has to balance. It changes friction
+            by at most the norm of these torques over the least singular value, other than 0, of the matrix of slips."""
         network, part = self.friction_bounds.network, self.part
         corrected = np.sqrt(np.bincount(part, residual**2)) / self.friction_bounds.exact.floor[0] * UP
         of_sphere = np.zeros(len(network.free), dtype=np.intp)
@@ -298,10 +301,10 @@ class ExactlyRolling:
 
 @dataclass(frozen=True)
 class SpringsUnderLoad:
-    """Springs at the q exactly rolling contacts. They find friction there that bears a load, which is a torque on each
-    of the n unknown spin components.
+    """Fictitious springs at the q exactly rolling contacts. They find friction there that balances a load, which is a
+    torque on each of the n unknown spin components.
 
-    loaded : the exactly rolling contacts, with their matrix K of slips, (3 q, n).
+    loaded : the exactly rolling contacts, with the matrix K (3 q, n) that gives their slips.
     weight : (q,), stiffness of the spring at each contact.
     scale : (n,), factors that give the factorised matrix a diagonal of 1.
     factor : Cholesky factor of the scaled matrix K^T weight K."""
@@ -352,10 +355,11 @@ class SpringsUnderLoad:
         return force, np.abs(left) @ most + (self.loaded.rounding + 2 * motions.shape[1] * EPS) * summed
 
     def _without_motions(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Split loads, torques on n unknowns, into motions without slip and the rest. Return the rest (n, m), and the
-        amounts (z, m) of the z motions in which no contact slips.
+        """Split each of m loads (torques on n unknowns) into a sum of the z motions in which no exactly rolling contact
+        slips, which no friction there can balance, and a rest at right angles to them. Return the rest (n, m), and how
+        much of each motion was taken out, (z, m).
 
-        load : (n, m), m loads."""
+        load : (n, m)."""
         motions = self.loaded.motions
         if not motions.shape[1]:
             return load, np.zeros((0, load.shape[1]))

@@ -37,28 +37,30 @@ PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} ti
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds on the least potential (dissipation) of each of R samples with n spheres and m contacts in all, and the
-    friction from which they follow. Powers are in units of the network.
+    """Upper and lower bounds on the least potential of each of R samples (the least power, with friction alone), with n
+    spheres and m contacts in all. Powers are in units of `network`.
 
-    Components *mix* where a component of some slip depends on several spin components: contacts are not along the axes.
-    The torques that the stored friction leaves over on free spheres are then balanced by friction from fictitious
-    *springs* at the contacts. F is the friction after that, or else the stored friction. It is multiplied by a factor
-    s, at most 1, so that s |F| is within the friction limit of all contacts without damping.
+    The upper bound is the potential of the stored spins. The lower bound follows from the stored friction:
+
+    1. Its torques do not quite cancel on free spheres. Where contacts are not along the axes, forces of fictitious
+       *springs* at the contacts are added that cancel them, but for rounding. Call the friction F after that.
+    2. A factor s <= 1 brings s |F| within the friction limit of every contact without damping.
+    3. The bound is s times the work of the driven spheres against F, less the price of torques that are left, and less
+       what damped contacts dissipate for s F.
 
     network : the R samples, with their spins, friction and coefficients.
-    upper : (R,), the potential of the stored spins, rounded up.
-    lower : (R,), what the friction proves of the least potential, rounded down.
-    excess : (R,), bound on the potential of the stored spins less what the friction proves, 0 or more.
+    upper, lower : (R,), the bounds, rounded up and down.
+    excess : (R,), upper less lower bound, 0 or more: computed with twice the digits, then rounded up.
     size : (m,), s |F| of each contact.
     worst : (R,), 1 / s: the largest |F| over its limit, at least 1.
     proof : (R,), PROVEN, or the words that restrict `lower` to slower spins.
     largest_torque : (R,), largest torque over radius, a force, that the stored friction leaves over on a free sphere.
     price : (R,), the most power that these torques may take from the lower bound if no component of a spin exceeds the
         largest imposed one.
-    unknown : (n, 3) mask of the components of spins that springs hold; None if no springs were made.
-    friction : F by component, where components mix; else empty.
-    alone : one Bounds for each sample, where samples need different proofs (some with springs, some without); else
-        empty. The fields `unknown` and `friction` are then set in these alone.
+    unknown : (n, 3) mask of the spin components on which the springs act; None if no springs were made.
+    friction : F by component, 3 enclosures (m,), where contacts are not along the axes; else empty.
+    alone : where some samples need springs and others not, one Bounds for each sample, which has its own `unknown` and
+        `friction`; else empty.
     """
 
     network: JudgedNetwork
@@ -76,8 +78,8 @@ class Bounds:
 
     @classmethod
     def one_by_one(cls, network: JudgedNetwork) -> Bounds:
-        """Return the bounds of R samples, each computed alone, since they need different proofs (some have springs,
-        others none).
+        """Return the bounds of R samples, each computed alone, since they need different proofs: in some the torques
+        that friction leaves over are balanced by fictitious springs at the contacts, in others not.
 
         network : the R samples."""
         network = replace(network, rolling=None)
@@ -103,7 +105,9 @@ class Bounds:
         Upper bound: the potential of the stored spins. Lower bound: the work of the driven spheres against the
         friction, less what its unbalanced torques on free spheres may cost at the spins of a minimum; all of it divided
         by the largest ratio of friction to its limit, and less what friction beyond the limit costs where damping
-        allows that. Where samples need different proofs each is computed alone."""
+        allows that.
+
+        network : R samples with stored spins and friction. Where they need different proofs each is computed alone."""
         potential, count = network.dissipated(0.5), network.count
         # Upper bound: any spins have a potential that is not below the least, but spins that cannot exist prove
         # nothing.
@@ -136,7 +140,7 @@ class Bounds:
         hard, soft = (
             np.flatnonzero(network.counts & some) for some in (network.slope.high == 0, network.slope.high > 0)
         )
-        worst = _worst(network, size, hard)
+        worst = _largest_ratio(network, size, hard)
         if (worst > 1).any():
             size = size / Enclosure.exact(network.on_contacts(worst))
         beyond = size.at(soft)
@@ -153,20 +157,23 @@ class Bounds:
 def _held_by_springs(
     network: JudgedNetwork, upper: np.ndarray
 ) -> tuple[list[Enclosure], list[Enclosure], np.ndarray | None, np.ndarray, Enclosure] | None:
-    """Balance the friction by springs, where a component of a slip depends on several components of the spins. Rounding
-    leaves some torques; what they can cost is their size times the largest spins of some minimum. Where these spins are
-    not known to be small, FASTEST_COMPARED times the fastest imposed speed is taken.
+    """Add forces of fictitious springs at the contacts to the stored friction, so that torques on free spheres cancel.
+    This is for contacts that are not along the axes.
+
+    Rounding leaves some torques. They can reduce the lower bound by their size times the largest spins (times radius)
+    of some minimum. Where these are not known to be small, FASTEST_COMPARED times the fastest imposed speed is taken
+    for them: the bound is then proven for such spins alone.
 
     network : R samples with n spheres and m contacts in all.
-    upper : (R,), potentials of the given spins.
+    upper : (R,), potentials of the stored spins.
 
-    Returns a tuple, or None for several samples if some spin of one has no spring at all:
+    Returns None if there are several samples and in one of them no spring resists some spin; else a tuple:
 
-    1. friction after springs have balanced it, 3 components, enclosures (m,);
-    2. torques that it leaves over, 3 components, enclosures (n,);
-    3. mask (n, 3) of the components of spins that springs hold, None without springs;
-    4. (R,), the words for which spins the bound is proven;
-    5. (R,), the price of the torques, which the lower bound loses."""
+    1. friction with the forces of the springs, 3 components, enclosures (m,);
+    2. torques over radius that it leaves over, 3 components, enclosures (n,);
+    3. mask (n, 3) of the spin components on which springs act, None without springs;
+    4. (R,), the words that say for which spins the bound is proven;
+    5. (R,), what the lower bound loses by the torques of rounding."""
     count, springs = network.count, Springs.of(network, np.maximum(upper, LEAST_POWER * natural(network)))
     if springs is None and count > 1:
         return None
@@ -195,8 +202,8 @@ def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
 
 
 def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
-    """Return a bound (R,) on how much leftover torques on free spheres may reduce the work at some minimum: the sum of
-    their size times the largest spin (times radius) that the sphere may have there.
+    """Return a bound (R,) on the power by which leftover torques on free spheres may reduce the lower bound: the sum
+    over spheres of the torque times the largest spin (times radius) that the sphere may have at some minimum.
 
     network : R samples with n spheres in all.
     torques : torque over radius on each of the n spheres by spin component, C enclosures (n,)."""
@@ -208,11 +215,11 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
     return total
 
 
-def _worst(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:
+def _largest_ratio(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:
     """Return for each of R samples the largest ratio of friction to its limit, |F| / (mu F_n), over the contacts
     `hard`; 1 if that is less. The result is (R,), rounded up.
 
-    Ratios are computed in doubles; those that are about the largest again with enclosures (intervals).
+    Ratios are first computed in doubles. Those close to the largest are computed once more with bounds on their errors.
 
     network : R samples with m contacts in all.
     size : (m,), |F| of all m contacts.

@@ -262,7 +262,7 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
     contacts : slips at the spins that are tried.
     curvature : of the power at these spins.
     last : True if no further trial follows. If False, tau is computed, which costs an elimination, only where the bound
-        would be small enough with the usual tau."""
+        would be small enough with CURVATURE_SHARE / 2 for tau, which most networks exceed."""
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
@@ -418,12 +418,14 @@ class Form:
 
 @dataclass(frozen=True)
 class Curvature:
-    """The curvature of the power at given slips: a quadratic form in variables v with the diagonal h. For a number tau
-    it is proven that the form is at least the sum of tau h v^2.
+    """The curvature of the power at given slips, as a quadratic form. Its unknowns are u, the changes of the spins of
+    free domains (spheres that turn as one). It is written in other variables v, of which u are sums. With h the
+    diagonal of the form in v, it is proven to be at least the sum of tau h v^2, for some number tau.
 
-    clusters : (unknowns, unknowns), entries 0 and 1: u = clusters @ v are the changes of the spins of domains.
-    form : the curvature in unknowns that are scaled to a diagonal of 1; its `squares` are h.
-    changes : two matrices (contacts, unknowns): either component of the changes of slips = changes[slot] @ v.
+    clusters : (unknowns, unknowns), entries 0 and 1: u = clusters @ v.
+    form : the curvature in variables v that are scaled such that its diagonal is 1; `form.squares` are h.
+    changes : two matrices (contacts, unknowns), entries 1, -1 and 0: changes[0] @ v and changes[1] @ v are the two
+        components of the changes of all slips.
     """
 
     clusters: sparse.csr_array
@@ -432,8 +434,10 @@ class Curvature:
 
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
-        """Compute the curvature of the power at the slips of `contacts`. Return None if the power has no curvature
-        along some variable v, because v changes neither the direction of any slip nor any slip that is damped."""
+        """Return the curvature of the power at given slips. Return None if the power has no curvature along some
+        variable v, because v changes neither the direction of any slip nor any slip that is damped.
+
+        contacts : the slipping contacts with these slips."""
         clusters = _clusters(contacts)
         # exact; a variable at both ends of a contact cancels
         changes = [contacts.change(slot) @ clusters for slot in range(2)]
@@ -449,7 +453,8 @@ class Curvature:
 
     @cached_property
     def entries(self) -> list[sparse.csr_array]:
-        """Absolute values of the entries of `changes`: two matrices (contacts, unknowns) of zeros and ones."""
+        """Two matrices (contacts, unknowns) of zeros and ones: 1 where a variable v changes a component of the slip of
+        a contact. They are the absolute values of `changes`."""
         return [_with_values(change, np.abs(change.data)) for change in self.changes]
 
     def is_positive_within(self, contacts: Slipping, relative_change: np.ndarray) -> bool:
@@ -538,19 +543,19 @@ def _with_values(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array
 def _row_scaled(
     values: np.ndarray, matrix: sparse.csr_array, of: Callable[[np.ndarray], np.ndarray] = np.asarray
 ) -> sparse.csr_array:
-    """Return the sparse matrix (k, n) with row i multiplied by values[i].
+    """Return the sparse matrix `matrix` (k, n) with row i multiplied by values[i].
 
     values : (k,).
-    of : function applied to the entries first, for instance np.abs."""
+    of : function applied to the entries of the matrix first, for instance np.abs."""
     return _with_values(matrix, np.repeat(values, np.diff(matrix.indptr)) * of(matrix.data))
 
 
 def _curvature_rows(
     contacts: Slipping, changes: list[sparse.csr_array]
 ) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
-    """Return rows A such that the curvature of the power is |A x|^2 for changes x of the unknowns, spins of free
-    domains; a matrix of the same shape with bounds on the errors of the entries of A; and for each row the contact (0
-    to n - 1) that it belongs to.
+    """Return a matrix A such that the curvature of the power is |A x|^2 for changes x of the unknowns, which are spins
+    of free domains (spheres that turn as one); a matrix of the same shape with bounds on the errors of its entries; and
+    for each row of A the contact, 0 to n - 1, that it belongs to.
 
     contacts : the n slipping contacts.
     changes : two matrices (n, unknowns) that give both components of the changes of slips.

@@ -62,10 +62,10 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
 
 
 def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray) -> JudgedNetwork | None:
-    """Return the network of R samples of a bearing whose contacts are in lists, side by side; None where their scales
-    are not allowed.
+    """Return the network of R samples of a packing, side by side, for the proofs; None where speeds or forces are so
+    large or small that products might overflow or underflow.
 
-    packing : the bearing, with N spheres and E contacts.
+    packing : the R samples, with N spheres and E contacts each.
     spin, rounding : (R, N, 3), of discs (R, N), 1/time; the spin is the sum of the two.
     friction : (R, E, 3), of discs (R, E), force on the second sphere of each contact."""
     contacts, law, count = packing.network, packing.law, packing.replicas
@@ -127,12 +127,14 @@ def _equalise_imposed_speeds(u: Enclosure, driven: np.ndarray) -> None:
     """
     own = driven[u.high[driven] != 0]
     sign = np.sign(u.high[own])
+    # Distinct sizes in ascending order, and in groups: neighbours are of one group if close to its smallest size.
     (size, _), place = np.unique(np.stack([sign * u.high[own], sign * u.low[own]]), axis=1, return_inverse=True)
     group = np.arange(len(size))
     for number in range(1, len(size)):
         least = size[group[number - 1]]
         if size[number] - least <= ONE_SPEED * np.spacing(size[number]):
             group[number] = group[number - 1]
+    # Replace the sizes in groups of several by the smallest one.
     several = np.bincount(group, minlength=len(size)) > 1
     found = group[place.reshape(-1)]
     some = several[found]

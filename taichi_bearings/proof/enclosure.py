@@ -39,9 +39,10 @@ Made = TypeVar("Made", bound=Callable[..., Any])
 
 
 def in_cache(made: Made) -> Made:
-    """Decorate a function of enclosures, arrays and numbers that works element by element. It then handles large arrays
-    in parts of about IN_CACHE numbers, which fit the caches of a processor, so that only arguments and result pass
-    through memory. The results are the same bits."""
+    """Return a function with the same results as `made`, bit by bit, that handles large arrays in parts of about
+    IN_CACHE numbers. These fit the caches of a processor, so that only arguments and result pass through memory.
+
+    made : a function of enclosures, arrays and numbers that works element by element."""
 
     @wraps(made)
     def in_parts(*given: Any) -> Any:
@@ -170,8 +171,8 @@ class Enclosure:
 
     @in_cache
     def sqrt(self) -> Enclosure:
-        """Return the square root, element by element, of numbers of which none is negative. An enclosure around 0 (with
-        `high` = 0) may reach below it: the root then encloses the roots of its numbers >= 0."""
+        """Return the square root, element by element. The numbers must not be negative; but the interval around a
+        number with `high` = 0 may reach below 0, and the root then encloses the roots of what is above."""
         zero = self.high == 0
         root = np.sqrt(np.where(zero, 1.0, self.high))
         about = Enclosure.exact(root)
@@ -282,6 +283,7 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
     values, owner = values[order], owner[order]
     own = np.bincount(owner)
     place = np.arange(len(owner)) - (np.cumsum(own) - own)[owner]  # rank among the values of the same owner
+    # Each pass keeps the values with an even rank, after adding to each the one after it, until each owner has one.
     while place.any():
         kept = np.flatnonzero(place % 2 == 0)
         with_next = np.append(place[1:], 0)[kept] % 2 == 1

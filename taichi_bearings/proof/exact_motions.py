@@ -60,13 +60,15 @@ SLOTS_AT_ONCE, CHOICES_IN_A_SUM, WORTH_A_ROUND = 64, 32, 0.5
 
 @dataclass(frozen=True)
 class ExactMotions:
-    """Contacts that can all roll exactly at once, and the motions in which they do.
+    """Contacts of R samples of a packing that can all roll exactly at once, and the motions in which they do. There are
+    N spheres and E contacts in all.
 
     spheres : (N,) mask of the free spheres that these contacts join.
-    contacts : (E,) mask of the contacts: among these spheres, and with driven ones.
-    floor : (R,), proven lower bound of the singular values, other than 0, of the matrix that gives their slips from
-        spins; infinite for samples without any sphere.
-    motions : how all spins follow from a few of them and from imposed spins; None without any sphere.
+    contacts : (E,) mask of these contacts: among these spheres, and with driven ones.
+    floor : (R,), for each sample a proven lower bound of the singular values, other than 0, of the matrix that gives
+        the slips of these contacts from spins; infinite for samples without any such contact.
+    motions : how the spins of these spheres follow from a few of them and from imposed spins, such that no contact
+        slips; None if there is no such contact.
     """
 
     spheres: np.ndarray
@@ -76,14 +78,14 @@ class ExactMotions:
 
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Find exact motions of as many spheres as possible: try all, and as long as that fails leave some spheres out,
-        up to MOST_ROUNDS times.
+        """Return as many contacts as possible that are proven to roll exactly at once. First all are tried; as long as
+        that fails some spheres are left out, up to MOST_ROUNDS times.
 
         network : N spheres and E contacts of R samples of a packing.
-        number : (N, 3), which unknown each component of a spin is, -1 where it is none.
+        number : (N, 3), the index of each spin component among the unknowns, -1 for those that are none.
         rests : (E,) mask of the contacts that shall roll.
 
-        The result is kept with the network, as proofs ask for it again where the first of them has failed."""
+        The result is stored in `network.kept`, since a second proof asks for it again where a first one has failed."""
         asked = number.tobytes() + rests.tobytes()
         if asked not in network.kept:
             network.kept.clear()
@@ -92,11 +94,11 @@ class ExactMotions:
 
     @classmethod
     def _found(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Find exact motions of as many spheres as possible: try all, and as long as that fails leave some spheres out,
-        up to MOST_ROUNDS times.
+        """Return as many contacts as possible that are proven to roll exactly at once. First all are tried; as long as
+        that fails some spheres are left out, up to MOST_ROUNDS times.
 
         network : N spheres and E contacts of R samples of a packing.
-        number : (N, 3), which unknown each component of a spin is, -1 where it is none.
+        number : (N, 3), the index of each spin component among the unknowns, -1 for those that are none.
         rests : (E,) mask of the contacts that shall roll."""
         spheres, (first, second) = network.reached, network.graph.contact
         for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES * network.count else 0):
@@ -127,14 +129,14 @@ class ExactMotions:
 
 @dataclass(frozen=True)
 class _Parts:
-    """A contacts that shall roll, and the parts into which they join free spheres with n unknown spin components;
-    driven spheres join no parts.
+    """A number of contacts, A of them, that shall roll, and the parts into which they divide free spheres with n
+    unknown spin components. A part is what the contacts connect through free spheres; driven spheres connect nothing.
 
     network : all N spheres and E contacts.
     free : (N, 3) mask of the unknowns among the spin components of all N spheres.
-    ends : (2, A), indices of the spheres of the contacts.
-    normal : (A, 3), their normals.
-    rows : (3 A, n), slips from the unknowns: x components of all slips, then y, then z.
+    ends : (2, A), indices of both spheres of each contact.
+    normal : (A, 3), unit normals of the contacts.
+    rows : (3 A, n), the matrix that gives slips from the unknowns: x components of all slips, then y, then z.
     of_unknown, of_contact : (n,) and (A,), the number of the part of each, 0 to count - 1.
     count : number of parts."""
 
@@ -149,12 +151,12 @@ class _Parts:
 
     @classmethod
     def of(cls, network: JudgedNetwork, free: np.ndarray, contacts: np.ndarray) -> _Parts:
-        """Collect the contacts that shall roll with the free spheres they join, and number the parts: groups of free
+        """Return the contacts that shall roll with the free spheres they join, divided into parts: groups of free
         spheres that these contacts connect.
 
         network : N spheres and E contacts.
         free : (N, 3) mask of the spin components that are unknowns.
-        contacts : (E,) mask."""
+        contacts : (E,) mask of the contacts that shall roll."""
         ends = network.graph.contact[:, contacts]
         rows = sparse.csr_array(slip_rows(network, numbered(free))[np.flatnonzero(np.tile(contacts, 3))])
         rows.eliminate_zeros()
@@ -216,15 +218,17 @@ class _Parts:
 
 @dataclass(frozen=True)
 class _Choices:
-    """The q numbers from which all other spins follow: some chosen unknowns, then for each part of contacts that free
-    spheres join every size (absolute value) of imposed spin components that occurs in it.
+    """The q numbers from which the spins of rolling spheres follow: first some chosen unknown spin components; then the
+    imposed spin components, each absolute value that occurs in a part being one number. A part is a group of free
+    spheres that contacts connect.
 
     chosen : indices of the chosen unknowns.
-    imposed : the imposed sizes, one enclosure with an entry for each pair of a part and a size.
+    imposed : the imposed absolute values (spin times radius), one enclosure with an entry for each pair of a part and a
+        value that occurs in it.
     owner : (q,), the part to which each number belongs.
     slot : (q,), its place, from 0, among the numbers of this part.
     sums : (3 A, q), what a unit of each number contributes to u_i + u_j, the sum of the spins of both spheres (times
-        radius), for the A contacts, x components first, then y, then z."""
+        radius), for A contacts: x components first, then y, then z."""
 
     chosen: np.ndarray
     imposed: Enclosure
@@ -234,7 +238,7 @@ class _Choices:
 
     @classmethod
     def of(cls, parts: _Parts, chosen: np.ndarray) -> _Choices | None:
-        """List the numbers from which spins follow; None if some imposed spin is too small for exact products.
+        """Return the numbers from which spins follow; None if some imposed spin is too small for exact products.
 
         parts : the contacts, their unknowns, and the parts into which they fall.
         chosen : indices of the chosen unknowns."""
@@ -268,16 +272,17 @@ class _Choices:
 
 @dataclass
 class _Solved:
-    """Solves for the motions that follow from some of the q numbers in `choices`, in doubles by least squares: one
-    vector of f unknowns, a column, for one choice or the sum of several.
+    """Solver for motions without slip, in doubles by least squares. All spins follow from q numbers, the *choices*. The
+    motion of a choice is what the other unknowns have to be if this number is 1 and all others are 0. Motions are
+    computed in columns of numbers, one column for one choice or for the sum of several.
 
-    parts : A contacts, their n unknowns, and the parts into which they fall.
+    parts : A contacts, their n unknowns, and the parts: groups of free spheres that the contacts connect.
     choices : the q numbers.
-    follow : (f,), indices of the unknowns that follow from the others.
-    rows : (3 A, f), slips from these unknowns.
+    follow : (f,), indices of the unknowns that follow from the choices.
+    rows : (3 A, f), the matrix that gives slips from these unknowns.
     factor : Cholesky factor of rows^T rows.
-    fewer : True if choices of one part are no longer to be solved for together, as too many of them were in one
-        connected set of moving spheres."""
+    fewer : True if choices of one part shall no longer share a column, since too many of them moved the same spheres
+        or connected ones, so that their motions could not be told apart."""
 
     parts: _Parts
     choices: _Choices
@@ -287,9 +292,13 @@ class _Solved:
     fewer: bool = False
 
     def columns(self, some: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Return for each of the choices `some` (k,) the number (k,) of the column in which its motion is solved for,
-        and True if a column may have several choices of the same part. Numbers that follow from imposed spins, which
-        touch many spheres, and few choices have a column each; parts do not touch and share columns."""
+        """Return for each of k choices the number (k,) of the column in which its motion is to be computed; and True if
+        a column may hold several choices of one part.
+
+        Choices of different parts share columns, since parts do not touch. Choices of one part have a column each if
+        they are imposed spins, which move many spheres, if they are few, or if `fewer` is set; else they share columns.
+
+        some : (k,), indices of the choices; either all are imposed spins, or none."""
         owner = self.choices.owner[some]
         order, size = np.argsort(owner, kind="stable"), np.bincount(owner)
         slot = np.empty_like(order)
@@ -301,10 +310,10 @@ class _Solved:
         return slot % columns, True
 
     def motions(self, some: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Return the motions (f, columns) of the unknowns that follow: in each column the sum of those of its choices,
-        with one refinement. Entries that are not finite are 0.
+        """Return the sum of the motions of the choices in each column, (f, columns), for the f unknowns in `follow`.
+        The residual is solved for once more, against rounding; entries that are not finite are set to 0.
 
-        some : (k,), the choices.
+        some : (k,), indices of the choices.
         column : (k,), the column of each."""
         together = sparse.csr_array((np.ones(len(some)), (np.arange(len(some)), column)))
         sums = (self.choices.sums[:, some] @ together).toarray()
@@ -315,10 +324,12 @@ class _Solved:
         return np.where(np.isfinite(x), x, 0.0)
 
     def one_of_each_part(self, x: np.ndarray, some: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motions `x` (f, columns) of columns with one choice of each part, as (3, entries): which of the f
-        unknowns moves, for which choice, by how much; and no choice that is left, (0,).
+        """Return the motions of single choices from columns that hold at most one choice of each part: an array (3,
+        entries) with, for each number that is not nearly 0, which of the f unknowns moves, the choice, and by how much.
+        As a second result return an empty array (0,): no choice is left to be solved for again.
 
-        some : (k,), the choices.
+        x : (f, columns), the sums of motions.
+        some : (k,), indices of the choices.
         column : (k,), the column of each."""
         choice = np.full((self.parts.count, x.shape[1]), -1)
         choice[self.choices.owner[some], column] = some
@@ -328,14 +339,16 @@ class _Solved:
         return np.stack([at[there], own[there], x[at[there], among[there]]]), some[:0]
 
     def split(self, x: np.ndarray, some: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motions of single choices from sums `x` (f, columns) of several, as (3, entries): which of the f
-        unknowns moves, for which choice, by how much; and the choices that are left, as there are several in one
-        connected set of moving spheres.
+        """Return the motions of single choices from columns that hold several choices of a part: an array (3, entries)
+        with, for each number that is not nearly 0, which of the f unknowns moves, the choice, and by how much. As a
+        second result return the choices that are left, since their motions could not be told apart.
 
-        What moves in a connected set with one choice in it makes no contact slip and has the value 1 at this choice
-        alone; so it is the motion of this choice.
+        In a column, moving spheres that contacts connect form a set. If a set contains one choice, its motion makes no
+        contact slip and is 1 at this choice alone; so it is the motion of this choice. The choices of sets with several
+        are left.
 
-        some : (k,), the choices.
+        x : (f, columns), the sums of motions.
+        some : (k,), indices of the choices.
         column : (k,), the column of each."""
         width, sphere = x.shape[1], np.nonzero(self.parts.free)[0]
         at, among = np.nonzero(np.abs(x) > WHOLE)
@@ -356,11 +369,11 @@ class _Solved:
 
 @dataclass(frozen=True)
 class _Motions:
-    """How the n unknown spin components follow from q numbers, the chosen ones and the imposed sizes of spins, so that
-    no contact slips: a unit of number c adds motion[:, c] / unit[c] to them.
+    """How n unknown spin components follow from q numbers, the *choices*, so that no contact slips: a unit of choice c
+    adds motion[:, c] / unit[c] to them.
 
-    parts : A contacts, their n unknowns, and the parts into which they fall.
-    choices : the q numbers.
+    parts : A contacts, their n unknowns, and the parts: groups of free spheres that the contacts connect.
+    choices : the q numbers: some of the unknowns, and absolute values of imposed spins.
     motion : (n, q), integers as doubles.
     unit : (q,), common denominators, integers as doubles."""
 
@@ -379,12 +392,13 @@ class _Motions:
         factor: Factor,
         place: np.ndarray,
     ) -> tuple[_Motions, np.ndarray]:
-        """Guess the motions that follow from each of the q numbers in `choices`, as fractions. Return them, and a mask
-        (n,) of the unknowns at which some motion is no fraction. Whether no contact slips is not checked here.
+        """Guess, as fractions, the motion without slip that follows if one of the q numbers in `choices` is 1 and all
+        others are 0. Return these motions, and a mask (n,) of the unknowns at which some motion is no fraction. Whether
+        contacts really do not slip is checked elsewhere (`slipping_contacts`).
 
-        Motions mostly move a few spheres, so those of choices far apart are found together, as one sum. A connected set
-        of moving spheres with one choice in it moves by the motion of this choice; choices in one connected set are
-        tried again with fewer others.
+        Motions mostly move a few spheres, so those of choices far apart are found together, as one sum. Moving spheres
+        that contacts connect, with one choice among them, move by the motion of this choice. Where there are several
+        choices among them, these are tried again with fewer others.
 
         parts : A contacts and their n unknowns.
         choices : the q numbers.
@@ -395,6 +409,7 @@ class _Motions:
         count, chosen = len(choices.slot), len(choices.chosen)
         solved = _Solved(parts, choices, follow, rows, factor)
         found = [np.zeros((3, 0))]
+        # First the imposed spins, then the chosen unknowns; `waiting` are those whose motion is not known yet.
         for waiting in (np.arange(chosen, count), np.argsort(place[choices.chosen])):
             while len(waiting):
                 column, together = solved.columns(waiting)
@@ -421,10 +436,9 @@ class _Motions:
         return cls(parts, choices, motion, unit), no_fraction
 
     def slipping_contacts(self) -> np.ndarray:
-        """Return the indices, among the A contacts, of those that may slip in these motions. A motion is fixed by q
-        numbers, chosen spin components and imposed spins, from which all other spins follow. A contact is left out if
-        it is proven to roll exactly for all values of these numbers. All A contacts are returned if integers are too
-        large for exact sums."""
+        """Return the indices, among the A contacts, of those that may slip in these motions: all but those that are
+        proven to roll exactly, whatever the q numbers are from which the spins follow. All A contacts are returned if
+        integers are too large for exact sums."""
         count, chosen = len(self.parts.normal), len(self.choices.chosen)
         if not (np.abs(self.motion.data) < LARGEST).all():
             return np.arange(count)
@@ -440,11 +454,11 @@ class _Motions:
         return np.unique(contact[~_rolls(sums, self.parts.normal[contact].T)])
 
     def spin(self, given: list[Enclosure]) -> list[Enclosure]:
-        """Return spins times radius by component, 3 enclosures (N,), at which no contact slips: computed from the
-        chosen unknowns and the imposed spins.
+        """Return spins times radius at which none of these contacts slips: by component, 3 enclosures (N,), computed
+        from the chosen unknowns and the imposed spins.
 
-        given : spins times radius by component, 3 enclosures (N,). Only the chosen unknowns are read, and spheres
-            without unknowns, which keep their spins."""
+        given : spins times radius by component, 3 enclosures (N,). Of these the chosen unknowns are read, and the spins
+            of spheres without unknowns, which stay as they are."""
         free, choices, motion = self.parts.free, self.choices, sparse.coo_array(self.motion)
         high, low = (np.stack([getattr(part, name) for part in given], axis=1)[free] for name in ("high", "low"))
         value = joined([Enclosure.exact(high[choices.chosen], low[choices.chosen]), choices.imposed])
@@ -462,18 +476,18 @@ def _sum_of_spins(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:
     for A contacts from n unknowns: x components first, then y, then z.
 
     ends : (2, A), indices of the spheres of the contacts.
-    number : (N spheres, 3), which unknown each spin component is, -1 for one that is taken as 0."""
+    number : (N spheres, 3), the index of each spin component among the n unknowns; -1 for one that is taken as 0."""
     at = number[ends].transpose(0, 2, 1).reshape(2, -1)
     end, row = np.nonzero(at >= 0)
     return sparse.csr_array((np.ones(len(row)), (row, at[end, row])), shape=(at.shape[1], number.max(initial=-1) + 1))
 
 
 def _common_denominators(x: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
-    """Return for each owner the least common denominator (count,) of its numbers, taken as fractions; 1 where it is too
-    large.
+    """Return for each of `count` groups of numbers, taken as fractions, their least common denominator, (count,); 1
+    where it is too large.
 
     x : (k,), numbers. Those that no fraction with a denominator up to DENOMINATORS is close to are ignored.
-    owner : (k,), to whom each number belongs, 0 to count - 1."""
+    owner : (k,), the group to which each number belongs, 0 to count - 1."""
     rest, before, below = x - np.round(x), np.zeros_like(x), np.ones_like(x)
     # Continued fractions of all numbers at once, until each is found or its denominator is too large.
     while True:
@@ -492,10 +506,10 @@ def _common_denominators(x: np.ndarray, owner: np.ndarray, count: int) -> np.nda
 
 
 def _rolls(sums: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return a mask (k,), True where the cross product of a sum of spins with a normal is proven to be exactly 0: in
-    each of its components both products are equal as exact sums of two doubles.
+    """Return a mask (k,), True where the cross product of a vector with a normal is proven to be exactly 0, so that the
+    contact rolls: in each component of it both products are equal as exact sums of two doubles.
 
-    sums : (3, k), integers as doubles.
+    sums : (3, k), the vectors, sums of the spins of both spheres of a contact: integers as doubles.
     normal : (3, k), doubles."""
     found = np.asarray(((normal == 0) | (np.abs(normal) > FAINT)).all(axis=0) | (sums == 0).all(axis=0))
     for a, b in ((0, 1), (1, 2), (2, 0)):

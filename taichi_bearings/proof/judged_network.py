@@ -104,7 +104,7 @@ class JudgedNetwork:
         `rolling` (spheres whose contacts can all roll whatever the others do)."""
         if self.is_whole:
             return self.free
-        first, second = self.graph.contact[:, self._holding]
+        first, second = self.graph.contact[:, self._act_outside_rolling]
         inner, count = self.free[first] & self.free[second], len(self.free)
         label = pieces(count, first[inner], second[inner])
         touched = np.zeros(count, dtype=bool)
@@ -117,10 +117,10 @@ class JudgedNetwork:
         """(m,) mask of the contacts that can dissipate at a minimum: they have a coefficient and a free sphere,
         contacts connect them to a driven sphere, and neither sphere is in `rolling`, whose contacts can all roll. All
         others dissipate nothing at any minimum."""
-        return self.acts if self.is_whole else self._holding & self.graph.any_end(self.reached)
+        return self.acts if self.is_whole else self._act_outside_rolling & self.graph.any_end(self.reached)
 
     @cached_property
-    def _holding(self) -> np.ndarray:
+    def _act_outside_rolling(self) -> np.ndarray:
         """(m,) mask of the contacts that have a coefficient and a free end (`acts`), but touch no sphere of the mask
         `rolling`, whose contacts can all roll."""
         return self.acts if self.rolling is None else self.acts & ~self.graph.any_end(self.rolling)
@@ -133,10 +133,10 @@ class JudgedNetwork:
 
     @property
     def reach(self) -> list[Enclosure]:
-        """For each of C spin components a bound (n,) for n spheres, an enclosure: some minimum has the spin (times
-        radius) of each sphere between the bound and its negative. On lattices it is between the bound and 0, if
-        multiplied by the sign of the sublattice and measured from the bottom. The bounds are known if each component of
-        a slip depends on one component of the spins."""
+        """For each of C spin components a bound for each of n spheres, C enclosures (n,): some minimum has the spin
+        (times radius) of each sphere between the bound and its negative. On lattices, where spins are multiplied by the
+        sign of the sublattice and measured from the bottom, it is between the bound and 0. The bounds hold if each
+        component of a slip depends on one component of the spins."""
         return self.graph.reach(self.box, self.sign)
 
     @cached_property
@@ -164,8 +164,8 @@ class JudgedNetwork:
 
     @cached_property
     def division(self) -> list[Part]:
-        """All n spheres in groups, in the order in which eliminations take them: by nested dissection of the graph of
-        contacts between free spheres."""
+        """All n spheres in groups, in the order in which eliminations of matrices take them: by nested dissection of
+        the graph whose edges are the contacts between free spheres."""
         first, second = self.graph.contact[:, self.acts]
         inner, count = self.free[first] & self.free[second], len(self.free)
         ends = np.append(first[inner], second[inner]), np.append(second[inner], first[inner])
@@ -225,7 +225,8 @@ class JudgedNetwork:
 
     @cached_property
     def kept(self) -> dict[bytes, object]:
-        """What proofs have found of this network and may ask for again: results by a key made of what was asked."""
+        """Results of proofs about this network that may be asked for again; the key of each is made of the arguments
+        with which it was found."""
         return {}
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
@@ -270,7 +271,8 @@ class JudgedNetwork:
 
     @cached_property
     def motion(self) -> Motion:
-        """The stored spins as a motion in which the contacts rest whose slip is exactly 0. Only for lattices."""
+        """The stored spins as a motion in which those contacts are marked as resting that have a coefficient and a free
+        end, and whose slip is exactly 0. Only for lattices."""
         return Motion(self, self.still & self.acts)
 
     @cached_property
@@ -289,8 +291,9 @@ class JudgedNetwork:
 
     @cached_property
     def own_moment(self) -> list[Enclosure]:
-        """Moments n x F of the stored friction F by component, C enclosures (m,): by these it turns both spheres. They
-        are 0 for contacts that dissipate at no minimum, and in components in which no driven sphere does work."""
+        """Moments n x F of the stored friction F (minus its torque over radius on both spheres of a contact), by
+        component, C enclosures (m,). They are set to 0 for contacts that dissipate at no minimum, and along components
+        in which no driven sphere does work."""
         own, all_count = self.graph.working(self.box), bool((self.counts == self.acts).all())
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
         return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
@@ -303,16 +306,17 @@ class JudgedNetwork:
 
     @property
     def joins(self) -> np.ndarray:
-        """(R,) mask, True for samples of a lattice in which contacts lead from the bottom to the top along a spin
-        component in which both planes are driven differently."""
+        """(R,) mask of the samples of a lattice in which some spin component is driven differently at bottom and top,
+        and a chain of contacts which this component makes slip joins both planes."""
         if self.is_whole:
             return np.full(self.count, bool(self.needed))
         return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
         """Return the sum at each of the n spheres of the moments of its contacts, by component, C enclosures (n,).
-        moment : n x F of the m contacts by component, C enclosures (m,); both spheres of a contact get it with the same
-        sign."""
+
+        moment : n x F of the m contacts, F being friction, by component, C enclosures (m,). It is added with the same
+            sign at both spheres of a contact."""
         return self.graph.torques(moment)
 
     @cached_property
@@ -323,18 +327,19 @@ class JudgedNetwork:
         return self.graph.needed(self.box, self._is_needed)
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three arrays (n,) about the parts into which the contacts that component k makes slip join the n
-        spheres:
+        """Return three arrays (n,) about the connected parts of a graph. Its nodes are the n spheres, its edges the
+        contacts that spin component k makes slip:
 
         1. the label of the part of each sphere;
         2. True for spheres in parts with a loop of an odd number of contacts;
-        3. in all other parts signs +1 and -1 that differ between neighbours."""
+        3. in all other parts signs +1 and -1, opposite at spheres in contact."""
         return signs(self.graph.contact[:, self.feels[k]], len(self.free))
 
     @cached_property
     def sign(self) -> list[np.ndarray]:
-        """Signs by spin component, C arrays (n,): +1 or -1, different for neighbours, except in parts with a loop of an
-        odd number of contacts, where that cannot be."""
+        """Signs by spin component, C arrays (n,): +1 or -1, opposite at spheres in contact, like the spins of spheres
+        that roll on each other. In parts with a loop of an odd number of contacts that cannot be, and signs mean
+        nothing."""
         return self.graph.signs(self.feels)
 
     def _is_needed(self, k: int) -> bool:
@@ -349,10 +354,10 @@ class JudgedNetwork:
         return bool(several or (odd[held] & (own.high != 0)).any())
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
-        """Return (R,), for each sample the sum over contacts of mu F_n slip + `of_slope` eta slip^2, in units of the
-        network: with 1 the power, with 1/2 the potential.
+        """Return for each of R samples the sum over contacts of mu F_n slip + `of_slope` eta slip^2 at the stored
+        spins, an enclosure (R,) in units of the network.
 
-        of_slope : a power of two.
+        of_slope : 1 for the power, 1/2 for the potential.
         some : (m,) mask of the contacts that are summed; None for all with a coefficient and a free end."""
         held, flows = self._dissipated if some is None else self._sums(some)
         return held + flows.signed(of_slope)
@@ -364,8 +369,8 @@ class JudgedNetwork:
         return self._sums(self.acts)
 
     def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
-        """Return two sums for each of R samples, enclosures (R,), over the contacts of the mask `some` (m,): of mu F_n
-        slip, and of eta slip^2, at the stored spins."""
+        """Return for each of R samples two sums over the contacts of the mask `some` (m,), at the stored spins: of mu
+        F_n slip, and of eta slip^2. Both are enclosures (R,) in units of the network."""
         slips, slip = some & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         held, flowing = nothing(self.count), nothing(self.count)
         if self.law.holds:
@@ -380,13 +385,13 @@ class Motion:
     """A motion of a network in which some contacts are taken to rest. Spheres that these join, in one component of the
     spins, form a *domain*: they turn exactly as one of them does, even where their stored spins are not quite equal.
 
-    network : the network that moves, n spheres and m contacts; each component of a slip depends on one component of the
-        spins.
+    network : n spheres and m contacts, with their stored spins; each component of a slip depends on one component of
+        the spins.
     rests : (m,) mask of the contacts that are taken to rest.
 
-    On a lattice driven spheres of one plane and layer are of one domain. Stored spins are exact there, but what is
-    imposed on the top differs a little from what is stored; this *shift* is far below the rounding of spins, yet not
-    below the smallest slips."""
+    On a lattice the driven spheres of a plane that have one coordinate along the component, and so one spin, are of one
+    domain. What is imposed on the top differs a little from what is stored. This *shift* is far below the rounding of
+    spins, yet may exceed the smallest slips."""
 
     network: JudgedNetwork
     rests: np.ndarray
@@ -403,9 +408,9 @@ class Motion:
         return bool((self.rests & self.network.slips_with[k]).any())
 
     def domains(self, k: int) -> np.ndarray:
-        """Return the number (n,) of the domain of each of n spheres in component k. A domain is a group of spheres that
-        turn as one: those that resting contacts join, and on lattices also the driven spheres of one plane and layer.
-        """
+        """Return for each of n spheres the number (n,) of its domain in component k. A domain is a group of spheres
+        that turn as one: those that resting contacts join, and on lattices also the driven spheres of a plane that
+        always have the same spin."""
         network, size = self.network, len(self.network.free)
         own = network.graph.anchor(k)
         if not self.joins(k):
@@ -437,22 +442,28 @@ class Motion:
 
     @cached_property
     def _signed_spins(self) -> dict[int, tuple[Enclosure, Enclosure | None]]:
-        """By component k, what :meth:`_signed_spin` has found: spins with the sign by which neighbours differ, and
-        their shift."""
+        """Results of :meth:`_signed_spin` by component k, empty at first: spins with the sign by which neighbours
+        differ; and how much the imposed spin of the top exceeds the stored one, or None."""
         return {}
 
     def _signed_spin(self, k: int) -> tuple[Enclosure, Enclosure | None]:
-        """Return a pair for component k: the spins (n,) times radius with the signs by which neighbours differ, equal
-        for spheres that resting contacts join; and (n,), for spheres that turn with the top of a lattice the imposed
-        less the stored spin, or None if that is 0 everywhere. It is computed on first use."""
+        """Return a pair for component k, computed on first use:
+
+        1. enclosures (n,): spins times radius, times the sign +1 or -1 by which neighbours differ. They are exactly
+           equal for spheres that resting contacts join.
+        2. enclosures (n,): for spheres that turn with the top of a lattice the imposed less the stored spin, 0 for
+           others; None if it is 0 everywhere."""
         if k not in self._signed_spins:
             self._signed_spins[k] = self._find_signed_spin(k)
         return self._signed_spins[k]
 
     def _find_signed_spin(self, k: int) -> tuple[Enclosure, Enclosure | None]:
-        """Compute for component k the spins (n,) times radius with the signs by which neighbours differ, equal for
-        spheres that resting contacts join; and (n,), for spheres that turn with the top of a lattice the imposed less
-        the stored spin, or None if that is 0 everywhere."""
+        """Compute a pair for component k:
+
+        1. enclosures (n,): spins times radius, times the sign +1 or -1 by which neighbours differ. They are exactly
+           equal for spheres that resting contacts join.
+        2. enclosures (n,): for spheres that turn with the top of a lattice the imposed less the stored spin, 0 for
+           others; None if it is 0 everywhere."""
         network = self.network
         own = network.graph.signed(network.spin[k], network.sign[k])
         if (self.rests & ~network.still).any():
@@ -471,11 +482,11 @@ class Motion:
         return slices(network.graph).slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
 
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
-        """Return for q contacts the signed spin of the second sphere less that of the first in component k, an
-        enclosure (q,); exactly 0 between spheres that resting contacts join. Signed means times the sign +1 or -1 by
-        which neighbours differ.
+        """Return for q contacts s_j u_j - s_i u_i, an enclosure (q,): the difference of the spins (times radius) of the
+        second and the first sphere in component k, with the signs s = +1 or -1 that differ between neighbours. Its size
+        is that of the slip along this component; it is exactly 0 if contacts at rest join both spheres.
 
-        some : (q,), indices of the contacts, all of which this component makes slip."""
+        some : (q,), indices of the contacts; this component must make all of them slip."""
         first, second = self.network.graph.contact[:, some]
         own, shift = self._signed_spin(k)
         domain, found = self.domain[k], nothing(len(some))

@@ -92,7 +92,7 @@ class Judgement:
         return Bounds.of(self.network)
 
     def _by_sample(self, of_contacts: np.ndarray) -> np.ndarray:
-        """Return values (R * E,) of all contacts of R samples as an array (R, E contacts)."""
+        """Return values (R * E,), one for each contact of R samples, as an array (R, E)."""
         return of_contacts.reshape(self.network.count, -1)
 
     @property
@@ -200,10 +200,10 @@ class Judgement:
 
     @property
     def price(self) -> np.ndarray:
-        """(R,), for each of R samples how much of the relative gap is due to unbalanced torques on free spheres: the
-        most that these can cost at spins within what is imposed, over the upper bound on the power. Where components of
-        spins mix, springs take the torques away first, and what is left of them counts. Infinite where the upper bound
-        is 0 but the price is not; 0 for samples with a state without any slip."""
+        """(R,), for each of R samples how much of the relative gap is due to torques that the stored friction leaves
+        over on free spheres: the most power that these can cost if no component of a spin exceeds the largest imposed
+        one, over the upper bound on the power. Infinite where that bound is 0 but the cost is not; 0 for samples with a
+        state without any slip."""
         price, upper = np.where(self.can_all_rest, 0.0, self.bounds.price), self.bounds.upper
         return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
 

@@ -20,16 +20,16 @@ from taichi_bearings.scene.network import Network
 
 class Listed:
     """Contacts given by the indices of their spheres, for proofs: m contacts and n spheres of R samples in all, with C
-    components of spins. Nothing in it changes once it is made. Its constants say which proofs are tried of
-    such contacts."""
+    components of spins. Nothing in it changes once it is made. Four constants say which proofs are tried of such
+    contacts; lattices have a subclass (`Grid`), where they differ."""
 
     has_two_planes = False
     """True if the driven spheres are two planes of a lattice: then a state without slip exists just where no contacts
-    join the planes. Only a grid has them (slices.py)."""
+    join the planes."""
     ties_are_known = False
-    """True if minima that tie are found by what tied_minima.py knows of lattices."""
+    """True if several minima of equal power can be found, which is only known of lattices (tied_minima.py)."""
     rests_in_parts = True
-    """True if contacts with damping are also tried as resting part by part."""
+    """True if contacts with damping are also tried as resting part by part (a part: spheres that contacts connect)."""
     friction_is_at_limit = False
     """True if a minimum is only looked for where the stored friction of slipping contacts hardly misses its limit."""
 
@@ -44,7 +44,8 @@ class Listed:
 
     @classmethod
     def of_samples(cls, network: Network, friction: np.ndarray) -> Listed:
-        """Return the contacts of R samples on one network, side by side: indices of spheres of sample r begin at r N.
+        """Return the contacts of R samples on one network, one sample after the other: indices of spheres of sample r
+        begin at r N, those of contacts at r E.
 
         network : N spheres and E contacts.
         friction : (R, E, C), on the second sphere of each contact, C components."""
@@ -110,28 +111,31 @@ class Listed:
         return ~(np.sort(np.abs(self.normal)) == (0, 0, 1)).all(axis=1)
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """Return the lengths (m,) of m vectors.
+        """Return the lengths (m,) of m vectors, an enclosure.
 
         parts : their components, C enclosures (m,)."""
         return length(parts)
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
         """Return the sum at each of n spheres of the moments of its contacts, by component, C enclosures (n,).
-        moment : by component, C enclosures (m,), for m contacts; both spheres of one get it with the same sign."""
+
+        moment : n x F of m contacts (n the normal, F the friction), by component, C enclosures (m,). It is added with
+            the same sign at both spheres of a contact."""
         return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
-        """Return signs by component, C arrays (n,) of +1 and -1. They differ between neighbours; in parts with a loop
-        of an odd number of contacts that cannot be, and signs mean nothing.
+        """Return for each of C spin components signs (n,) of the n spheres, +1 or -1, opposite at spheres in contact,
+        like the spins of spheres that roll on each other. Spheres that contacts connect in a loop of an odd number
+        cannot have such signs: there, and in all that is connected with it, the signs mean nothing.
 
-        feels : (C, m) mask, for each of C components which of m contacts make their spheres neighbours.
+        feels : (C, m) mask, for each component which of m contacts connect spheres.
         """
         return [signs(self.contact[:, own], len(self.place))[2] for own in feels]
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
-        """Return by component a bound (n,), C enclosures, on the size of u, spin times radius, of each of n spheres at
-        some minimum: the largest imposed size. It holds where each component of a slip depends on one component of the
-        spins.
+        """Return for each of C spin components a bound on the size of u, spin times radius, of each of n spheres at
+        some minimum: C enclosures (n,), filled with the largest imposed size. This bound holds where each component of
+        a slip depends on one component of the spins.
 
         box : (C,), the largest imposed size of each component.
         sign : not used here."""
@@ -148,59 +152,62 @@ class Listed:
         return [k for k in range(len(box)) if differs(k)]
 
     def are_whole(self, acts: np.ndarray, free: np.ndarray) -> bool:
-        """Return True if it is known at once that contacts connect every free sphere to what is driven; here False.
-        acts : (m,) mask of the contacts that take part.
-        free : (n,) mask of the free spheres."""
+        """Return True if it is known without a search that contacts connect every free sphere to driven ones. Here it
+        is False, since only lattices (`Grid`) know that.
+
+        acts : (m,) mask of the contacts that take part; not used here.
+        free : (n,) mask of the free spheres; not used here."""
         return False
 
     def slip_speeds(self, spin: list[Enclosure], in_motion: Callable[[], Enclosure]) -> Enclosure:
-        """Return the slip speeds (m,) of all contacts: lengths of (u_i + u_j) x n.
+        """Return the slip speeds of all m contacts, an enclosure (m,): lengths of (u_i + u_j) x n, with the spins times
+        radius of both spheres and the normal.
 
         spin : u, spin times radius of n spheres, by component, C enclosures (n,).
-        in_motion : function that returns the slip speeds (m,) of the motion in which contacts without slip rest
-            exactly; not used here."""
+        in_motion : function that returns the slip speeds (m,) in another way, which lattices use; not called here."""
         first, second = self.contact
         return length(across([part.at(first) + part.at(second) for part in spin], self.normal))
 
     def taken(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-        """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
-        anything that `reach` allows: here anything between the bound and its negative, which gives |torque| |reach|.
+        """Return for each of n spheres the most power that a torque on it may take, an enclosure (n,), if its spin may
+        be anything between `reach` and -`reach`: |torque| |reach|.
 
-        torque, reach : (n,), one component of each.
+        torque : (n,), torque over radius along one spin component.
+        reach : (n,), bound on the spin times radius.
         some : (n,) mask of the spheres that count; 0 is returned for others."""
         return largest_work(torque, reach, some)
 
     def in_odd_loops(self, k: int, feels: np.ndarray) -> np.ndarray:
-        """Return the mask (n,) of the spheres in parts with a loop of an odd number of contacts.
+        """Return the mask (n,) of the spheres that are connected with a loop of an odd number of contacts.
 
-        k : number of the spin component.
-        feels : (m,) mask, which contacts it makes slip."""
+        k : number of a spin component; not used here.
+        feels : (m,) mask of the contacts which that component makes slip; only these connect."""
         return signs(self.contact[:, feels], len(self.place))[1]
 
     def working(self, box: np.ndarray) -> list[bool]:
-        """Return a list of C truth values by component: False if moments along it do no work whatever they are. Here
-        all are True.
+        """Return for each of C spin components whether friction can do work along it: here True for all. (On lattices
+        False where both planes are driven alike.)
 
         box : (C,), the largest imposed sizes; only its length is used."""
         return [True] * len(box)
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
-        """Return the stored friction of the contacts in the mask `counts` (m,) by component, C enclosures (m,); 0 for
-        others.
+        """Return the stored friction of m contacts by component, C enclosures (m,), set to 0 for contacts that are not
+        in the mask `counts` (m,).
 
-        moment : not used here."""
+        moment : what lattices return in its place; not used here."""
         return [Enclosure.exact(np.where(counts, part, 0.0)) for part in self.friction.T]
 
     def anchor(self, k: int) -> np.ndarray:
-        """Return for each of n spheres the index (n,) of the sphere whose spin it shares in every motion, which here is
-        the sphere itself. (On lattices driven spheres of a plane and layer share that of the first.)
+        """Return for each of n spheres the index (n,) of the first sphere that has the same spin component k in every
+        motion: here the sphere itself. (On lattices driven spheres of a plane may share the spin of the first.)
 
         k : number of the spin component, not used here."""
         return np.arange(len(self.place))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """Return spins times signs by which neighbours differ, (n,): so neighbours that do not slip have equal signed
-        spins.
+        """Return spins multiplied by the signs `sign`, an enclosure (n,). Signs differ between neighbours, so that
+        those which do not slip have equal results.
 
         spin : (n,), spin times radius of n spheres in one component.
         sign : (n,), +1 or -1."""
@@ -214,7 +221,7 @@ class Listed:
         return None
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
-        """Return the mask (m,) of the contacts without any slip in the given spins, exactly. It has a meaning only for
+        """Return the mask (m,) of the contacts whose slip is exactly 0 in the given spins. It has a meaning only for
         discs and for normals along the axes.
 
         spin : spin times radius of n spheres by component, C enclosures (n,)."""
@@ -225,13 +232,14 @@ class Listed:
         return found
 
     def middle(self, some: np.ndarray) -> np.ndarray:
-        """Return the positions (q, D) in D dimensions of the middles of q contacts: half-way between both centres.
-        some : (q,), their indices."""
+        """Return the positions (q, D), in D dimensions, of the middles of q contacts: half-way between both centres.
+
+        some : (q,), indices of the contacts."""
         begin, end = self.place[self.contact[:, some]]
         return np.asarray(begin + (end - begin) / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """Return a speed by which contacts might slip, in the unit of `box`: the largest imposed size.
+        """Return a speed to compare slips with, in the unit of `box`: the largest imposed spin times radius.
 
         box : (C,), the largest size of each imposed component, spin times radius.
         speed_unit : not used here."""
@@ -240,20 +248,21 @@ class Listed:
 
 @in_cache
 def largest_work(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return |torque| |reach| for each of n spheres, (n,): the most that a torque takes from the work at a spin of size
-    `reach`.
+    """Return |torque| |reach| for each of n spheres, an enclosure (n,): the most power that a torque can take at spins
+    of at most this size.
 
-    torque, reach : (n,), one component of each.
-    some : (n,) mask of the spheres that count; 0 for others."""
+    torque : (n,), torque over radius along one spin component; its largest possible size is taken.
+    reach : (n,), spin times radius.
+    some : (n,) mask of the spheres that count; the result is 0 for others."""
     return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
 
 
 def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """Return the cross products v x n of vectors with unit normals, by component, C enclosures (m,); for discs (C = 1)
-    the vectors as they are.
+    """Return the cross products v x n of m vectors with unit normals, by component, C enclosures (m,). Discs have one
+    component (C = 1), which is returned as it is.
 
     vectors : v by component, C enclosures (m,).
-    normal : (m, D dimensions), n."""
+    normal : n, (m, D dimensions)."""
     if len(vectors) == 1:
         return vectors
     n = normal.T
@@ -271,11 +280,12 @@ def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
 
 
 def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return three arrays (size,) about the connected parts that edges make of nodes: the label of the part; True for
-    nodes in parts with a loop of an odd number of edges; and in all other parts signs +1 and -1 that differ between
-    neighbours.
+    """Return three arrays (size,) about the connected parts of a graph, for each of its nodes: the label of its part;
+    True if the part has a loop of an odd number of edges; and, in all other parts, a sign +1 or -1 that is opposite for
+    nodes which an edge joins.
 
-    ends : (2, q), nodes 0 to size - 1 that each edge joins.
+    ends : (2, q), the two nodes of each of q edges, numbers 0 to size - 1.
+    size : number of nodes.
 
     The nodes are doubled, u+ and u-, and each edge joins u+ with v- and u- with v+. In a part without odd loops both
     copies stay apart, which gives the signs; with an odd loop u+ is connected with u-."""

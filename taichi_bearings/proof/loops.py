@@ -69,7 +69,8 @@ class FrictionBounds:
     "Optimal" is friction at any minimum of the power; the friction "at hand" is the one stored with the solution.
 
     network : the packing, with N spheres and E contacts.
-    number : (N, 3), which unknown each component of a spin is, -1 where it is none (of driven spheres).
+    number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none, such as those of
+        driven spheres.
     exact : the contacts that can all roll exactly at once, and their motions.
     given : friction at hand by component, 3 enclosures (E,), in units of force.
     known : (E,) mask of the contacts whose friction is nearly known at every minimum: they slip there, or have damping
@@ -102,8 +103,8 @@ class FrictionBounds:
 
     @cached_property
     def rows(self) -> sparse.csr_array:
-        """Matrix (2 E contacts, n): both tangential components of the slip of contact i, in rows 2 i and 2 i + 1, from
-        the n unknown spin components."""
+        """Matrix (2 E, n) that gives slips of E contacts from n unknown spin components. Rows 2 i and 2 i + 1 are for
+        the components of the slip of contact i along its two `tangents`."""
         count = len(self.most_change)
         row = np.repeat(np.arange(2 * count), 3)
         column = (np.arange(3) * count + np.arange(count)[:, None]).repeat(2, axis=0)
@@ -122,19 +123,21 @@ class FrictionBounds:
         return np.asarray(self.network.reached & ~self.exact.spheres)
 
     @cached_property
-    def in_q(self) -> np.ndarray:
-        """(E,) mask of the contacts whose loops are looked at: they can dissipate, their friction at minima is not
-        known, and they touch one of `other_spheres`, free spheres that no exactly rolling contact touches."""
+    def near_loops(self) -> np.ndarray:
+        """(E,) mask of the contacts that may form loops which cannot roll exactly: they can dissipate, their friction
+        at minima is not known, and they touch one of `other_spheres`, free spheres that no exactly rolling contact
+        touches."""
         touches = self.other_spheres[self.network.graph.contact].any(axis=0)
         return np.asarray(self.network.counts & ~self.known & touches)
 
     @cached_property
     def left_over(self) -> np.ndarray:
-        """(N,), bound on the size of each component of an error of the torque on each of N spheres, force*length.
+        """(N,), for each of N spheres a bound on any component of the torque over radius, a force, that is left out if
+        the friction at hand is taken to be in balance.
 
-        It is the sum of two bounds: on the torque that the friction at hand, which is not quite in balance, leaves
-        over; and on what rounding adds when the matrix `rows` multiplies any change of friction up to `most_change`,
-        where an entry of `rows` has fewer than 64 roundings."""
+        It is the sum of two bounds: on the torque that this friction leaves over; and on what rounding adds where the
+        matrix `rows` multiplies changes of friction up to `most_change`. An entry of `rows` has fewer than 64
+        roundings."""
         torques = self.network.torques(moments(self.given, self.network.graph.normal))
         return np.asarray(
             (np.max([part.most for part in torques], axis=0) + 64 * EPS * self.sum_at_spheres(self.most_change)) * UP
@@ -147,36 +150,37 @@ class FrictionBounds:
         return np.bincount(ends, np.tile(values[self.network.counts], 2), len(self.network.free))
 
     def split_into_pieces(self) -> list[Piece]:
-        """Return the contacts of the mask `in_q` in pieces, each with bounds on its friction: two contacts are in one
-        piece if contacts and spheres of the mask `other_spheres` connect them. Pieces with more than MOST_SPLIT unknown
-        spin components are left out."""
+        """Return the contacts of the mask `near_loops` in pieces, each with bounds on its friction. Two contacts are in
+        one piece if such contacts and the spheres of the mask `other_spheres` connect them. Pieces with more than
+        MOST_SPLIT unknown spin components are left out."""
         first, second = self.network.graph.contact
-        joins = self.in_q & self.other_spheres[first] & self.other_spheres[second]
+        joins = self.near_loops & self.other_spheres[first] & self.other_spheres[second]
         label = pieces(len(self.other_spheres), first[joins], second[joins])
         part = label[np.where(self.other_spheres[first], first, second)]
         column, found = np.where(self.other_spheres[self.sphere], label[self.sphere], -1), []
-        for own in np.unique(part[self.in_q]):
+        for own in np.unique(part[self.near_loops]):
             unknowns = np.flatnonzero(column == own)
             if len(unknowns) <= MOST_SPLIT:
-                found.append(Piece.of(self, np.flatnonzero(self.in_q & (part == own)), unknowns))
+                found.append(Piece.of(self, np.flatnonzero(self.near_loops & (part == own)), unknowns))
         return found
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Bounds on the friction of q contacts at any minimum, which their spheres connect.
+    """Bounds on the friction of q connected contacts at any minimum.
 
-    Let f be the change of their friction from the one at hand to an optimal one. It is L c + the rest, with c the
-    friction that circulates along each of m loops.
+    Let f be the change of their friction, from the stored one to that at a minimum. It is L c plus a rest, where c is
+    the friction that circulates along each of m loops. Friction has two tangential components for each contact.
 
     contacts : (q,), indices of these contacts.
     others : (k,), indices of the other contacts of their spheres.
-    loops : L, (2 q, m), friction along each loop, two tangential components for each contact.
-    middle, half_length : (m,), of the interval in which each c lies.
-    by_others : (2 q, 2 k), the matrix by which a change of friction on the others changes f.
-    most_off_loops : (q,), bound on the size of f without L c.
-    by_rounding : (q,), the part of `most_off_loops` that is due to rounding and leftover torques, not to the others.
-    largest : (q,), bound on the size of the optimal friction.
+    loops : L, (2 q, m), friction on the contacts if 1 circulates along a loop.
+    middle, half_length : (m,), of the interval in which the c of each loop lies.
+    by_others : (2 q, 2 k), the matrix that maps changes of friction on the other contacts to the change that they cause
+        in f.
+    most_off_loops : (q,), bound on the size of f - L c at each contact.
+    by_rounding : (q,), the share of `most_off_loops` that is due to rounding and leftover torques, not to the others.
+    largest : (q,), bound on the size of the friction at a minimum.
     """
 
     contacts: np.ndarray
@@ -191,16 +195,16 @@ class Piece:
 
     @classmethod
     def of(cls, bounds: FrictionBounds, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
-        """Bound the friction of the q contacts of one piece at every minimum.
+        """Return bounds on the friction of q connected contacts at every minimum.
 
-        Let f be the change of their friction from the one at hand to that at a minimum. It is split into friction L c
+        Let f be the change of their friction, from the stored one to that at a minimum. It is split into friction L c
         along m loops, which exerts no torque, and a rest, which follows from the torques of f. These torques cancel
-        what the other contacts of the spheres change, so they have bounds. The limits of friction then confine each
-        number of c to an interval.
+        those of the changes at the other contacts of the spheres, so they have bounds. The friction limits then confine
+        the number c of each loop to an interval.
 
-        bounds : what is known of friction of all contacts before.
-        contacts : (q,), indices of the contacts of the piece.
-        unknowns : (n,), numbers of the unknown spin components of its spheres."""
+        bounds : what is known so far of the friction of all contacts.
+        contacts : (q,), indices of these contacts.
+        unknowns : (n,), indices, among all unknowns, of the spin components of their spheres."""
         rows, most_change = bounds.rows[tangent_rows(contacts)][:, unknowns].toarray(), bounds.most_change
         touches = np.zeros(len(bounds.network.free), dtype=bool)
         touches[bounds.sphere[unknowns]] = True
@@ -261,23 +265,24 @@ def block_norms(matrix: np.ndarray, numbers: int = 2) -> np.ndarray:
 
 
 def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Return a bound (2 q, 2 q) on the size of each entry of D = I - L L^T - M Y, what is missing where friction is
-    split into loops L and the rest. It is the size of D as doubles give it, and a bound on the rounding of the sums by
-    which they do: EPS for each term, and 64 EPS more.
+    """Return a bound (2 q, 2 q) on the size of each entry of D = I - L L^T - M Y. It would be 0 without rounding:
+    friction on q contacts is the sum of its part along loops, L L^T, and of a rest that follows from its torques, M Y.
 
-    rows : M, (2 q, n), slips of q contacts.
+    The bound is the size of D as doubles give it, plus the rounding of the sums: EPS for each term, and 64 EPS more.
+
+    rows : M, (2 q, n), the matrix that gives slips of q contacts from n unknown spin components.
     loops : L, (2 q, m), friction along m loops.
-    inverse : Y, (n, 2 q), about the pseudo-inverse of M."""
+    inverse : Y, (n, 2 q), nearly the pseudo-inverse of M."""
     found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
     of_along = np.abs(loops)
     return found + terms * EPS * (np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse))
 
 
 def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for a matrix M of slips of q contacts, a matrix L (2 q, m) and a matrix Y (n, 2 q). Each column of L is
-    friction along one of m loops, which exerts no torque: M^T L = 0 but for rounding. Y is the pseudo-inverse of M.
+    """Return two matrices: L, (2 q, m), whose columns are friction on q contacts along m loops, which exerts no torque;
+    and the pseudo-inverse (n, 2 q) of M. As torques are M^T times friction, M^T L = 0 but for rounding.
 
-    rows : M, (2 q, n), both tangential components of each slip from n unknown spin components."""
+    rows : M, (2 q, n), gives both tangential components of each slip from n unknown spin components."""
     u, size, v = np.linalg.svd(rows, full_matrices=True)
     rank = int((size > NEARLY_SINGULAR * size.max(initial=0.0)).sum())
     inverse = (v[:rank].T / size[:rank]) @ u[:, :rank].T
@@ -296,11 +301,13 @@ def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return an interval for each of m loops that contains the friction c which circulates along it at every minimum:
-    the middle and the half length of the intervals, (m,) each.
+    """Enclose the unknown friction that circulates along each of m loops. At any minimum the friction is F + L c, with
+    one number c for each loop. Return (middle, half_length), (m,) each, such that |c - middle| <= half_length.
 
-    loops : L, (2 q, m), two tangential components for each of q contacts, by a unit of each c.
-    force : (q, 2), friction F at hand along the tangents.
+    Bounds are close for loops that share no contact with another one; for others they are crude.
+
+    loops : L, (2 q, m), orthonormal columns; rows 2 i and 2 i + 1 are the tangential components at contact i.
+    force : F, (q, 2), the stored friction along the tangents.
     limit : (q,), sizes that F + L c does not exceed at each contact.
     """
     size = np.linalg.norm(loops.reshape(len(force), 2, -1), axis=1)

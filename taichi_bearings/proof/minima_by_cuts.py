@@ -53,21 +53,20 @@ MOST_LEVELS = 100  # most steps between imposed values of a part that are looked
 
 @dataclass(frozen=True)
 class CutGraph:
-    """The graph whose lightest cuts are the minima along one spin component, of all samples side by side.
+    """A graph whose lightest cuts give the minima of the power along one spin component, for all samples side by side.
 
-    A cut divides the nodes, which are spheres, into those whose u (signed spin times radius) is above some number and
-    those below; its weight is the sum of the friction limits mu F_n of the edges, which are contacts, between both
-    sides. There are q edges: the m contacts that the component makes slip, or, if `is_double`, each of them twice, with
-    two nodes, u and -u, for each sphere.
+    Nodes are spheres, edges are contacts. A cut divides the nodes into those whose u (spin times radius, times a sign
+    that differs between neighbours) is above some number and those below. Its weight is the sum of the friction limits
+    mu F_n of the edges between both sides. Where loops of an odd number of contacts allow no such signs (`is_double`),
+    each sphere has two nodes, u and -u, and each contact two edges.
 
-    own : (m,), indices of the contacts in the network.
-    low, high : (q,), nodes of each edge; its contact slips by u at `high` less u at `low`.
-    up, down : (q,), lower bounds of mu F_n - f and of mu F_n + f, what a contact has left of its friction f if it slips
-        upwards or downwards; f is positive if it goes with a slip upwards.
-    label : (nodes,), the connected part of each node.
+    own : (m,), indices in the network of the contacts that the component makes slip.
+    low, high : (q,), nodes of each edge, q = m or 2 m; the contact slips by u at `high` less u at `low`.
+    up, down : (q,), lower bounds of mu F_n - f and of mu F_n + f: what a contact has left of its friction limit if it
+        slips upwards or downwards. Here f is its friction, positive if it goes with a slip upwards.
+    label : (nodes,), the number of the connected part of each node.
     node, value : (d,), the driven nodes and the values of u imposed on them, sorted by part and value.
-    is_double : True where some loop has an odd number of contacts, so that no signs of spins differ between all
-        neighbours."""
+    is_double : True if there are loops of an odd number of contacts."""
 
     own: np.ndarray
     low: np.ndarray
@@ -81,10 +80,11 @@ class CutGraph:
 
     @classmethod
     def of(cls, bounds: Bounds, k: int) -> CutGraph:
-        """Make the graph for component k of the spins.
+        """Return the graph for component k of the spins: a node for each sphere, an edge for each contact that this
+        component makes slip; two of either if some loop has an odd number of contacts.
 
-        bounds : bounds on the power, with the network and its friction, which is divided such that none exceeds its
-            limit."""
+        bounds : bounds on the power, with the network and its friction. The friction is divided by `bounds.worst`, so
+            that none exceeds its limit."""
         network, count = bounds.network, len(bounds.network.free)
         own = np.flatnonzero(network.feels[k])
         first, second = network.graph.contact[:, own]
@@ -118,8 +118,9 @@ class CutGraph:
         its limit mu F_n unused than the edge could on a lightest cut.
 
         margin : (q,), for each edge the most of mu F_n that may stay unused if the edge crosses a lightest cut: (power
-            less its proven lower bound) / (difference of the two imposed spins that the cut separates). Both belong to
-            the sample and the connected part in which the edge lies, so they differ between edges.
+            less its proven lower bound) / (difference of the two imposed spins times radius that the cut separates).
+            The first is that of the sample of the edge, and twice that if spheres have two nodes; the second is that of
+            its connected part.
         """
         size, rises, falls = len(self.label), self.up > margin, self.down > margin
         tail, head = np.append(self.high[rises], self.low[falls]), np.append(self.low[rises], self.high[falls])
@@ -127,14 +128,17 @@ class CutGraph:
 
 
 def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
-    """Return the states (m,) of all m contacts of a network in which some minimum slips along one component k of the
-    spins, and none along others, for friction alone.
+    """Return the states (m,) of all m contacts of a network with friction alone in which minima slip along component k
+    of the spins only.
 
-    Minima are mixtures of cuts, one for each step between two successive imposed values (sorted) of a connected part. A
-    cut divides the spheres into two sides; it is lightest if the friction limits of the contacts between the sides have
-    the least sum. A contact is SLIPPING if it is between the sides of every lightest cut of some step; SLIPLESS if it
-    is within one side of every lightest cut at all steps; TIED if it is in some lightest cuts, but not all, of the only
-    step; UNDECIDED if friction and excess of power do not tell.
+    Sort the values imposed on the driven spheres of a connected part. Between two successive ones, a *step*, a cut
+    divides its spheres into two sides. It is lightest if the friction limits of the contacts between the sides have the
+    least sum. Minima are mixtures of lightest cuts, one for each step. So a contact is
+
+    * SLIPPING if for some step it is between the sides of every lightest cut;
+    * SLIPLESS if for all steps it is within one side of every lightest cut;
+    * TIED if there is one step only, and it is in some of its lightest cuts, but not in all;
+    * UNDECIDED if stored friction and excess of power do not tell.
 
     bounds : the network, its friction, and the excess of the power over what the friction proves."""
     network, graph = bounds.network, CutGraph.of(bounds, k)
@@ -146,7 +150,8 @@ def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
     steps = np.flatnonzero(differs & (part[1:] == part[:-1]))
     steps = steps[np.lexsort((-step.high[steps], part[steps]))]
     rank = np.arange(len(steps)) - np.searchsorted(part[steps], part[steps])
-    # For each edge: the sum of the steps at which it is undecided; whether it slips, is tied, has one step alone.
+    # For each edge: the sum of the sizes of the steps at which it may slip; whether it is surely on one side of all
+    # lightest cuts of a step; whether it slips, or is tied; whether its part has one step alone.
     open_ = np.bincount(part[steps], np.where(rank < MOST_LEVELS, 0.0, step.most[steps]), size)[label[low]]
     alike, slips, tied = (np.full(len(low), of) for of in (True, False, False))
     once = (np.bincount(part[steps], minlength=size) == 1)[label[low]]
@@ -190,7 +195,7 @@ def _in_whole_numbers(
     bounds : the network, its friction, and the excess of each sample.
     own : (m,), indices in the network of the contacts that are looked at.
     ends : (2, m), the two spheres of each.
-    above, below : (spheres,), masks of the spheres that are surely above, surely below every lightest cut.
+    above, below : (spheres,), masks of the spheres that are proven to be above, or below, every lightest cut.
 
     Returns the positions (q,) in `own` of the contacts that were decided; the mask (q,) of those that are in some
     lightest cut; and the mask (q,) of those that are in all of them."""

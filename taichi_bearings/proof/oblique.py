@@ -75,19 +75,20 @@ MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Prove which contacts slip at the minima, and how far their slips are from the given ones. Return None if nothing
+    """Prove which contacts slip at the minima, and how far their slips are from the stored ones. Return None if nothing
     is proven, else three arrays:
 
     1. slides : (E,) mask of contacts that may slip. Every other contact that can dissipate is proven to rest at every
        minimum.
-    2. distance : (E,), for the contacts of `slides` a bound on |slip at any minimum - given slip|,
-       length/time; 0 for others. So a contact of `slides` slips at every minimum if it has friction, or if its given
-       slip is larger than this bound.
+    2. distance : (E,), for the contacts of `slides` a bound on |slip at any minimum - stored slip|, in units of the
+       network; 0 for others. So a contact of `slides` slips at every minimum if it has friction, or if its stored slip
+       is larger than this bound.
     3. proven : (R,) mask of the samples for which `slides` and `distance` hold; nothing is said of the others.
 
-    bounds : the network of R samples of a packing with E contacts in all, its friction, and springs that balanced this
-        friction. Several samples are treated as parts of one that no contact joins; then only the given spins are
-        tried, for a single sample spins improved by Newton's method as well."""
+    bounds : the network of R samples of a packing with E contacts in all, and its friction, in which forces of
+        fictitious springs at the contacts have balanced all torques. Several samples are treated as one network that
+        falls into separate parts. Then only the stored spins are tried; for a single sample also spins improved by
+        Newton's method."""
     network, unknown = bounds.network, bounds.unknown
     longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # the proof takes normals for units
     if unknown is None or not longest < UP:
@@ -119,22 +120,22 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 @dataclass(frozen=True)
 class Centre:
-    """What the proof starts from: spins, given or improved, in whose neighbourhood a minimum is proven, with the
-    friction that resting contacts bear at them.
+    """Spins near which a minimum is to be proven, the stored ones or improved ones, with the friction that resting
+    contacts bear at them. Units are those of the network; all values are exact sums of two doubles.
 
-    All values are exact sums of two doubles. N spheres, E contacts, S of them slipping and T resting; K is the matrix
-    that gives slips from the n unknown components of free spins.
+    There are N spheres and E contacts, S of them slipping and T resting; K is the matrix that gives slips from the n
+    unknown components of free spins.
 
     network : R samples of a packing, with N spheres and E contacts in all.
     exact : motions of spheres in which some resting contacts roll exactly.
     floor_of_loose_contacts : (R,), proven lower bound of the singular values of K^T for the *loose* contacts, resting
         ones that need not roll exactly, and the spheres that exact motions leave out; infinite if there is no such
         contact, 0 if nothing is proven.
-    number : (N, 3), which of the n unknowns each component of a spin is, -1 where it is none.
+    number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none.
     slipping, resting : (S,) and (T,), indices of the contacts.
-    spin : spins times radius by component, 3 enclosures (N,), length/time.
-    resting_friction : friction of the resting contacts by component, 3 enclosures (E,), force; entries of other
-        contacts are not used.
+    spin : spins times radius by component, 3 enclosures (N,).
+    resting_friction : friction of the resting contacts by component, 3 enclosures (E,); entries of other contacts are
+        not used.
     """
 
     network: JudgedNetwork
@@ -188,8 +189,9 @@ class Centre:
 
     @cached_property
     def friction(self) -> list[Enclosure]:
-        """Friction from which everything is proven, for all E contacts by component, 3 exact enclosures (E,):
-        `resting_friction` for resting contacts, `friction_by_law` without its error bounds for slipping ones."""
+        """The friction from which everything is proven, for all E contacts by component, 3 enclosures (E,) without
+        errors: `resting_friction` for resting contacts, and for slipping ones the numbers of `friction_by_law`, with
+        its error bounds dropped."""
         found = []
         for part, slipping in zip(self.resting_friction, self.friction_by_law, strict=True):
             found.append(_without_error(part))
@@ -230,7 +232,9 @@ class Centre:
 
     def curvature(self, firmness: float = 1.0) -> Form | None:
         """Return the curvature of the potential at these spins, as a quadratic form |B x|^2 of the changes x of the n
-        unknowns, with springs at resting contacts; None if some unknown changes no slip.
+        unknowns, with fictitious springs at resting contacts; None if some unknown changes no slip.
+
+        firmness : factor of the rows of resting contacts, see below.
 
         The rows of B are, for a contact with slip y,
         * if it slips and has friction, one: the change of the slip across y, times (mu F_n / |y|)^1/2,
@@ -262,9 +266,9 @@ class Centre:
         return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts, samples=self.samples)
 
     def improved(self) -> Centre:
-        """Return spins closer to the minimum among spins at which the resting contacts rest, with friction of these
-        that fits, by Newton's method. It makes steps while each of them more than halves the norm of the leftover
-        torques. Nothing about the result is proven."""
+        """Return spins closer to the minimum among those spins at which the resting contacts do not slip, and the
+        friction that these contacts have to bear then: by Newton's method. It makes steps while each of them more than
+        halves the norm of the leftover torques. Nothing about the result is proven."""
         curvature, there = self.curvature(FIRM), self.number >= 0
         # The slips of resting contacts are fixed @ spins. A motion is split into one in which these are 0 and another
         # one, by the factorised matrix fixed^T fixed.
@@ -276,19 +280,20 @@ class Centre:
         moving = curvature.rows[: curvature.rows.shape[0] - 3 * len(self.resting)]  # those of slipping contacts
 
         def borne(torque: np.ndarray) -> np.ndarray:
-            """Return the spins x (n,) for which friction `fixed @ x` on the resting contacts exerts the torque (n,), or
-            as much of it as resting contacts can exert. The residual is solved for once more, against rounding."""
+            """Return x (n,) such that friction `fixed @ x` on the resting contacts exerts the torque `torque` (n,), or
+            as much of it as resting contacts can exert. `fixed` is the matrix that gives their slips from spins. The
+            residual is solved for once more, against rounding."""
             found = factor.solve(torque)
             return found + factor.solve(torque - fixed.T @ (fixed @ found))
 
         def allowed(spins: np.ndarray) -> np.ndarray:
-            """Return the part of a vector (n,), of spins or of torques of the n unknowns, that is left once what makes
-            resting contacts slip is taken away."""
+            """Return the part of a vector (n,) that is left once its part which makes resting contacts slip is taken
+            away. The vector holds changes of the n unknown spins, or torques on them."""
             return spins - borne(fixed.T @ (fixed @ spins))
 
         def bends(spins: np.ndarray) -> np.ndarray:
-            """Return the change (n,) of the torques that slipping contacts exert when the unknown spins change by
-            `spins` (n,)."""
+            """Return by how much the torques (n,) of slipping contacts change, to first order, when the n unknown spins
+            change by `spins` (n,)."""
             return (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
 
         best, least, found = self, np.inf, self
@@ -306,10 +311,10 @@ class Centre:
             found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
 
     def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Centre:
-        """Return a copy of spins and friction after one step of Newton's method.
+        """Return a copy with other spins and friction, after one step of Newton's method.
 
-        step : (n,), added to the unknown spins.
-        less_friction : (3, T), subtracted from the friction of the T resting contacts."""
+        step : (n,), added to the unknown spins (times radius).
+        less_friction : (3, T), subtracted from the friction of the T resting contacts, by component."""
         moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
         moved[self.number >= 0], less[:, self.resting] = step, -less_friction
         spin, resting = (
@@ -323,7 +328,7 @@ class Centre:
         spins|; and the mask (R,) of the samples in which two things are proven:
 
         * among spins at which no resting contact slips there is one minimum, and it is within this bound;
-        * the resting contacts can bear what the others leave to them there.
+        * at it the resting contacts can balance, within friction, the torques of the slipping ones.
 
         Then it is a minimum over all spins, and all minima have its slips.
         """
@@ -361,25 +366,25 @@ class Centre:
 
     @cached_property
     def _distance_from_law(self) -> np.ndarray:
-        """(S,), for each of S slipping contacts a bound on |friction in use - friction that the law gives at its slip|.
-        The former is the latter without its error bounds, so this is rounding."""
+        """(S,), for each of S slipping contacts a bound on the difference between its `friction`, doubles taken as
+        exact, and the friction mu F_n y / |y| + eta y that the law gives at its slip y. It is as small as rounding."""
         return length(
             [f.at(self.slipping) - slipping for f, slipping in zip(self.friction, self.friction_by_law, strict=True)]
         ).most
 
     def _relative_to_slip(self, change: np.ndarray) -> np.ndarray:
-        """Return `change` (S,) divided by the slip speeds of the S slipping contacts, rounded up, (S,). It is 0 for
-        contacts without friction: their force does not depend on the direction of the slip, which may turn."""
+        """Return `change` (S,) divided by the slip speeds of the S slipping contacts, rounded up, (S,). For contacts
+        without friction 0 is returned: no friction turns with the direction of their slip."""
         found = np.zeros(len(self.slipping))
         found[self.with_friction] = (change / self.size.least)[self.with_friction] * UP
         return found
 
     def _largest_torques(self, unsure: np.ndarray) -> np.ndarray:
-        """Return bounds (N spheres, 3) on the size of each component of the torque over radius that all friction leaves
-        over on each sphere. The friction of slipping contacts may differ from the one in use. The bound is 0 for
+        """Return bounds (N spheres, 3) on the size of each component of the torque over radius that friction leaves
+        over on each sphere, if the friction of slipping contacts may differ from `friction`. The bound is 0 for spin
         components that are no unknowns.
 
-        unsure : (S,), bound on that difference for each of the S slipping contacts.
+        unsure : (S,), bound on that difference, a force, for each of the S slipping contacts.
         """
         found = np.stack([part.most for part in self.torques], axis=1)
         for end in self.network.graph.contact[:, self.slipping]:
@@ -454,9 +459,9 @@ class Centre:
         return angle, size_error, size_by_law.most
 
     def _resting_contacts_can_bear(self, distance: np.ndarray) -> np.ndarray:
-        """Return the mask (R,) of the samples in which the T resting contacts are proven to bear, below all their
-        friction limits, the torques that the S slipping contacts leave to them. This is meant at the minimum among
-        spins at which no resting contact slips.
+        """Return the mask (R,) of the samples in which the T resting contacts are proven to balance, with friction
+        below all their limits, the torques of the S slipping contacts. The spins are meant that have the least
+        potential among those at which no resting contact slips.
 
         distance : (S,), bound on |slip at that minimum - slip at these spins|.
         """
@@ -488,11 +493,12 @@ def _without_error(values: Enclosure) -> Enclosure:
 def _conjugate_gradients(
     operator: Callable[[np.ndarray], np.ndarray], right: np.ndarray, precondition: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Solve operator(x) = right by preconditioned conjugate gradients, and return x (n,). Nothing is proven about it.
+    """Return an approximate solution x (n,) of operator(x) = right, by preconditioned conjugate gradients. Nothing is
+    proven about it.
 
-    operator : symmetric, positive on the vectors that occur; maps (n,) to (n,).
+    operator : linear function that maps (n,) to (n,), symmetric, and positive on the vectors that occur.
     right : (n,), the right-hand side.
-    precondition : approximate inverse of the operator.
+    precondition : function that maps (n,) to (n,), roughly the inverse of the operator.
     """
     x, left, last, along = np.zeros_like(right), right, np.inf, np.zeros_like(right)
     for _ in range(MOST_GRADIENTS):

@@ -54,12 +54,14 @@ NEARLY_KNOWN = 1e-2  # (what slackness leaves open of a friction) / limit, up to
 
 
 def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays for E contacts: a mask (E,) of those whose friction is nearly known at every minimum, since
-    they surely slip there, have damping alone, or slip so fast at hand that slackness says it; and a bound (E,) on
-    |F* - F|, optimal friction less the friction at hand, for every contact that can dissipate, 0 for others.
+    """Return two arrays for E contacts: a mask (E,) of those whose friction F* is nearly known at every minimum; and a
+    bound (E,) on |F* - F|, with the stored friction F, for every contact that can dissipate, 0 for others.
 
-    bounds : the network and its friction.
-    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known.
+    F* is nearly known of contacts that surely slip at every minimum, that have damping alone, or that slip so fast in
+    the stored spins that a clearly different friction would cost more than the difference between power and bound.
+
+    bounds : bounds on the power, with the network and its friction.
+    far : (E,), bound on |slip at any minimum - stored slip|, in units of the network; infinite where none is known.
     """
     network, size = bounds.network, bounds.network.slip
     slips = network.counts & ((size.least > far) | ((network.holding.high == 0) & np.isfinite(far)))
@@ -92,14 +94,14 @@ def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _distance_by_slackness(bounds: Bounds) -> np.ndarray:
-    """Return a bound (E,) on |F* - mu F_n y / |y|| for E contacts, optimal friction less that by the law at the given
-    slips y; infinite for contacts that have damping, no friction, or no slip that is surely above 0.
+    """Return a bound (E,) on |F* - mu F_n y / |y||, for E contacts with the friction F* at any minimum and the stored
+    slips y. It is infinite for contacts that have damping, no friction, or no slip that is surely above 0.
 
-    The sum of phi(y) + phi*(F*) - F* . y over all contacts is the potential at hand less the least one, at most the
-    excess E, and no term is negative (theorem 5). With friction alone a term is mu F_n |y| - F* . y. As |F*| <= mu F_n,
-    |F* - mu F_n y / |y||^2 <= 2 mu F_n (mu F_n - F* . y / |y|) <= 2 mu F_n E / |y|.
+    With friction alone the power of the stored slips less the least power is the sum of mu F_n |y| - F* . y over all
+    contacts. No term is negative, and the sum is at most E, the upper less the lower bound on the power. As |F*| <= mu
+    F_n, |F* - mu F_n y / |y||^2 <= 2 mu F_n (mu F_n - F* . y / |y|) <= 2 mu F_n E / |y|.
 
-    bounds : bounds on the potential of R samples, with their spins."""
+    bounds : these bounds for R samples, with their spins."""
     network = bounds.network
     proven = network.on_contacts(bounds.proof == PROVEN)
     some = network.counts & proven & (network.slope.high == 0) & (network.holding.high > 0) & (network.slip.least > 0)
@@ -112,11 +114,12 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """Return the mask (E,) of the contacts that are proven to rest at every minimum, in a packing of discs or with
     normals along the axes.
 
-    Contacts rest that can all rest at once, if they can bear, below their friction limits, what the others leave to
-    them. All contacts with friction left are tried; those that may have to bear too much are removed until none is.
+    Contacts that can all rest at once do so at every minimum, if friction below their limits can balance the torques of
+    the other contacts. All contacts with friction left are tried; those that may have to bear too much are removed,
+    until none is left that may.
 
-    bounds : the network and its friction.
-    far : (E,), bound on |slip at any minimum - given slip|, in units of the network; infinite where none is known."""
+    bounds : bounds on the power, with the network and its friction.
+    far : (E,), bound on |slip at any minimum - stored slip|, in units of the network; infinite where none is known."""
     network = bounds.network
     known, distance = known_friction(bounds, far)
     margin = (network.holding - length(network.own_friction)).lower()
@@ -140,7 +143,7 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.ndarray) -> np.ndarray:
     """Return a bound (E,) on how much the friction of each contact that is tried as resting has to change, along spin
-    component k, to bear given torques. It is infinite in parts that cannot rest, and 0 for other contacts.
+    component k, to balance given torques. It is infinite in parts that cannot rest, and 0 for contacts not tried.
 
     A part is what these contacts join through free spheres. It takes torques along a tree of its contacts, and in loops
     of an odd number half of them each way: no force changes by more than 3/2 of their sum. It can rest if all driven

@@ -78,10 +78,11 @@ class Samples:
 
 @dataclass(frozen=True)
 class Front:
-    """A group of unknowns that are eliminated together, in a dense matrix.
+    """A group of unknowns that are eliminated together, in a dense matrix. Unknowns are named by their place in the
+    order of elimination.
 
-    first, own : its unknowns are numbers first ... first + own - 1 in the order of elimination.
-    border : sorted numbers, in this order, of the later unknowns that the elimination of all before connects with them.
+    first, own : the unknowns of the front are first ... first + own - 1, `own` of them.
+    border : the later unknowns, ascending, that are coupled to these once all earlier ones are eliminated.
     children : indices of the fronts that are eliminated before, and whose effect on later unknowns (their update) is
         added to this one."""
 
@@ -92,8 +93,8 @@ class Front:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Places in the order of elimination of all unknowns of the front: first its own, then those of its border, the
-        later unknowns that they are coupled to."""
+        """Places, in the order of elimination, of the rows of the dense matrix of the front: first its own unknowns,
+        then its border, the later unknowns to which they are coupled."""
         return np.append(np.arange(self.first, self.first + self.own), self.border)
 
 
@@ -121,7 +122,8 @@ class Elimination:
         parts: list[Part] | None = None,
         samples: Samples | None = None,
     ) -> Elimination:
-        """Order the n unknowns of a matrix and find the fronts, groups of unknowns that are eliminated together.
+        """Return an order of elimination of the n unknowns of a matrix, in fronts: groups of unknowns that are
+        eliminated together. Nothing is eliminated yet.
 
         matrix : (n, n), symmetric.
         place : (d, n), position of each unknown in d dimensions, by which nested dissection divides them.
@@ -158,9 +160,9 @@ class Elimination:
         follows is then worthless for the sample of that front.
 
         shift : a number, or one for each sample, (R,).
-        held : mask (n,) in the order of elimination, or None. If given, an unknown whose pivot would be `least` or less
-            is taken out of the matrix, as if held at 0, and marked in it.
-        least : as for `held`.
+        least : smallest pivot that is accepted if `held` is given; else not used.
+        held : None, or a mask (n,) in the order of elimination, which is written. Then each unknown whose pivot would
+            be `least` or less is taken out of the matrix, as if held at 0, and marked in the mask.
         """
         shifts = np.broadcast_to(shift, self.samples.count)[self.samples.of[self.order]]
         updates: dict[int, np.ndarray] = {}
@@ -250,9 +252,9 @@ class Elimination:
         return int(self.samples.of[self.order[front.first]])
 
     def dependent(self, least: float) -> np.ndarray:
-        """Return the mask (n,) of a few unknowns such that all pivots are above `least` once these unknowns are held at
-        0. As far as doubles show there is one of them for each eigenvalue 0. All are True in samples whose elimination
-        fails even so. Nothing about it is proven.
+        """Return the mask (n,) of a few unknowns that depend on the others: once they are held at 0, all pivots are
+        above `least`. As far as doubles show there is one of them for each eigenvalue 0. All are True in samples whose
+        elimination fails even so. Nothing about it is proven.
 
         least : pivot up to which an unknown is taken to depend on those before.
         """

@@ -84,9 +84,9 @@ class Grid(Listed):
         return list(self.samples.lattice.by_axis(values.reshape(self.samples.count, -1)))
 
     def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
-        """Return for each of m contacts what `made` gives for the values of its two spheres, (m,).
+        """Return for each of m contacts the result, (m,), of a function of the values of its two spheres.
 
-        made : a function of two arrays that NumPy applies element by element.
+        made : the function of two arrays, which works element by element.
         values : (n,), one for each sphere.
         kind : type of the result."""
         found: np.ndarray = np.empty(self.contacts, dtype=kind)
@@ -189,22 +189,24 @@ class Grid(Listed):
         return np.broadcast_to(np.False_, self.contacts)  # takes no memory
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
-        """Return the signs of the sublattice by component, C arrays (n,) of +1 and -1: neighbours always differ.
+        """Return for each of C spin components signs (n,) of the n spheres, +1 or -1: those of their sublattices, which
+        are opposite at spheres in contact.
+
         feels : not used here."""
         return [np.tile(self.samples.sublattice.ravel(), self.samples.count)] * len(self.samples.components)
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
-        """Return by component the other end of an interval that begins at 0, C enclosures (n,): some minimum has the
-        spin (times radius) of each sphere in it. The spin of the bottom is 0; the other end is the jump, the spin of
-        the top in the layer of the sphere, times the sphere's `sign`.
+        """Return for each of C spin components a bound for each of n spheres, C enclosures (n,): at some minimum the
+        spin (times radius, measured from the bottom) of a sphere is between 0 and this bound. It is the spin of the top
+        at the same coordinate along the component, with the sign of the sphere's sublattice.
 
         box : not used here.
-        sign : signs by component, C arrays (n,)."""
+        sign : these signs by component, C arrays (n,)."""
         return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, sign, strict=True)]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
-        """Return the places k of the components along which some minimum may slip: those with a jump between the
-        planes, except the one about the height, as each layer may turn freely about it.
+        """Return the places k, 0 to C - 1, of the components along which some minimum may slip: those that are driven
+        differently at bottom and top, except the one about the height, as each layer may turn freely about it.
 
         box : (C,), the largest imposed size of each component.
         differs : not used here."""
@@ -216,54 +218,60 @@ class Grid(Listed):
         every sphere to both planes.
 
         acts : (m,) mask of the contacts that take part.
-        free : (n,) mask."""
+        free : (n,) mask of the free spheres."""
         return bool(free.any() and (acts == self.any_end(free)).all())
 
     def slip_speeds(self, spin: list[Enclosure], in_motion: Callable[[], Enclosure]) -> Enclosure:
-        """Return the slip speeds (m,) of the motion in which contacts without slip rest exactly: what is imposed on the
-        top differs a little from what is stored.
+        """Return the slip speeds (m,) of all contacts for the imposed spin of the top, which differs a little from the
+        stored one; contacts without slip in the stored spins keep the slip 0.
 
         spin : not used here.
-        in_motion : function that returns them."""
+        in_motion : function that computes these slip speeds."""
         return in_motion()
 
     def taken(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-        """Return for each of n spheres the most that a torque on it may take from the work, (n,), if its spin may be
-        anything between 0 and `reach`: |torque| |reach|, but 0 where both surely have the same sign, as the torque then
-        adds to the work.
+        """Return for each of n spheres the most power that a torque on it may take, an enclosure (n,), if its spin may
+        be anything between 0 and `reach`: |torque| |reach|, but 0 where both surely have the same sign, as the torque
+        then adds to the power.
 
-        torque, reach : (n,), one component of each.
+        torque : (n,), torque over radius along one spin component.
+        reach : (n,), bound on the spin times radius.
         some : (n,) mask of the spheres that count; 0 is returned for others."""
         return _largest_work_between(torque, reach, some)
 
     def in_odd_loops(self, k: int, feels: np.ndarray) -> np.ndarray:
-        """Return the mask (n,) of the spheres in parts with a loop of an odd number of contacts: none, as neighbours
-        lie on different sublattices.
+        """Return the mask (n,) of the spheres that are connected with a loop of an odd number of contacts: none, as
+        touching spheres lie on different sublattices.
 
         k, feels : not used here."""
         return np.broadcast_to(np.False_, self.spheres)
 
     def working(self, box: np.ndarray) -> list[bool]:
-        """Return a list of C truth values by component: True where the two planes are driven differently, so that
-        moments do work.
+        """Return for each of C spin components whether friction can do work along it: True where the two planes are
+        driven differently.
 
         box : (C,), the largest imposed size of each component, measured from the bottom."""
         return [bool(size > 0) for size in box]
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
-        """Return vectors as long as the friction of each of m contacts: the moments n x F themselves.
+        """Return `moment` itself: vectors as long as the friction F of each of m contacts. The direction is not needed
+        on lattices.
 
-        moment : n x F by component, C enclosures (m,), 0 where contacts take no part.
+        moment : n x F, with the normal n, by component: C enclosures (m,), 0 where contacts take no part.
         counts : not used here."""
         return moment
 
     def anchor(self, k: int) -> np.ndarray:
-        """Return for each sphere (n,) the index of the sphere whose spin it shares in component k whatever the contacts
-        do: for driven ones the first of their plane and layer, for free ones themselves."""
+        """Return for each of n spheres the index (n,) of the first sphere that has the same spin component k in every
+        motion. For free spheres that is the sphere itself; for driven ones the first of their plane with the same
+        coordinate along the component, or the first of the plane if all of it is driven alike.
+
+        k : position of the spin component among the C components."""
         return self.samples.anchor(self.samples.components[k])
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """Return `spin` (n,) as it is: on lattices spins are stored times the sign by which neighbours differ.
+        """Return `spin` (n,) as it is: on lattices spins are already stored times the sign +1 or -1 of the sublattice.
+
         sign : not used here."""
         return spin
 
@@ -282,8 +290,8 @@ class Grid(Listed):
         return np.asarray(self.place[self.contact[0, some]] + self.normal[some] / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """Return the surface speed of the jump between the planes, or of the bottom's spin if there is no jump, in
-        units of `speed_unit`.
+        """Return a speed to compare slips with, in units of `speed_unit`: the radius times the difference between the
+        imposed spins of both planes, or times the spin of the bottom if there is no difference.
 
         box : not used here."""
         scene = self.samples.scene
@@ -350,7 +358,7 @@ class Grid(Listed):
         return Enclosure(*(self.on_spheres(part) for part in values.parts))
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """Return the lengths (m,) of vectors across the normals of m contacts.
+        """Return the lengths (m,) of m vectors, each at right angles to the normal of its contact; an enclosure.
 
         parts : their C components, enclosures (m,); the one along the normal is not read."""
         found = nothing(self.contacts)
@@ -369,7 +377,8 @@ class Grid(Listed):
         """Return the sum at each of the n spheres of the moments of its contacts, by component, C enclosures (n,). They
         are added in the same order in every case: axis by axis, first spheres before second ones.
 
-        moment : by component, C enclosures (m,), whose numbers are exact doubles (only `high` is read)."""
+        moment : n x F of m contacts (n the normal, F the friction), by component, C enclosures (m,), whose numbers are
+            exact doubles (only `high` is read)."""
         found = []
         for slot, part in enumerate(moment):
             found.append(nothing(self.spheres))
@@ -386,8 +395,8 @@ class Grid(Listed):
 
 
 def slices(graph: Listed) -> Grid:
-    """Return `graph` itself, as a Grid: so type checkers accept functions that only lattices have. Other contacts fail
-    an assertion."""
+    """Return `graph` itself, for type checkers, which then know that it has the methods of a lattice (`Grid`). Contacts
+    that are not those of a lattice fail an assertion."""
     assert isinstance(graph, Grid)
     return graph
 
@@ -406,9 +415,11 @@ def size_of(parts: list[Enclosure]) -> Enclosure:
 
 @in_cache
 def _largest_work_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return |torque| |reach| for each of n spheres, (n,), but 0 where both surely have the same sign.
+    """Return |torque| |reach| for each of n spheres, an enclosure (n,), but 0 where both surely have the same sign. It
+    is the most power that a torque can take at a spin between 0 and `reach`.
 
-    torque, reach : (n,), one component of each.
+    torque : (n,), torque over radius along one spin component.
+    reach : (n,), spin times radius.
     some : (n,) mask of the spheres that count; 0 is returned for others."""
     gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
     return largest_work(torque, reach, some & ~gives)

@@ -69,11 +69,12 @@ def imposed_exactly(network: JudgedNetwork) -> bool:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
-    """Return the mask (R,) of the samples, with normals in any direction, for which spins are proven to exist at which
-    all contacts roll exactly. It is tried only for samples whose given slips are at most NEARLY_NONE times the fastest
-    imposed speed.
+    """Return the mask (R,) of the samples for which spins are proven to exist at which every contact rolls without any
+    slip. Normals may point in any direction. Only samples are tried in which no contact slips faster than NEARLY_NONE
+    times the fastest imposed speed in the stored spins.
 
-    network : R samples of a packing with E contacts in all, and their given spins."""
+    network : R samples of a packing, with their stored spins."""
+    # Contacts that cannot dissipate (not in `counts`) may slip.
     nearly = ~network.counts | (network.slip.most <= NEARLY_NONE * network.box.max(initial=0.0))
     found = nearly.reshape(network.count, -1).all(axis=1)
     for number in np.flatnonzero(found).tolist():
@@ -82,8 +83,9 @@ def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
 
 
 def _rolls_exactly(network: JudgedNetwork) -> bool:
-    """Return True if spins are proven to exist at which all contacts of `network` roll exactly. The network has a
-    single sample, and normals in any direction."""
+    """Return True if spins are proven to exist at which every contact rolls without any slip.
+
+    network : a single sample of a packing, with normals in any direction."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
     # Leave out spheres that can make any slips, then contacts that exact motions let roll. Parts with other contacts
@@ -104,11 +106,12 @@ def _rolls_exactly(network: JudgedNetwork) -> bool:
 
 
 def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
-    """Return True if spins exist at which some contacts roll exactly: by Gaussian elimination in fractions, without any
-    rounding. False if there are none, or if there are more than MOST_IN_FRACTIONS free spheres.
+    """Return True if spins exist at which given contacts all roll exactly: by Gaussian elimination in fractions,
+    without any rounding. Return False if no such spins exist, and also if the contacts have more than MOST_IN_FRACTIONS
+    free spheres, which is not tried.
 
     network : a packing with E contacts.
-    contacts : (E,) mask of the contacts, which free spheres join to one part."""
+    contacts : (E,) mask of the contacts; free spheres connect all of them."""
     spheres = np.unique(network.graph.contact[:, contacts])
     spheres = spheres[network.free[spheres]]
     if len(spheres) > MOST_IN_FRACTIONS:

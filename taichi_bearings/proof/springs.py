@@ -50,9 +50,11 @@ UNSTRESSED = 1e-6
 
 
 def natural(network: JudgedNetwork) -> np.ndarray:
-    """Return a potential (R,) to compare with, in units of the network, for each of R samples: that of all contacts
-    slipping by the imposed jump (lattices; by the imposed spin if there is no jump) or by the largest imposed component
-    (packings)."""
+    """Return for each of R samples a potential (R,) to compare with, in units of the network: that of all contacts if
+    they slip as fast as `natural_speed` of the network says (in packings the largest imposed spin component times
+    radius).
+
+    network : the R samples."""
     fastest = network.graph.natural_speed(network.box, network.speed_unit)
     own = np.flatnonzero(network.acts)
     holding, slope = (network.by_sample(values.at(own), own).value for values in (network.holding, network.slope))
@@ -61,12 +63,12 @@ def natural(network: JudgedNetwork) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Springs:
-    """Springs at the E contacts of a packing with N spheres, whose normals have any direction. Each resists a slip y
-    with the force q y.
+    """Fictitious springs at the E contacts of a packing with N spheres, whose normals have any direction. Each resists
+    a slip y with the force q y. Their forces are used to balance torques that friction leaves over.
 
     network : the packing.
     weight : (E,), the stiffness q of each spring.
-    number : (N, 3), which of n unknowns each component of a spin is, -1 where it is none.
+    number : (N, 3), the index of each spin component among n unknowns; -1 for those that are none.
     form : the quadratic form x^T K^T q K x of the changes x of unknowns, with K the matrix (3 E, n) of slips; unknowns
         are scaled so that it has a diagonal of 1."""
 
@@ -77,8 +79,8 @@ class Springs:
 
     @classmethod
     def of(cls, network: JudgedNetwork, potential: np.ndarray) -> Springs | None:
-        """Choose the stiffness q of each spring, and make springs such that at every minimum the sum of q |slip|^2 over
-        all contacts is at most 1. Return None if some unknown spin component changes no slip.
+        """Return springs with stiffnesses q such that at every minimum the sum of q |slip|^2 over the contacts of a
+        sample is at most 1. Return None if some unknown spin component changes no slip.
 
         potential : (R,), for each of R samples a number that the potential of minima does not exceed, in units of the
             network."""
@@ -94,10 +96,9 @@ class Springs:
         return None if form is None else cls(network, weight, number, form)
 
     def balanced(self) -> tuple[list[Enclosure], list[Enclosure]]:
-        """Let the springs take away the torques that friction leaves over, except what rounding leaves.
-
-        Returns the friction of the E contacts that does so, 3 components, enclosures (E,); and the torques over radius
-        that it still leaves over on the N spheres, 3 components, enclosures (N,)."""
+        """Return the stored friction with forces of the springs added that balance all torques but for rounding, 3
+        components, enclosures (E,); and the torques over radius that are still left over on the N spheres, 3
+        components, enclosures (N,)."""
         network, factor = self.network, self.form.elimination.factorised_samples(SHIFT)
         torques, there, fine = network.own_torques, self.number >= 0, network.own_friction
         if factor.failed.all():
@@ -124,11 +125,12 @@ class Springs:
 
 
 def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
-    """Return the quadratic form |A x|^2, where A is `rows` (3 E, n) with each row multiplied by its `weight` (3 E,),
-    and x are n unknowns; None if a column of A is 0. Unknowns are scaled so that each column gets the length 1.
+    """Return the quadratic form |A x|^2 of n unknowns x, with the matrix A = `rows` (3 E, n) after each row is
+    multiplied by its `weight` (3 E,). The unknowns are scaled so that each column of A gets the length 1. Return None
+    if a column of A is 0.
 
     network : a packing with N spheres and E contacts.
-    number : (N, 3), which unknown each component of the spins of N spheres is, -1 where it is none."""
+    number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none."""
     rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
     rows.eliminate_zeros()
     # Entries are rounded by the weight, its root and the products: some five times, with 16 allowed for.
@@ -139,8 +141,8 @@ def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, 
 
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
-    """Return the mask (N,) of free spheres that are proven to be able to make all their contacts roll, whatever the
-    other spheres do. Only spheres are tried whose contacts bear nearly no friction.
+    """Return the mask (N,) of free spheres that are proven to have spins at which all their contacts roll, whatever the
+    spins of the other spheres. Only spheres are tried whose contacts bear nearly no friction.
 
     network : a packing with N spheres, and the friction of its contacts.
     """
@@ -179,15 +181,15 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
 
 
 def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False) -> np.ndarray:
-    """Return for each of R samples a proven lower bound (R,) of the eigenvalues of K K^T. K is the matrix that gives
-    the slips of some contacts from n unknown spin components. If the bound is not 0, spins can give any slips to these
-    contacts. It is infinite for samples without any of them, and 0 if nothing is proven.
+    """Return for each of R samples a proven lower bound (R,) of the eigenvalues of K K^T, where K is the matrix that
+    gives the slips of some contacts from n unknown spin components. If it is above 0, some spins give these contacts
+    any slips that one asks for. It is infinite for samples without any such contact, and 0 if nothing is proven.
 
     Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
     out.
 
     network : R samples of a packing, with N spheres and E contacts in all.
-    number : (N, 3), which unknown each component of a spin is, -1 where it is none.
+    number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
     contacts : (E,) mask of the contacts.
     sharp : True to spend more time on a bound that is as large as possible.
     """
@@ -213,7 +215,7 @@ def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndar
 
 def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarray) -> list[Part]:
     """Return n slip components in groups, in the order in which they are eliminated from a matrix that couples two
-    contacts if they share a moving sphere: by nested dissection of these contacts.
+    contacts if they share a moving sphere. Groups come from nested dissection of the graph of these contacts.
 
     network : a packing with N spheres.
     moves : (N,) mask of the spheres that move.
@@ -227,10 +229,9 @@ def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarr
 
 
 def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
-    """Return bounds on the errors of the entries of a sparse matrix, each of which was rounded once: a sparse matrix of
-    the same shape.
+    """Return bounds on the errors of the entries of a sparse matrix, as a sparse matrix of the same shape.
 
-    rows : the rounded matrix.
+    rows : the matrix; each of its entries was rounded once.
     """
     return sparse.csr_array((EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
 
@@ -241,8 +242,8 @@ def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
     of contacts that cannot dissipate are 0.
 
     network : a packing with N spheres and E contacts.
-    number : (N, 3), which of the n unknowns each component of u is, the number of its column; -1 for what is no
-        unknown.
+    number : (N, 3), the index of each component of u among the n unknowns, which is its column; -1 for those that are
+        none.
     """
     # Component k of u x n is u_a n_b - u_b n_a; four entries a row, for a and for b of either sphere.
     a, b, normal = [1, 2, 0], [2, 0, 1], network.graph.normal
@@ -264,9 +265,9 @@ def numbered(mask: np.ndarray) -> np.ndarray:
 
 
 def turning_freely(network: JudgedNetwork) -> np.ndarray:
-    """Return a mask (N, 3) for the N spheres of a packing. For spheres whose contacts all have one direction, bit by
-    bit or with the opposite sign, it marks the largest component of this direction: such a sphere can turn about it
-    without slip. Nothing is marked for other spheres.
+    """Return a mask (N, 3) of spin components that shall be held at 0, since some spheres can turn without any slip. A
+    sphere can do so whose contacts all have one direction, bit by bit or with the opposite sign: it can turn about this
+    direction, and the component along which that is largest is marked. Nothing is marked for other spheres.
 
     network : a packing with N spheres, with the normals of its contacts."""
     normal = network.graph.normal[network.counts]

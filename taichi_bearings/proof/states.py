@@ -83,30 +83,31 @@ class States:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
-    """Return what is proven of the contact states at every minimum, a list with an object for each sample.
+    """Return what is proven of the contact states at every minimum, a list with an object for each of R samples.
 
-    bounds : bounds on the power of R samples, with their spins and friction, from which all else follows. Which theorem
-        is applied depends on whether there is damping, on whether components of slips mix those of the spins, and on
-        how many components matter."""
+    Which theorem is applied depends on whether there is damping, on whether each component of a slip depends on one
+    component of the spins, and on how many spin components can make contacts slip.
+
+    bounds : bounds on the power of the samples, with their stored spins and friction."""
     network = bounds.network
-    # Contacts that do not count, or are in samples without any potential, rest.
+    # Contacts that can dissipate at no minimum rest, and so do all in samples whose stored spins have no potential.
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
     if bounds.alone:
         return [states for one in bounds.alone for states in proven_states(one)]
     if network.mixes and network.count > 1:
         near = _enclosed_minimum(bounds) if _can_be_enclosed_together(bounds) else None
-        together = _nothing(network, "") if near is None else _enclosed(network, near)
+        together = _all_undecided(network, "") if near is None else _enclosed(network, near)
         done = np.zeros(network.count, dtype=bool) if near is None else near[2]
         found = [
             states if proven else proven_states(bounds.sample(number))[0]
             for number, (states, proven) in enumerate(zip(together, done, strict=True))
         ]
     elif (bounds.proof != PROVEN).any():
-        found = _nothing(network, "the bound is proven of some spins alone")
-    # Which theorem applies depends on damping, on whether components mix, and on how many are needed.
+        found = _all_undecided(network, "the bound is proven of some spins alone")
+    # With damping; then friction alone: with normals in any direction, where nothing has to slip, and all others.
     elif network.law.flows:
         far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
-        known = _apart(network, far)
+        known = _slipping_beyond(network, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
         near = _enclosed_minimum(bounds) if network.mixes and network.law.holds else None
         found = _with_damping(bounds, found) if near is None else _enclosed(network, near)
@@ -115,23 +116,23 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _enclosed(network, near)
     elif network.mixes:
         far = _by_cones(bounds)
-        found = _samples(network, _apart(network, far), "minima are not known closely enough", None)
+        found = _samples(network, _slipping_beyond(network, far), "minima are not known closely enough", None)
         found = _with_parts_at_rest(bounds, far, found)
     elif not network.needed:
         found = _samples(network, np.full(len(rests), SLIPLESS), "", True)
     else:
         found = _by_cuts(bounds, network.needed[0]) if len(network.needed) == 1 else _by_curvature(network)
-    told = []
+    completed = []
     for states, rest, acts in zip(found, *(v.reshape(network.count, -1) for v in (rests, network.acts)), strict=True):
         # Add the contacts that rest anyhow, and the reason only where some contact is undecided.
         known = np.where(rest, SLIPLESS, states.known)
         open_ = bool((acts & (known == UNDECIDED)).any())
-        told.append(States(known, states.unique, states.reason if open_ else ""))
-    return told
+        completed.append(States(known, states.unique, states.reason if open_ else ""))
+    return completed
 
 
 def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
-    """Return an object for each of R samples with its part of the given states.
+    """Return a list of R objects, one for each sample, with its part of the given states.
 
     network : the R samples, with m contacts in all.
     states : (m,), contact states, UNDECIDED where nothing is proven.
@@ -141,9 +142,10 @@ def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bo
 
 
 def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Prove where the slips of minima are in a packing with oblique normals (E contacts, R samples). Returns None, or a
-    tuple: the mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - given slip|, and the mask (R,)
-    of samples that are proven. The module that does it is loaded for packings alone.
+    """Prove where the slips of minima are in R samples of a packing with E contacts in all, whose normals may have any
+    direction. Return None if nothing is proven, else a tuple: the mask (E,) of contacts that may slip, bounds (E,) on
+    |slip at any minimum - stored slip|, and the mask (R,) of samples for which this is proven. The module that does it
+    is loaded here, as lattices do not need it.
 
     bounds : bounds on the power of these samples, with their spins and friction."""
     from taichi_bearings.proof.oblique import enclosed_minimum
@@ -152,10 +154,10 @@ def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def _can_be_enclosed_together(bounds: Bounds) -> bool:
-    """Return True if the minima of several samples may be enclosed together, as those of one network that falls apart.
+    """Return True if the minima of several samples may be enclosed together, as those of one network of separate parts.
     That is so if the lower bound of each sample is proven of all spins, and every contact that can dissipate has
-    friction. Whether a contact with friction slips does not depend on how closely its slip is bounded; for several
-    samples these bounds are wider, so contacts with damping alone are left to single samples.
+    friction. Contacts with damping alone need close bounds on their slips, which single samples have; for several
+    together bounds are wider.
 
     bounds : bounds on the power of the samples, with their friction."""
     held = bounds.network.holding.high[bounds.network.counts] > 0
@@ -163,12 +165,12 @@ def _can_be_enclosed_together(bounds: Bounds) -> bool:
 
 
 def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """Return the mask (m,) of the contacts of a packing with oblique normals that are proven to rest at every minimum.
-    They lie in parts with loops of contacts that cannot all roll exactly, since their normals are rounded. The module
-    that does it is loaded for packings alone.
+    """Return the mask (m,) of the contacts of a packing, with normals in any direction, that are proven to rest at
+    every minimum. They may be connected with loops of contacts that cannot all roll exactly, since their normals are
+    rounded. The module that does it is loaded here, as lattices do not need it.
 
-    bounds : bounds on the power, with m contacts, their friction after springs have balanced it, and these springs.
-    far : (m,), bound on |slip at any minimum - given slip|.
+    bounds : bounds on the power, with the m contacts and the friction that is in balance on all spheres.
+    far : (m,), bound on |slip at any minimum - stored slip|.
     """
     from taichi_bearings.proof.borne import at_rest_beside_loops
 
@@ -176,11 +178,11 @@ def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 
 def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.ndarray]) -> list[States]:
-    """Return the states of all samples from bounds on the slips of minima: contacts that cannot slip rest; others slip
-    if they have friction, or if their given slip exceeds its bound; else they are undecided.
+    """Return the states of all samples, as a list, from what is proven of the slips of minima: contacts that cannot
+    slip rest; others slip if they have friction, or if their stored slip exceeds its bound; else they are undecided.
 
     network : the samples, with E contacts in all.
-    near : a mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - given slip|, and a third entry
+    near : a mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - stored slip|, and a third entry
         that is not used here.
     """
     slides, far, _ = near
@@ -189,19 +191,19 @@ def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.nda
     return _samples(network, np.where(slides & network.counts, slips, SLIPLESS), "slips are small", None)
 
 
-def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
-    """Return an object for each of R samples in which all contacts are UNDECIDED.
+def _all_undecided(network: JudgedNetwork, reason: str) -> list[States]:
+    """Return a list of R objects, one for each sample, in which all contacts are UNDECIDED.
 
-    reason : words that say why.
-    network : the R samples."""
+    network : the R samples.
+    reason : words that say why nothing is proven."""
     return _samples(network, np.full(len(network.acts), UNDECIDED), reason, None)
 
 
-def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
-    """Return states (m,) of the m contacts of a network: SLIPPING where a contact can dissipate and its given slip
+def _slipping_beyond(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
+    """Return states (m,) of the m contacts of a network: SLIPPING where a contact can dissipate and its stored slip
     exceeds `far`; SLIPLESS where it has no coefficient or no free sphere; UNDECIDED elsewhere.
 
-    far : (m,), bound on |slip at any minimum - given slip|.
+    far : (m,), bound on |slip at any minimum - stored slip|.
     """
     slips = network.counts & (network.slip.least > far)
     return np.where(slips, SLIPPING, np.where(network.acts, UNDECIDED, SLIPLESS))
@@ -216,10 +218,10 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
     k : number of the spin component.
     """
     states = states_by_cuts(bounds, k)
-    return [States(of, _is_one(of), "cuts (nearly) tie") for of in states.reshape(bounds.network.count, -1)]
+    return [States(of, _has_one_minimum(of), "cuts (nearly) tie") for of in states.reshape(bounds.network.count, -1)]
 
 
-def _is_one(states: np.ndarray) -> bool | None:
+def _has_one_minimum(states: np.ndarray) -> bool | None:
     """Return True if there is only one minimum, False if there are several, None if that is not known.
 
     states : (E,), states of all contacts. Those that are TIED slip at some minima only, so there are several."""
@@ -227,14 +229,15 @@ def _is_one(states: np.ndarray) -> bool | None:
 
 
 def _by_curvature(network: JudgedNetwork) -> list[States]:
-    """Return the states of each of R samples, with friction alone, where some minimum may slip along two or more
-    components, which do not mix.
+    """Return the states of R samples, with friction alone, in which minima may slip along two or more spin components,
+    and each component of a slip depends on one of them.
 
-    It is proven that one minimum is near where the contacts that rest still rest, and that these can bear what the
-    others leave to them. Samples of a lattice are proven all at once, or else half by half; one by one where friction
-    limits are repeated, so that minima may tie.
+    The proof has two steps. (1) Near the stored spins there is one minimum at which the contacts that rest now still
+    rest. (2) Friction below their limits can balance the torques of the slipping contacts there. Samples of a lattice
+    are tried all at once, and if that fails half by half; one by one where friction limits are repeated, so that there
+    may be several minima. Packings are proven elsewhere (`_by_tiny_slips`).
 
-    network : the R samples with stored spins and forces."""
+    network : the R samples with stored spins and friction."""
     count = network.count
     if not network.graph.ties_are_known:
         return _by_tiny_slips(network)
@@ -257,12 +260,14 @@ def _halves(network: JudgedNetwork) -> list[JudgedNetwork]:
 
 
 def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
-    """Return the states of each of R samples of a packing (discs, or normals along the axes), with friction alone,
-    where minima may slip along several components. Contacts that hardly slip are taken to rest; it is proven that one
-    minimum is near, and that they can bear what the others leave to them. Samples are proven all at once, or else half
-    by half.
+    """Return the states of R samples of a packing (discs, or normals along the axes), with friction alone, in which
+    minima may slip along several spin components.
 
-    network : the R samples with stored spins and forces."""
+    Contacts that hardly slip in the stored spins are taken to rest. Then it is proven that one such minimum is near,
+    and that friction below the limits of these contacts can balance the torques of the others. All samples are tried at
+    once, and if that fails half by half.
+
+    network : the R samples with stored spins and friction."""
     slip, fastest = network.slip.value, network.box.max()
     still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
     known = _by_domains(network, still)  # first as if spins were known in twice the precision
@@ -270,21 +275,21 @@ def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
         return [states for half in _halves(network) for states in _by_tiny_slips(half)]
     if isinstance(known, str) and (nearly != still).any():
         known = _by_domains(network, nearly)
-    return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
+    return _all_undecided(network, known) if isinstance(known, str) else _samples(network, known, "", None)
 
 
 def _with_ties(network: JudgedNetwork) -> States:
-    """Return the states of one sample of a lattice that may have many minima. Where friction limits are repeated many
-    minima are tried first, then a single one; else the other way round.
+    """Return the states of one sample of a lattice that may have several minima. Where friction limits are repeated, a
+    proof for several minima is tried first, then one for a single minimum; else the other way round.
 
-    network : the sample with stored spins and forces."""
+    network : the sample with stored spins and friction."""
     contacts, repeats = Slipping.of(network.motion), _repeats(network)
     tied = tied_states(network.motion, contacts) if repeats else None
     if tied is None and isinstance(doubt := _near(network.motion, contacts), tuple):
         return States(_as_stored(network.motion), True)
     tied = tied_states(network.motion, contacts) if not repeats else tied
     if tied is None:
-        return _nothing(network, str(doubt))[0]
+        return _all_undecided(network, str(doubt))[0]
     return States(*tied, "minima tie in ways that are not known closely enough")
 
 
@@ -293,8 +298,8 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     contacts rest which seem to.
 
     A contact seems to rest if the share of its friction that is left, 1 - |F| / (mu F_n), exceeds its slip over the
-    largest imposed speed. That is tried only where every contact of the sample is clear, as one of both numbers is
-    CLEAR_RATIO times the other.
+    largest imposed speed. The proof is tried only for samples in which this is clear of every contact: one of both
+    numbers is at least CLEAR_RATIO times the other.
 
     bounds : the samples, with their spins and friction, and bounds on their power.
     known : states of each sample, which are returned where nothing better is proven."""
@@ -302,41 +307,41 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     if not network.law.holds or network.mixes or not network.needed:
         return known
     room, slip = 1 - bounds.size.value / network.holding.value, network.slip.value / network.box.max()
-    # Tried only where every contact is clear: one of the two numbers is much larger than the other.
     rests = network.counts & (room > slip)
     unclear = network.counts & (np.maximum(room, slip) < CLEAR_RATIO * np.minimum(room, slip))
-    told = []
+    improved = []
     for number, (own, states) in enumerate(zip(rests.reshape(count, -1), known, strict=True)):
         found: np.ndarray | str = ""
         if not unclear.reshape(count, -1)[number].any():
             found = _by_domains(network.some(slice(number, number + 1)), own)
-        told.append(states if isinstance(found, str) else States(found, True))
-    return told
+        improved.append(states if isinstance(found, str) else States(found, True))
+    return improved
 
 
-def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: list[States]) -> list[States]:
-    """Return the states of R samples of a packing with further contacts that are proven to rest, since they can bear
-    what others leave to them (resting.py, or borne.py for oblique normals).
+def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, before: list[States]) -> list[States]:
+    """Return the states of R samples of a packing in which further contacts are proven to rest: those that can all rest
+    at once, if friction below their limits can balance the torques of the other contacts.
 
-    bounds : the samples, and bounds on power and friction.
-    far : (m,), bound on |slip at any minimum - given slip|.
-    told : the states that are known before.
+    bounds : bounds on the power of the samples, with their spins and friction.
+    far : (m,), bound on |slip at any minimum - stored slip| for all m contacts.
+    before : the states that are proven before, a list of R objects.
     """
-    network, known = bounds.network, np.concatenate([states.known for states in told])
+    network, known = bounds.network, np.concatenate([states.known for states in before])
     if not network.law.holds or not (network.counts & (known == UNDECIDED)).any():
-        return told
+        return before
     rests = _beside_loops(bounds, far) if network.mixes else at_rest(bounds, far)
     known = np.where(rests, SLIPLESS, known).reshape(network.count, -1)
-    return [replace(states, known=own) for states, own in zip(told, known, strict=True)]
+    return [replace(states, known=own) for states, own in zip(before, known, strict=True)]
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """Return the states (m,) of the m contacts of a network at the only minimum, or a text that says what is missing in
-    the proof of it.
+    """Return the states (m,) of the m contacts of a network if it is proven to have one minimum of a certain kind;
+    else a text that says what is missing in the proof.
 
-    What is tried is a minimum at which spheres that resting contacts join, in a component of the spins, turn as one.
-    Contacts between such groups of spheres, domains, then slip, and all others rest.
+    At this minimum spheres that resting contacts join, in a component of the spins, turn as one: such a group is a
+    domain. Contacts between different domains slip, and all others rest.
 
+    network : stored spins and friction; each component of a slip depends on one component of the spins.
     rests : (m,) mask of the contacts that are taken to rest.
     """
     odd = (network.graph.in_odd_loops(k, network.feels[k]) for k in network.needed)
@@ -371,10 +376,10 @@ def _repeats(network: JudgedNetwork) -> bool:
 
 
 def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
-    """Prove that the network has one minimum near the slips of `contacts`, at which the contacts rest that rest in
-    `motion`. Several samples are treated as parts of one that no contact joins.
+    """Prove that a network has one minimum near its stored spins, at which certain contacts rest. Several samples are
+    treated as one network of separate parts.
 
-    motion : spins of a network in which some contacts are taken to rest.
+    motion : the network with its stored spins, and which contacts are taken to rest.
     contacts : the n contacts that slip in it, with their slips.
 
     Returns the slipping contacts close to the minimum, and for each of them a bound (n,) on |slip there - slip| /
@@ -392,11 +397,11 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
 
 
 def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
-    """Return True if the stored friction of all slipping contacts of a lattice is nearly at its limit, as it is near a
-    minimum: off it by no more than the share MISSED_LIMIT. Always True for packings.
+    """Return True if the stored friction of every slipping contact is nearly at its limit, as it is near a minimum: at
+    least 1 - MISSED_LIMIT times the limit. This is asked of lattices only; for packings the answer is always True.
 
-    network : what is judged.
-    contacts : the slipping contacts."""
+    network : a network with its stored friction.
+    contacts : its slipping contacts."""
     if not network.graph.friction_is_at_limit:
         return True
     parts = [part.high[contacts.own] for part in network.moment]
@@ -404,16 +409,16 @@ def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
 
 
 def _by_cones(bounds: Bounds) -> np.ndarray:
-    """Return a bound (E,) on |slip at any minimum - given slip| for one sample of E contacts with friction alone, whose
-    normals have any direction; infinite where nothing is proven.
+    """Return a bound (E,) on |slip at any minimum - stored slip| for one sample of E contacts with friction alone,
+    whose normals have any direction; infinite where nothing is proven.
 
-    At a minimum friction F takes from the power no more than the excess: the given power less what F proves. Near its
-    limit a contact has at least the share mu F_n b^2 / (2 |slip|) of it, b being the part of the slip across F; with
-    friction left over it has at least that times the slip. Together these are a quadratic form of the spins, whose
-    least eigenvalue bounds them.
+    Let F be the friction that proves the lower bound on the power, within all limits. For the slips of any minimum the
+    sum over contacts of mu F_n |slip| - F . slip is at most the upper less the lower bound. A contact near its friction
+    limit has at least mu F_n b^2 / (2 |slip|) of this sum, where b is the part of its slip across F; another one at
+    least (mu F_n - |F|) |slip|. Together these are a quadratic form of the spins, whose least eigenvalue bounds them.
 
-    bounds : the sample with its spins, bounds on its power, its friction after springs have balanced it, and the spin
-        components that these springs hold; without springs nothing is proven."""
+    bounds : bounds on the power of the sample, with its spins and friction, in which forces of fictitious springs have
+        balanced all torques. Without such springs (`unknown` is None) nothing is proven."""
     network = bounds.network
     if bounds.unknown is None:
         return np.full(len(network.acts), np.inf)

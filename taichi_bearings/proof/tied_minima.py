@@ -91,24 +91,25 @@ PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of a few products, 
 
 @dataclass(frozen=True)
 class Pulls:
-    """The n contacts of one sample that bear all their friction, and what they pull: first those that slip (S), then
-    those that do not slip (C). T are the resting contacts with friction left.
+    """The n contacts of one sample that bear all their friction, and the direction of the force (*pull*) of each along
+    the two spin components that matter. These are numbered 0 and 1, in arguments `slot` and on the first axis of arrays
+    (2, ...).
 
-    A pull is the force of a contact along one spin component. The two components that matter are numbered 0 and 1, in
-    arguments `slot` and in the first axis of arrays (2, ...).
+    First come the contacts that slip (S), then those that do not slip (C). T are the contacts that neither slip nor
+    bear all their friction. A *domain* is a group of spheres that some set of contacts joins in one component.
 
     own : (n,), indices of the contacts among all of the network.
     lower, upper : (n,), indices of their two spheres.
-    felt : (2, n) mask, whether each component of the spins makes a contact slip.
-    sign : (2, n), sign of the slip along each component: of signed spin (spin times the sign by which neighbours
-        differ) at `upper` less that at `lower`. For C it is the sign of the slip that would go with its friction, 0
-        along the other component.
+    felt : (2, n) mask, True where a component of the spins makes the contact slip.
+    sign : (2, n), sign of the slip along each component: of the spin at `upper` less that at `lower`, times signs that
+        differ between neighbours. For C it is the sign of the slip that its friction would go with, and 0 along the
+        component in which it bears nothing.
     coefficient : (n,), friction limits, in exact proportions.
     in_s : (n,) mask of the contacts of S.
-    slipless_domain : (2, spheres), by component the label of the domain of each sphere. A domain is a group of spheres
-        that some contacts join, here those of T and C. It is 0 for what moves with the bottom, 1 with the top.
-    firm_domain : the same for the domains that contacts of T alone join.
-    locked_domain : the same for the domains that contacts of T join, and those of C that bear nothing along the
+    slipless_domain : (2, spheres), by component the label of the domain of each sphere if T and C join spheres: 0 for
+        what moves with the bottom, 1 with the top, larger numbers for all others.
+    firm_domain : (2, spheres), such labels if T alone joins spheres.
+    locked_domain : (2, spheres), such labels if T joins spheres, and those of C that bear nothing along the
         component."""
 
     own: np.ndarray
@@ -124,21 +125,23 @@ class Pulls:
 
     def apart(self, label: np.ndarray, slot: int) -> np.ndarray:
         """Return the mask (n,) of the contacts whose two spheres have different labels in component `slot` (0 or 1).
-        label : (2, spheres), such as labels of domains."""
+
+        label : (2, spheres), a label of each sphere for either component, such as that of its domain."""
         return label[slot, self.lower] != label[slot, self.upper]
 
     def touches(self, label: np.ndarray, value: int) -> np.ndarray:
-        """Return a mask (n,): for slipping contacts, whether exactly one of their two spheres is in the domain `value`;
-        for contacts that do not slip, whether any is.
+        """Return the mask (n,) of the contacts whose slip may change when one domain moves: slipping contacts of which
+        exactly one sphere is in it, and contacts without slip of which any sphere is in it.
 
-        label : (spheres,), labels of domains."""
+        label : (spheres,), the label of the domain (group of spheres that move together) of each sphere.
+        value : the label of the domain that moves."""
         ends = label[self.lower] == value, label[self.upper] == value
         return np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
 
     @cached_property
     def turned_by(self) -> np.ndarray:
-        """(2, n) masks by component, True for a *turning* contact: if one of its spheres moves in this component, its
-        slip changes its direction, since the contact slips in the other component, too."""
+        """(2, n) mask, for either component True for a *turning* contact: it slips along the other component, so that
+        its slip changes its direction as soon as one of its spheres moves in this component."""
         both = self.felt.all(axis=0)
         return np.array([both & self.apart(self.slipless_domain, 1), both & self.apart(self.slipless_domain, 0)])
 
@@ -146,8 +149,9 @@ class Pulls:
         """Return the number (spheres,) of the welded domain of each sphere in component `slot` (0 or 1): 0 for those
         that contain a driven plane, then 1, 2, ...
 
-        A domain is a group of spheres that turn as one. Domains are welded if they have to move together from one
-        minimum to another: otherwise the slip of a contact between them would change its direction.
+        A domain is a group of spheres that turn as one in a component. Some domains have to move together from one
+        minimum of the power to another, since otherwise the slip of a contact between them would change its direction.
+        Such domains together are a welded domain.
 
         label : (2, spheres), labels of the domains of which welded ones are made: `slipless_domain` or `locked_domain`.
         """
@@ -170,13 +174,13 @@ class Pulls:
         return np.unique(self.slipless_domain, axis=1, return_inverse=True)[1].reshape(-1)
 
     def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
-        """Return for each label whether the forces along component `slot` (0 or 1) that are known exactly add up to 0
-        on its spheres. Labels without any such force are missing.
+        """Return a dictionary: for each label, whether the forces along component `slot` (0 or 1) that are known
+        exactly add up to 0 on the spheres with this label. Labels without any such force are missing.
 
-        The force is known, plus or minus mu F_n, of contacts whose slip has no other component that could turn it.
-        Contacts within one domain pull it both ways and are left out.
+        The force of a contact is known, plus or minus mu F_n, if it slips along this component alone (or does not slip,
+        but bears all its friction along it). Contacts within one domain pull it both ways and are left out.
 
-        owner : (spheres,), the label of each sphere, such as that of a domain or a welded domain."""
+        owner : (spheres,), the label of each sphere, such as the number of its domain."""
         exact = self.felt[slot] & ~self.turned_by[slot] & np.where(
             self.in_s, self.apart(self.slipless_domain, slot), self.apart(self.firm_domain, slot)
         )  # fmt: skip
@@ -190,11 +194,11 @@ class Pulls:
 
 @dataclass(frozen=True)
 class Constraints:
-    """What limits the motions between minima along one of the two spin components: n contacts whose slips differ
-    between minima, and none of which may slip backwards. Welded domains, groups of spheres that move together from one
-    minimum to another, shift against each other there.
+    """What limits how far minima of the power can differ along one spin component. From one minimum to another groups
+    of spheres (*welded domains*) shift as a whole. The n contacts between such groups slip more or less then, but none
+    may slip backwards.
 
-    own : (n,), indices of these contacts within :class:`Pulls`.
+    own : (n,), indices of these contacts in the arrays of :class:`Pulls`.
     lower, upper : (n,), number of the welded domain at either end; 0 for what does not move.
     sign : (n,), +1 or -1: whether a motion of the upper end lengthens or shortens the slip.
     same_slip : (n,), equal numbers for contacts that have the same slip at every minimum."""
@@ -206,8 +210,8 @@ class Constraints:
     same_slip: np.ndarray
 
     def sharing_a_domain(self, some: np.ndarray) -> np.ndarray:
-        """Return the mask (n,) of the contacts that are connected with some given ones through moving welded domains
-        (groups of spheres that move together), directly or through other contacts; the given ones included.
+        """Return the mask (n,) of the contacts that are connected with given ones, directly or through other contacts,
+        by welded domains (groups of spheres that move together) that can move; the given ones included.
 
         some : (n,) mask of the given contacts.
         """
@@ -219,12 +223,13 @@ class Constraints:
         return np.isin(piece, piece[some])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three masks (n,), one entry for each of n contacts: it rests at some minimum; it slips at all minima;
-        it slips at some.
+        """Return three masks (n,) of the contacts: those that rest at some minimum, those that slip at all minima, and
+        those that slip at some.
 
-        Between minima welded domains, groups of spheres, shift along one component, as far as no contact slips
-        backwards. So a contact can give up its slip unless another path of contacts between the same domains has
-        shorter slips in all; shortest paths, with slips as lengths of edges, decide.
+        From one minimum to another groups of spheres shift along one component, as far as no contact slips backwards.
+        So a contact can lose its slip unless other contacts that connect the same two groups, one after the other, have
+        a smaller sum of slips. That is a question of shortest paths in a graph with the groups as nodes, the contacts
+        as edges, and their slips as lengths.
 
         least, most : (n,), bounds of the slip at one minimum, both 0 for contacts that do not slip there."""
         # With t the slip of a contact and y a motion: it does not slip backwards if y[head] - y[tail] <= t.
@@ -257,11 +262,11 @@ class Constraints:
 
 
 def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
-    """Return a directed graph, a sparse matrix (size, size), with the shortest of all edges from one node to another.
-    An entry 0 is an edge of length 0, a missing entry no edge.
+    """Return a directed graph as a sparse matrix (size, size) of lengths. Of several edges from one node to another the
+    shortest is kept. A stored 0 is an edge of length 0; where nothing is stored there is no edge.
 
     tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length.
-    size : number of nodes; more if the edges need more."""
+    size : least number of nodes; there are more if the edges need more."""
     size = max(size, int(max(tail.max(initial=0), head.max(initial=0))) + 1)
     order = np.lexsort((length, head, tail))
     first = np.append(True, (np.diff(tail[order]) != 0) | (np.diff(head[order]) != 0))[: len(order)]
@@ -273,14 +278,14 @@ def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, s
 @dataclass(frozen=True)
 class BetweenTwo:
     """The m domains (groups of spheres that turn as one) that lie between two others. Only two sets of contacts pull
-    such a domain, towards either neighbour and with the same friction in all, so it can move along the line between
+    such a domain, one towards either neighbour, with the same total friction. So it can move along the line between
     both at no cost.
 
     labels : (2, m), their labels in `Pulls.slipless_domain`, for both spin components.
     slot : (m,), the component (0 or 1) in which each is held where it is, so that one minimum is left.
-    sets : m arrays of indices, within :class:`Pulls`, of the contacts of both sets.
-    undecided : (n,) mask, over the contacts of `Pulls`: of all contacts in `sets`, and of the contacts at such a domain
-        that slip along one component alone, as their slips change when it moves."""
+    sets : m arrays with the contacts of both sets, as indices in the arrays of :class:`Pulls`.
+    undecided : (n,) mask of the contacts of `Pulls` of which no state is proven: those in `sets`, and those at such a
+        domain that slip along one component alone, as their slips change when it moves."""
 
     labels: np.ndarray
     slot: np.ndarray
@@ -289,7 +294,7 @@ class BetweenTwo:
 
     @classmethod
     def of(cls, pulls: Pulls, contacts: Slipping) -> BetweenTwo:
-        """Find the domains (groups of spheres that turn as one) that lie between two others which pull them with the
+        """Return the domains (groups of spheres that turn as one) that lie between two others which pull them with the
         same friction in opposite directions.
 
         pulls : the n contacts that bear all their friction.
@@ -339,10 +344,11 @@ class BetweenTwo:
         return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
 
     def lie_between(self, contacts: Slipping, relative_change: np.ndarray) -> bool:
-        """Return True if all these domains are proven to lie between their two neighbours at the minimum, too: no slip
-        of their contacts changes its sign along the component in which they are held.
+        """Return True if all these domains are proven to lie between their two neighbours at the minimum, too: from the
+        slips in `contacts` to those at the minimum none of their slips changes its sign along the component in which
+        they are held.
 
-        contacts : the slipping contacts close to the minimum.
+        contacts : the slipping contacts at spins close to the minimum.
         relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|."""
         for own, slot in zip(self.sets, self.slot, strict=True):
             if not (
@@ -353,11 +359,12 @@ class BetweenTwo:
 
 
 def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, set[int]]:
-    """Return a dictionary: by label of a domain, the set of the contacts that lead from it to another one, as indices
-    in `pulls`.
+    """Return a dictionary: for the label of each domain (group of spheres), the set of the contacts that lead from it
+    to another one, as indices in the arrays of `pulls`. Domains without such contacts are missing.
 
-    label : (spheres,), the label of each.
-    some : (n,) mask of the contacts of `pulls` to look at."""
+    label : (spheres,), the label of the domain of each sphere.
+    pulls : n contacts with their two spheres, `lower` and `upper`.
+    some : (n,) mask of the contacts to look at."""
     found: dict[int, set[int]] = {}
     own = np.flatnonzero(some & (label[pulls.lower] != label[pulls.upper]))
     for end in (pulls.lower, pulls.upper):
@@ -380,7 +387,7 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     # Hold one slipless domain of each welded domain, for one minimum; and one locked domain, to exclude other motions.
     pulls = _pulls(motion, contacts, saturated)
     between = BetweenTwo.of(pulls, contacts)
-    held, held_locked = (_held(pulls, label, between) for label in (pulls.slipless_domain, pulls.locked_domain))
+    held, held_locked = (_spheres_to_hold(pulls, of, between) for of in (pulls.slipless_domain, pulls.locked_domain))
     if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
         return None
     # The minimum with these held; then the curvature that excludes other motions; then what shortest paths say.
@@ -414,8 +421,8 @@ class Saturated:
 
     @classmethod
     def of(cls, motion: Motion) -> Saturated | None:
-        """Return the resting contacts of a motion that carry nearly all their friction, at least the share 1 -
-        MISSED_LIMIT of mu F_n, each with the component along which it carries more. Return None if at one of these
+        """Return the resting contacts of a motion that bear nearly all their friction, at least the share 1 -
+        MISSED_LIMIT of mu F_n, each with the component along which it bears more. Return None if at one of these
         contacts both components of the friction exceed MISSED_DIRECTION times the limit: then it is not clear in which
         direction it would begin to slip.
 
@@ -444,9 +451,9 @@ class Saturated:
         return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
 
     def missing_friction(self) -> dict[int, np.ndarray]:
-        """Return by component k a bound (spheres,), in units of force, on what is missing on each sphere: the sum over
-        its saturated contacts of how far the stored moment is from the one that the contact has to exert, mu F_n along
-        one component."""
+        """Return a dictionary: for each spin component k that matters a bound (spheres,), in units of force, on the
+        error of the torque over radius on each sphere if its saturated contacts are taken to exert their stored
+        friction in place of exactly mu F_n along one component."""
         own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
@@ -458,16 +465,17 @@ class Saturated:
 
 
 def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
-    """Return the contacts of one sample that bear all their friction, and the domains that these and the resting
-    contacts make. A domain is a group of spheres that turn as one.
+    """Return the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
+    one) that these and the resting contacts make.
 
-    motion : which contacts rest.
+    motion : the sample, and which of its contacts rest.
     contacts : those that slip.
     saturated : those that do not slip and yet bear all their friction."""
     network, in_c = motion.network, np.flatnonzero(saturated.mask)
     components = len(network.needed)
     own = np.append(contacts.own, in_c)
     lower, upper = network.graph.contact[:, own]
+
     signs_of_c = np.array([np.sign(saturated.friction(slot).high) * network.sign[k][network.graph.contact[1, in_c]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     signs = np.array([np.sign(part.high) for part in contacts.difference])
@@ -488,28 +496,34 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
 
 
 def _numbered(motion: Motion, k: int) -> np.ndarray:
-    """Return a label (spheres,) for each sphere of a lattice, equal for those that resting contacts of the motion join
-    in component k: 0 and 1 for what turns with the bottom and the top, larger numbers for all others."""
+    """Return a label (spheres,) for each sphere of a lattice, equal for those that resting contacts of a motion join in
+    spin component k: 0 and 1 for what turns with the bottom and the top, larger numbers for all others.
+
+    motion : the lattice, and which of its contacts rest."""
     label = motion.domain[k]
     low, high = slices(motion.network.graph).leader(k)
     return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
 
 
-def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | None:
-    """Return the mask (2, spheres) of the spheres that are held where they are, by component, so that only one minimum
-    is left; None if that is not possible.
+def _spheres_to_hold(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | None:
+    """Choose spheres to be held where they are, so that only one minimum is left: the mask (2, spheres) of them for
+    either spin component; None if that cannot be done.
 
-    A welded domain without a driven plane, several domains that only move together, can move at no cost. So one of its
-    domains is held, one that does not lie between two others. Domains between two others are held as well, in one
-    component each.
+    A *domain* is a group of spheres that turn as one; a *welded domain* consists of domains that can only move
+    together. Two kinds of groups can move at no cost, and are held:
+
+    * Of each welded domain without a driven plane one domain is held. It must not be one of `between`; if all are, the
+      result is None.
+    * Each domain of `between` is held in one component, which `between` chooses.
 
     pulls : the contacts that bear all their friction.
-    label : (2, spheres), labels of the domains that are to be held.
-    between : domains that lie between two others."""
+    label : (2, spheres), for either component the label of the domain of each sphere.
+    between : domains that two neighbours pull with the same friction, so that they can move on the line between them.
+    """
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
         welded, inner = pulls.welded_domains(label, slot), np.isin(pulls.slipless_domain[slot], between.labels[slot])
-        # A member that does not lie between two others, in each welded domain without a plane.
+        # Welded domains without a driven plane have the numbers 1, 2, ...
         for number in range(1, int(welded.max()) + 1):
             some = label[slot][(welded == number) & ~inner]
             if not len(some):
@@ -521,12 +535,12 @@ def _held(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | 
 
 
 def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> dict[int, np.ndarray]:
-    """Return by spin component k the labels (spheres,) of domains, replaced by 0, that of the bottom, for spheres that
-    are held.
+    """Return a dictionary: for each of the two spin components k that matter the labels (spheres,) of domains, with 0,
+    the label of the bottom, for spheres that are held where they are.
 
-    motion : says which components k matter.
-    label : (2, spheres), labels of domains, for both.
-    held : (2, spheres) mask."""
+    motion : says which components these are.
+    label : (2, spheres), for either component the label of the domain (group of spheres that turn as one) of a sphere.
+    held : (2, spheres) mask of the spheres that are held."""
     return {k: np.where(h, 0, own) for k, own, h in zip(motion.network.needed, label, held, strict=True)}
 
 
@@ -537,16 +551,18 @@ def _minimum_with_held(
     held: np.ndarray,
     saturated: Saturated,
 ) -> tuple[Slipping, np.ndarray] | None:
-    """Prove that one minimum is near the stored spins if some domains are held, and that it is a minimum without
-    holding them, too. For the latter, known forces have to cancel on the held domains, and the resting contacts have to
-    bear what the others leave to them. Return None if that is not proven; else the slipping contacts close to that
-    minimum, and for each a bound on |slip there - slip| / |slip|.
+    """Prove two things: near the stored spins there is one minimum if some domains (groups of spheres that turn as one)
+    are held where they are; and it is a minimum without holding them, too. For the latter, known forces have to cancel
+    on the held domains, and friction of the resting contacts, below their limits, has to balance all other torques.
 
-    motion : the stored spins and which contacts rest.
+    Return None if that is not proven; else the slipping contacts at spins close to that minimum, and for each a bound
+    on |slip there - slip| / |slip|.
+
+    motion : the stored spins of one sample, and which contacts rest.
     pulls : the contacts that bear all their friction.
-    between : domains that lie between two others.
-    saturated : contacts without slip at their friction limit.
-    held : (2, spheres) mask of the spheres whose domain is held where it is, by component."""
+    between : domains that two neighbours pull with the same friction.
+    held : (2, spheres) mask of the spheres whose domain is held, for either component.
+    saturated : contacts without slip that bear all their friction."""
     rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()
     near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:
@@ -561,16 +577,16 @@ def _minimum_with_held(
 
 
 def _known_pulls_cancel(pulls: Pulls) -> bool:
-    """Return True if the forces of contacts at their limits that are known exactly add up to 0 wherever friction has to
-    balance without any others.
+    """Return True if the forces that are known exactly add up to 0 wherever no other forces could balance them. They
+    are those of contacts that bear all their friction and cannot turn its direction.
 
-    That is, first, on each welded domain: groups of spheres that move together from one minimum to another. Second, on
-    each firm domain: spheres that resting contacts with friction left join. Here one is excepted in each slipless
-    domain (spheres that all contacts without slip join) that no plane drives: the one, if any, on which contacts act
-    whose slip may change its direction. It is in balance once the whole slipless domain and its other firm domains are.
+    This is asked of two kinds of groups of spheres:
+    * welded domains without a driven plane: groups that move together from one minimum to another;
+    * firm domains without a driven plane: spheres that resting contacts with friction left join. One is excepted in
+      each slipless domain (spheres that all contacts without slip join): the one, if any, on which contacts act that
+      may turn their slip. It is in balance once the whole slipless domain and its other firm domains are.
 
-    pulls : the contacts that bear all their friction, and the domains, groups of spheres that they and resting contacts
-        join."""
+    pulls : the contacts that bear all their friction, and the domains that they and resting contacts make."""
     # For both components: welded domains; which firm domains are pulled by turning contacts; all other firm domains.
     for slot in range(2):
         cancels_at = pulls.known_pulls_cancel_at(pulls.welded_domains(pulls.slipless_domain, slot), slot)
@@ -593,14 +609,14 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
 def _states_by_paths(
     pulls: Pulls, between: BetweenTwo, contacts: Slipping, relative_change: np.ndarray, may_differ: bool, count: int
 ) -> tuple[np.ndarray, bool | None]:
-    """Return the states (E,) of all contacts, and whether there is only one minimum: True, False, or None if that is
-    not known. At a minimum contacts may slip less or more than at another one, but never backwards; shortest paths
-    along slips say how far.
+    """Return the states (E,) of all contacts of a sample, and whether there is only one minimum: True, False, or None
+    if that is not known. At one minimum contacts may slip less or more than at another, but never backwards; shortest
+    paths along slips say how far.
 
     pulls : the n contacts that bear all their friction.
-    between : domains that lie between two others.
-    contacts, relative_change : the slipping contacts close to a minimum, and for each a bound on |slip there - slip| /
-        |slip|.
+    between : domains (groups of spheres) that two neighbours pull with the same friction.
+    contacts, relative_change : the slipping contacts at spins close to a minimum, and for each a bound on |slip there -
+        slip| / |slip|.
     may_differ : True if some domain can move at no cost, so that minima may differ. If nothing is tied there is one
         minimum all the same, as a motion between minima goes on until a slip vanishes, at a contact that is tied then.
     count : E, number of contacts."""
@@ -625,12 +641,11 @@ def _states_by_paths(
 
 
 def _constraints(pulls: Pulls) -> list[Constraints]:
-    """Return for each of the two components the contacts whose slips along it differ between minima. They slip along
-    this component alone, or could, and lie between two welded domains (groups of spheres that move together), made of
-    `locked_domain`.
+    """Return for each of the two spin components the contacts whose slips along it may differ between minima. They slip
+    along this component alone, or could begin to, and lie between two welded domains: groups of spheres that move
+    together from one minimum to another.
 
-    pulls : the contacts that bear all their friction, and the domains that they and resting contacts make of the
-        spheres."""
+    pulls : the contacts that bear all their friction, and the groups of spheres that they and resting contacts join."""
     found, size = [], pulls.slipless_domain.shape[1] + 2
     for slot in range(2):
         welded = pulls.welded_domains(pulls.locked_domain, slot)
