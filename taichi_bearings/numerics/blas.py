@@ -21,8 +21,8 @@ def one_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _controller() -> ThreadpoolController:
-    """Return what sets the threads of the loaded libraries, NumPy's and SciPy's. They are searched once: it takes
-    milliseconds."""
+    """Return the object that sets how many threads the loaded libraries of NumPy and SciPy use. It is made once, as it
+    takes milliseconds to find these libraries."""
     import scipy.linalg  # noqa: F401
 
     return ThreadpoolController()

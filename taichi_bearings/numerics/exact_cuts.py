@@ -25,15 +25,13 @@ from taichi_bearings.numerics.minimum_cut import MinimumCut, edges_of, graph_of_
 
 @dataclass(frozen=True)
 class LightestCuts:
-    """What all cuts of a graph have in common that are as light as the lightest one, or nearly so.
+    """What all lightest cuts of a graph have in common. A cut divides the nodes into a side with the first node and a
+    side with the last one; its weight is the sum of the weights of the edges between the sides.
 
-    A cut parts the nodes into a side with the first node and a side with the last one; its weight is that of the edges
-    between the sides. "Nearly" means heavier than the lightest cut by no more than a slack, which the caller of
-    `lightest_cuts` sets.
-
-    near, far : (nodes,) True for nodes that lie on the side of the first, of the last node in each of these cuts.
-    above : (nodes,) True on the last node's side of that lightest cut whose last side is largest.
-    some, every : (edges,) True for edges with capacity that belong to some, to every lightest cut (slack 0).
+    near, far : (nodes,) True for nodes that lie on the side of the first, or of the last, node in every cut that is as
+        light as the lightest one, or heavier by no more than the slack that the caller of `lightest_cuts` allows.
+    above : (nodes,) True on the last node's side, for the lightest cut with the fewest nodes on the other side.
+    some, every : (edges,) True for edges with capacity that belong to some lightest cut, or to every one (no slack).
     """
 
     near: np.ndarray
@@ -49,9 +47,10 @@ class LightestCuts:
 
 
 def whole_numbers(values: np.ndarray) -> np.ndarray:
-    """Return Python's whole numbers (n,), dtype object, in exactly the proportions of floats (n,), which must be >= 0.
+    """Return whole numbers (n,) of Python (dtype object) whose ratios are exactly those of given floats. They have no
+    common divisor.
 
-    Their greatest common divisor is divided out.
+    values : (n,) floats, 0 or more.
 
     >>> whole_numbers(np.array([0.5, 0.75])).tolist()
     [2, 3]
@@ -66,19 +65,20 @@ def whole_numbers(values: np.ndarray) -> np.ndarray:
 
 
 def _whole(weight: np.ndarray) -> np.ndarray:
-    """Return weights (n,) as whole numbers of Python (dtype object): floats in exact proportion, whole numbers as they
-    are."""
+    """Return weights (n,) as whole numbers of Python (dtype object): floats in their exact ratios; weights that are
+    such whole numbers already are returned as they are."""
     return weight if weight.dtype == object else whole_numbers(weight)
 
 
 def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: float = 0.0) -> LightestCuts:
-    """Find what the lightest cuts between the first and the last node of an undirected graph have in common.
+    """Return what the lightest cuts between the first and the last node of an undirected graph have in common.
 
     ends : (2, edges) nodes that each edge joins.
     weight : (edges,) floats, or whole numbers of Python (dtype object), none negative. They count as exact.
     nodes : number of nodes.
-    rounding : relative error of the weights. The slack (see :class:`LightestCuts`) is three times this share of the
-        lightest weight, without edges from the first to the last node, which are in every cut.
+    rounding : relative error of the weights. For the fields `near` and `far` of the result cuts count as lightest that
+        are heavier by up to 3 * rounding * least weight. (Edges from the first to the last node, which are in every
+        cut, are left out of this weight.)
     """
     last, taken = nodes - 1, (weight > 0) & (ends[0] != ends[1])
     always = taken & (np.minimum(*ends) == 0) & (np.maximum(*ends) == last)
@@ -110,16 +110,18 @@ def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: fl
 def cuts_between(
     ends: np.ndarray, weight: np.ndarray, above: np.ndarray, between: np.ndarray, rounding: float = 0.0
 ) -> tuple[LightestCuts, np.ndarray]:
-    """Find the lightest cuts of a graph of which the side of most nodes is known already.
+    """Return what all lightest cuts between the first and the last node of a graph have in common, given one of them
+    and the nodes that may change sides. All other nodes of a side are merged into one node, so the search is over a
+    smaller graph.
 
     ends : (2, edges) nodes that each edge joins.
     weight : (edges,) floats, or whole numbers of Python (dtype object), none negative.
-    rounding : their relative error; cuts that could be as light within three times this share of the least weight count
-        as lightest.
-    above : (nodes,) True on the far side (that of the last node) of one lightest cut.
-    between : (nodes,) True for nodes that may lie on the other side in another one. All other nodes of a side are
-        merged into one node.
-    returns : the cuts of the smaller graph, and the node (nodes,) of it that each node has become.
+    rounding : relative error of the weights; cuts that are heavier by up to 3 * rounding * least weight also count as
+        lightest.
+    above : (nodes,) True for nodes on the last node's side of the lightest cut that is known.
+    between : (nodes,) True for nodes whose side may differ in another lightest cut.
+    returns : the cuts of the smaller graph; and for each node (nodes,) the node of the smaller graph into which it has
+        gone.
     """
     last = int(between.sum()) + 1
     place = np.where(between, np.cumsum(between), np.where(above, last, 0))
@@ -127,14 +129,13 @@ def cuts_between(
 
 
 def with_exact_ties(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: float) -> MinimumCut:
-    """Return minimum cuts of R lattices of shape N in which fewer spheres are left undecided between cuts that tie.
-
-    `cut.between` (R, *N) marks spheres that a flow in machine numbers could not put on one side. They are tried again
-    here in whole numbers of any size.
+    """Return the same minimum cuts of R lattices of shape N, with fewer spheres in the mask `between`: those that do
+    not lie, or are not known to lie, on one side of all lightest cuts. A flow in machine numbers left these open; here
+    they are tried again in whole numbers of any size.
 
     cut : the cuts as :func:`taichi_bearings.numerics.minimum_cut.minimum_cut` found them from these weights.
     weight : weights of the contacts, one array (R, *contacts) for each axis.
-    rounding : their relative error; no cut that could be as light within it is taken to be heavier.
+    rounding : relative error of the weights; no cut that could be as light within it is taken to be heavier.
     """
     between = cut.between.copy()
     for sample in np.flatnonzero(~cut.unique):

@@ -26,9 +26,10 @@ SHORT = 2**59  # if the totals of capacities are below this, all sums fit into 6
 
 @dataclass
 class _Residual:
-    """Capacity that is left in a graph, with P pairs of joined nodes, after some flow has been taken away.
+    """Capacity that is left in a graph after some flow has been taken away. The graph has P pairs of nodes that edges
+    join, numbered such that one is the lower and one the upper node.
 
-    there, back : (P,) from the lower to the upper node of each pair, and from the upper to the lower one.
+    there, back : (P,) capacity from the lower to the upper node of each pair, and from the upper to the lower one.
     fed, drained : (nodes,) what can still come from the source, and go to the sink, at each node.
     """
 
@@ -121,9 +122,10 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
 
 
 def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -> np.ndarray:
-    """Return the sum (count,) of the values of each owner.
+    """Return for each of `count` groups the sum (count,) of its values.
 
-    values, owner : (n,).
+    values : (n,), numbers.
+    owner : (n,), the group of each, 0 to count - 1.
     kind : type of the sums.
     """
     found = np.zeros(count, dtype=kind)

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return a label (nodes,) of the connected piece of each node.
+    """Return for each node of a graph the number (nodes,) of the connected piece that it belongs to, from 0.
 
     nodes : number of nodes.
     first, second : (edges,), the two ends of each edge.
@@ -20,12 +20,13 @@ def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def odd_pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the connected pieces of a graph with loops of odd length, and alternating signs in all others.
+    """Find the connected pieces of a graph that have a loop of an odd number of edges, and alternating signs in all
+    others.
 
     nodes : number of nodes.
     first, second : (edges,), the two ends of each edge.
-    returns : (nodes,) True for nodes of pieces with odd loops; (nodes,) signs, +1 or -1, that differ between neighbours
-        in pieces without odd loops.
+    returns : two arrays (nodes,): True for nodes of pieces with such a loop; and signs, +1 or -1, which are opposite at
+        nodes that an edge joins, in all other pieces.
 
     A piece has an odd loop if its two copies in the double cover are joined: the graph with two copies of each node, in
     which an edge joins the first copy of either end with the second copy of the other end.

@@ -37,14 +37,16 @@ FLOW_BITS = 29  # most bits of a flow in SciPy, which has 31: capacity left over
 class MinimumCut:
     """Minimum cuts of R lattices of shape N: the lightest sets of contacts whose removal parts bottom and top.
 
-    above : (R, *N) True on the top side. The contacts whose ends differ are the cut; where cuts tie it is the lowest.
-    between : (R, *N) True for spheres that are not proven to lie on the same side of all cuts as light as this one:
-        those between cuts that tie. In planar grids whose weights are not rounded that is exact. Spheres that no
-        contact with weight joins to bottom or top change no cut, and are False.
+    above : (R, *N) True for spheres on the top side. Contacts between both sides are the cut; of several that are
+        equally light it is the lowest.
+    between : (R, *N) True for spheres that are not proven to lie on the same side of all cuts as light as this one. In
+        planar grids whose weights are not rounded that is exact. False for spheres that no chain of contacts with
+        weight joins to bottom or top, as they change no cut.
     weight : (R,) weight of this cut.
-    lower_bound : (R,) proven: no cut is lighter. It is good to about 1e-15 a contact, relative.
-    next_weight : (R,) weight of the lightest other cut that leaves either side in one piece, as good as the bound; NaN
-        where this cut alone does not tell it; :func:`next_cut` then computes it.
+    lower_bound : (R,) proven: no cut is lighter. It misses the least weight by about 1e-15 of it for each contact, or
+        less.
+    next_weight : (R,) weight of the lightest other cut that leaves either side in one piece, as precise as the bound;
+        NaN where it is not known. :func:`next_cut` then computes it.
     """
 
     above: np.ndarray
@@ -167,10 +169,10 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
 @dataclass(frozen=True)
 class GraphCut:
     """A minimum cut of one graph between its first and its last node, or of one lattice between bottom and top: the
-    lightest set of edges, or contacts, whose removal parts the two.
+    lightest set of edges, or contacts, whose removal separates the two.
 
-    above : for each node, or sphere, True on the last node's, or the top's, side.
-    between : the same shape, True where the side is not the same in all cuts as light as this one.
+    above : (nodes,), or the shape of the lattice: True on the side of the last node, or of the top.
+    between : the same shape, True where the side is not proven to be the same in all cuts as light as this one.
     flow : (edges,) a largest flow, in whole units of weight.
     unit : weight of one unit.
     units : capacity of the cut in whole units, which is the size of the flow.
@@ -243,8 +245,10 @@ def graph_cut(
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
-    """Return an array of the shape of the contacts along an axis, True where their ends lie on different sides.
-    above : (*N) True on one side, for each sphere."""
+    """Return a mask of the shape of the contacts along an axis, True where their two spheres lie on different sides.
+
+    above : (*N) mask of the spheres on one of the sides.
+    axis : number of the axis."""
     low, high = lattice.along(axis)
     return np.asarray(above[low] != above[high])
 
@@ -292,18 +296,19 @@ def edges_of(values: tuple[np.ndarray, ...]) -> np.ndarray:
 
 def within_reach(ends: np.ndarray, left_over: np.ndarray, start: int, least: int = 0) -> np.ndarray:
     """Return a mask (nodes,), True for nodes that can be reached from the node `start` along edges with more than
-    `least` capacity left over.
+    `least` capacity left over in that direction.
 
-    ends : (2, edges) nodes.
-    left_over : (2, edges) capacity from the first end to the second, and back.
+    ends : (2, edges) first and second node of each edge.
+    left_over : (2, edges) capacity from the first node to the second, and back.
     """
     row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left_over.ravel() > least]
     return led_to(int(ends.max()) + 1, row, column, np.array([start]))
 
 
 def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Return a mask (nodes,), True for nodes that can be reached from some of the nodes `starts` along arcs from `row`
-    to `column`, each (arcs,)."""
+    """Return a mask (nodes,), True for nodes that can be reached along arcs from any of the nodes `starts`.
+
+    row, column : (arcs,) the node that each arc leaves, and the node that it leads to."""
     rows, columns = np.concatenate([row, np.full(len(starts), nodes)]), np.concatenate([column, starts])
     graph = csr_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(nodes + 1, nodes + 1))
     found = np.zeros(nodes + 1, dtype=bool)

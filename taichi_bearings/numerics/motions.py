@@ -28,11 +28,11 @@ MOST_UNKNOWNS = 150_000  # with more unknowns elimination takes more than minute
 
 @dataclass(frozen=True)
 class _Front:
-    """The result of eliminating one front, a set of unknowns x that is eliminated together with what it is coupled to:
-    it gives x[kept] = -solve(top^T, below^T x[free and border]).
+    """The result of eliminating one front, a set of own unknowns that are eliminated together. It says how some of them
+    follow from others in a motion x without slip: x[kept] = -solve(top^T, below^T x[free and border]).
 
-    kept, free : indices of the unknowns x that have a pivot, and of those that have none and so can be anything.
-    border : indices of the later unknowns that x is coupled to.
+    kept, free : indices of the own unknowns that have a pivot, and of those that have none and so can be anything.
+    border : indices of the later unknowns that the own ones are coupled to.
     top : Cholesky factor (kept, kept), lower triangle, of the block of the unknowns with a pivot.
     below : (free + border, kept), the rows of the factor below it.
     """
@@ -46,14 +46,15 @@ class _Front:
 
 @dataclass(frozen=True)
 class Motions:
-    """Slipless motions of the spheres of a network: changes of the spins at which no contact slips.
+    """Slipless motions of the spheres of a network: changes of the spins (unknowns) at which no contact slips.
 
-    held : numbers of the unknowns that, held at 0, leave no slipless motion; as many as there are motions.
-    decided : True where the slips of every motion are clearly rounding or clearly not.
-    largest_slip : largest slip of a motion over its largest spin.
-    smallest_kept : smallest pivot that was not taken as 0, the square of a slip over a spin.
-    fronts, unknowns : what elimination left of each set of unknowns, and the number of unknowns; `basis` needs both.
-    whole : False where some motions that elimination found do slip, and were left out.
+    held : numbers of some unknowns, as many as there are independent motions; with these held at 0 there is none.
+    decided : True if the slips of each motion are clearly rounding, or clearly larger than that.
+    largest_slip : largest slip of a motion over its largest spin, by which both are told apart.
+    smallest_kept : smallest pivot that was not taken as 0: the square of a slip over a spin.
+    fronts : the results of the elimination, from which `basis` computes the motions.
+    unknowns : number of unknowns.
+    whole : False if some motions that the elimination found do slip, and were left out.
     """
 
     held: np.ndarray
@@ -62,7 +63,7 @@ class Motions:
     smallest_kept: float
     fronts: tuple[_Front, ...]
     unknowns: int
-    whole: bool = True  # False where some that elimination found slip
+    whole: bool = True
 
     @property
     def number_is_certain(self) -> bool:
@@ -75,11 +76,11 @@ class Motions:
         return len(self.held)
 
     def basis(self, shares: np.ndarray | None = None) -> np.ndarray:
-        """Return the slipless motions (unknowns, number): each is 1 at one of the unknowns held, and 0 at the others
-        held.
+        """Return the slipless motions, one in each column, (unknowns, number): each is 1 at one of the unknowns `held`,
+        and 0 at the others of them.
 
-        shares : (number, k); with it, the k sums of motions with these coefficients are returned instead, (unknowns,
-            k).
+        shares : (number, k), or None. If given, k sums of the motions with these coefficients are returned instead,
+            (unknowns, k).
         """
         shares = np.eye(len(self.held)) if shares is None else shares
         found = np.zeros((self.unknowns, shares.shape[1]))
@@ -96,12 +97,13 @@ Parts = list[tuple[np.ndarray, list[int]]]
 
 
 def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) -> Motions:
-    """Find the kernel of the matrix that gives slips from spins: the motions at which no contact slips.
+    """Return all motions of the spheres of a network at which no contact slips: the kernel of the matrix that gives
+    slips from spins.
 
-    slips : (rows, unknowns) that matrix.
+    slips : (rows, unknowns) that matrix; an unknown is a component of the spin of a free sphere.
     sphere : (unknowns,) sphere that each unknown belongs to.
-    parts : order of elimination of the spheres, children first: for each part the numbers of its spheres, and of the
-        parts below it in the tree. Of two spheres in contact, the part of one is above that of the other, or the same.
+    parts : order of elimination of the spheres, a tree with children first: for each part the numbers of its spheres,
+        and of the parts below it. Of two spheres in contact, the part of one is above that of the other, or the same.
     """
     if not slips.shape[1]:
         return Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), 0)
@@ -123,11 +125,16 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) 
 
 
 def _without_slipping_motions(motions: Motions, slips: sparse.csr_array) -> Motions:
-    """Return the motions without those that slip more than rounding makes them: pivots are squares, so elimination does
-    not see slips of 1e-8.
+    """Return the motions without those that really slip. Elimination finds motions by pivots below NO_PIVOT. These are
+    squares of slips over spins, so that slips of up to about 1e-5 times the spins get through.
 
-    slips : (rows, unknowns), the matrix from spins to slips. Random sums of all motions are looked at first; only if
-        one of them slips are the motions looked at one by one.
+    To save time PROBES random sums of all motions are looked at first. If none of these slips, nothing is left out. If
+    one does, the motions are looked at one by one, and those with slips above SLIPLESS_SLIP times their largest spin
+    are left out; but if there are more than MOST_PROBED, nothing is left out and the result has `decided` False. It is
+    also False if some slip lies between SLIPLESS_SLIP and SOME_SLIP.
+
+    motions : as the elimination has found them.
+    slips : (rows, unknowns), the matrix from spins to slips.
     """
     if not motions.number:
         return motions
@@ -144,10 +151,11 @@ def _without_slipping_motions(motions: Motions, slips: sparse.csr_array) -> Moti
 
 
 def _relative_slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarray) -> np.ndarray:
-    """Return the largest slip over the largest spin (k,) of each of k sums of motions.
+    """Return for each of k sums of motions its largest slip over its largest spin, (k,).
 
+    motions : motions at which contacts do not slip, or hardly.
     slips : (rows, unknowns), the matrix from spins to slips.
-    shares : (motions, k), coefficients of the sums.
+    shares : (number of motions, k), coefficients of the sums.
     """
     spins = motions.basis(shares)
     return np.asarray(np.abs(slips @ spins).max(axis=0, initial=0.0) / np.abs(spins).max(axis=0))
@@ -172,7 +180,7 @@ def _eliminated(
     """Eliminate the own unknowns of one front, by pivoted Cholesky factorisation. A front is a dense symmetric matrix
     of its own unknowns and its border, the later unknowns that they are coupled to.
 
-    matrix : K^T K, where K gives slips from spins.
+    matrix : (unknowns, unknowns), K^T K, where the matrix K gives slips from spins.
     position : (unknowns,) place of each in the order of elimination.
     own : (k,), the own unknowns.
     updates : for each front below this one its border, and the matrix (border, border) that it adds there.

@@ -57,11 +57,11 @@ class Engine(Enum):
 
 
 class Memory:
-    """Memory that several factorisations by calls use one after the other; each takes it from the one before.
+    """Memory that several factorisations of large matrices use one after the other; each takes it from the one before.
+    (The first touch of new memory costs as much as a factorisation, at 32^3.)
 
-    The first touch of new memory costs as much as a factorisation, at 32^3.
-
-    changes : how often the memory was taken or freed, by which an owner sees whether it still holds its own numbers.
+    changes : how often the memory was taken or freed. If it is still what it was when a factorisation took the memory,
+        that factorisation's numbers are still there.
     """
 
     def __init__(self) -> None:
@@ -161,7 +161,8 @@ class Cholesky:
 
 
 class Factor(ABC):
-    """Numbers of the factors of one matrix or of LANES matrices; samples is their number.
+    """Cholesky factors of one matrix, or of LANES matrices of one pattern; in shapes `samples` is 1 or LANES. The user
+    writes `entries` and calls `factorise`, then writes right-hand sides and calls `substitute`.
 
     entries : (entries or more, samples) values of the matrices at the stored entries of the pattern.
     solution : (unknowns or more, samples) right-hand sides, and then solutions, in the pattern's order of elimination.
@@ -246,7 +247,8 @@ class SciPyFactor(Factor):
 
 
 class LaunchedFactor(Factor):
-    """Factor that a single kernel launch makes, front by front; another launch solves with it."""
+    """Factors of one matrix, or of LANES matrices, that a single kernel launch computes, front by front (a front is a
+    dense block of unknowns that are eliminated together); another launch solves with them."""
 
     def __init__(self, pattern: Pattern, lanes: int) -> None:
         """Reserve memory and prepare the launches.
@@ -285,7 +287,8 @@ class LaunchedFactor(Factor):
 
 
 class CalledFactor(Factor):
-    """Factor whose fronts a kernel assembles and LAPACK and BLAS eliminate; threads share that, and substitution."""
+    """Factor of one large matrix, front by front (a front is a dense block of unknowns that are eliminated together): a
+    kernel fills the fronts, LAPACK and BLAS eliminate them. Threads share the work."""
 
     def __init__(self, pattern: Pattern, memory: Memory) -> None:
         """Decide where all numbers lie; their memory is taken at the first factorisation.

@@ -187,11 +187,13 @@ def _relatives(parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _runs(rows: np.ndarray, border: np.ndarray) -> np.ndarray:
-    """Return for each row of a border how many rows from it on, itself included, also stand one below the other in the
-    front of the parent: (rows,).
+    """Return for each row of a border, (rows,), how many rows from it on, itself included, also follow each other in
+    the front above, so that they can be added together.
 
-    rows : row in the front of the parent of each row of all borders, one border after the other.
-    border : (fronts,) number of rows of each.
+    A front is a dense block of the factorisation; its border are the rows that are added to the front above.
+
+    rows : (rows,), for the rows of all borders, one border after the other, the row in the front above.
+    border : (fronts,) number of rows of each border.
     """
     front, number = np.repeat(np.arange(len(border)), border), np.arange(len(rows))
     ends = np.flatnonzero(np.append((np.diff(rows) != 1) | (np.diff(front) != 0), True)[: len(rows)]) + 1
@@ -199,7 +201,7 @@ def _runs(rows: np.ndarray, border: np.ndarray) -> np.ndarray:
 
 
 def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return (fronts,) the sum of the values of each front and of all fronts below it in the elimination tree.
+    """Return for each front the sum, (fronts,), of its value and those of all fronts below it in the elimination tree.
 
     parent : (fronts,) index of the front above each one in the tree, -1 for none; children come before parents.
     values : (fronts,) any numbers. A front is a set of unknowns that are eliminated together.
@@ -239,17 +241,18 @@ def _branch_of(fronts: int, branches: np.ndarray) -> np.ndarray:
 
 
 def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray) -> list[np.ndarray]:
-    """Return the fronts that are worked on at once, as arrays of their numbers, children first.
+    """Return the order in which fronts are eliminated, as a list of arrays of front numbers, children before parents.
+    The fronts of one array do not depend on each other, or lie in branches; they are worked on at once.
 
-    A front is a set of unknowns that are eliminated together; its update is what that adds to the matrix of later
-    unknowns, and waits in memory until the front above takes it.
+    A front is a set of unknowns that are eliminated together. Its update is what that adds to the matrix of later
+    unknowns; it waits in memory until the front above takes it. Subtrees whose updates are small enough are worked on
+    depth by depth, from the deepest fronts up, so that each depth is one array; above them each front is an array.
 
     pattern : the fronts.
     size : (fronts,) doubles of the update of each front.
-    most : largest number of doubles in all updates of a subtree that is worked on depth by depth, without those inside
-        branches; above such subtrees fronts are worked on one by one.
-    branches : (n, 2), first front and end of each subtree that a kernel works on as a whole. Those of a subtree that is
-        worked on depth by depth are its first batch.
+    most : largest number of doubles in all updates of such a subtree; updates inside branches do not count.
+    branches : (n, 2), first front of each branch and the front after its last: subtrees that one kernel call eliminates
+        whole. Those within a small subtree form its first array.
     """
     of_branch, lasting = _branch_of(len(size), branches), size.copy()
     for first, end in branches.tolist():
@@ -343,12 +346,13 @@ def _places(
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:
-    """Return branches of the elimination tree that can be solved at once, stage by stage, children first: arrays (n, 2)
-    of the first front and the end of each branch.
+    """Return the order in which a system is solved, as a list of stages: arrays (n, 2) of branches of the elimination
+    tree that can be worked on at once, each given by its first front and the front after its last. Children come first:
+    the first stage has whole subtrees, each with at most BRANCH_SHARE of the factor; then follow the fronts above,
+    depth by depth.
 
     pattern : the fronts, which are sets of unknowns that are eliminated together.
-    entries : (fronts,) doubles of the own columns of each. Small branches go whole, in the first stage; the fronts
-        above follow depth by depth.
+    entries : (fronts,) doubles of the own columns of each.
     """
     small = _sums_of_branches(pattern.parent, entries) <= tuning.BRANCH_SHARE * entries.sum()
     roots = np.flatnonzero(small & ~((pattern.parent >= 0) & small[pattern.parent]))

@@ -29,14 +29,14 @@ BUNDLE_FACES = 2_000_000  # faces that one graph holds: about 0.4 GB
 class MinimumCuts:
     """Minimum cuts of B grids of w columns and h rows, and largest flows, which have the same weight.
 
-    above : (B, w, h) True on the top side of a cut that no other is lighter than. The contacts whose ends differ are
-        the cut, those without weight apart.
+    above : (B, w, h) True for spheres on the top side of a lightest cut. The contacts with weight between both sides
+        are the cut.
     sideways_flow, upward_flow : (B, w - 1, h) and (B, w, h - 1), flow across each contact along rows and between rows,
         positive towards the higher index; balanced but in the end rows.
     sideways_tied, upward_tied : of the same shapes, True for contacts with weight that are in some but not in all
         minimum cuts.
-    weight : (B,) size of the flow, less than a unit a contact below the weight of the cut; 0 where contacts with weight
-        do not join bottom and top.
+    weight : (B,) size of the flow: the weight of the cut, each contact's being rounded down to a unit of some 2^-50 of
+        it; 0 where contacts with weight do not join bottom and top.
     next_weight : (B,) weight of the lightest other cut that leaves either side in one piece, as good as `weight`. It
         equals `weight` for ties, else it is larger; NaN where contacts without weight hide it.
     """
@@ -117,12 +117,15 @@ def _any(values: np.ndarray) -> np.ndarray:
 
 
 def _fine_paths(inner: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, ShortestPaths]:
-    """Return units of weight (B,) for B grids of w columns and h rows, and shortest paths from left to right across
-    their contacts, by weights rounded down to whole units.
+    """Return for each of B grids a unit of weight (B,), and the shortest path through its faces from left to right.
+    Crossing a contact costs its weight in whole units, rounded down; the contacts that are crossed are a cut between
+    bottom and top.
 
-    inner, upward : weights (B, w - 1, h - 2) along rows, without the end rows, and (B, w, h - 1) between rows.
+    inner, upward : weights of the contacts of grids of w columns and h rows: (B, w - 1, h - 2) along rows, without the
+        end rows, and (B, w, h - 1) between rows.
 
-    The unit is so fine that a path is 2^50 to 2^52 units long; paths have length 0 where the least weight is 0.
+    Units are powers of two, so fine that a path is 2^50 to 2^52 units long and doubles add its lengths exactly. A path
+    has the length 0 where the least weight of a cut is 0.
     """
     at_most = upward.sum(axis=1).min(axis=1)  # the weight of a straight cut
     lightest = np.minimum(*(np.min(of, axis=(1, 2), where=of > 0, initial=np.inf) for of in (inner, upward)))

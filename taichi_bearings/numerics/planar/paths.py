@@ -91,8 +91,8 @@ def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
 def through(
     inner: np.ndarray, upward: np.ndarray, from_left: np.ndarray, from_right: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the lengths of the shortest walks from left to right outside across each contact, in each of its
-    directions.
+    """Return, for each contact and both directions, the length of the shortest way from the left to the right outside
+    that crosses the contact in this direction.
 
     inner, upward : lengths of the contacts of B grids of w columns and h rows: along rows without the end rows, (B, w -
         1, h - 2), and between rows, (B, w, h - 1).
@@ -111,10 +111,10 @@ def through(
 
 
 def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
-    """Return the graph of all faces of B grids, column by column, then the left and the right outside, which edges only
-    leave: a sparse matrix of lengths (faces + 2, faces + 2).
-
-    The faces of a grid, between its w columns and h rows, are the nodes; each contact joins the two faces beside it.
+    """Return the dual graph of B grids as a sparse matrix (F + 2, F + 2) of the lengths of its edges. Its nodes are the
+    F = B (w - 1)(h - 1) faces between neighbouring columns and rows, grid by grid and column by column; then one node
+    for all that is left of the grids, and one for what is right of them. Each contact is an edge between the two faces
+    beside it. Edges only lead out of the last two nodes, so that no path passes through the outside.
 
     inner, upward : lengths of the contacts, (B, w - 1, h - 2) along rows without the end rows, and (B, w, h - 1)
         between rows.
@@ -182,14 +182,14 @@ def _trace(
 
 
 def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return for each face, (faces,), where the shortest way to it from the left outside leaves the shortest path to
-    the right outside: the position of the last face that both share, 0 for none.
+    """Return for each face, (faces,), the position on the shortest path, from the left to the right outside, of the
+    last face that this path shares with the shortest way from the left outside to the face; 0 for none.
 
-    before : (faces,) predecessor of each face on the way from the left outside.
-    order : (faces,) position of a face on the path, counted from 1, 0 off it. Each pass of the loop doubles how far
-        back every face looks.
+    before : (faces,) the face before each face on the shortest way to it; a number beyond all faces for the outside.
+    order : (faces,) position of each face on the shortest path, counted from 1, and 0 off it.
     """
     faces = len(before)
+    # The nearest known ancestor of each face that may be on the path; each pass doubles how far back it lies.
     ancestor = np.where(order > 0, np.arange(faces, dtype=np.int32), before)
     ancestor = np.append(ancestor, np.int32(faces))
     while True:

@@ -61,8 +61,9 @@ def equal_paths(
 def _steps_in_doubt(
     inner: np.ndarray, upward: np.ndarray, unit: np.ndarray, path: ShortestPaths
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Return the steps on walks from the left to the right outside that are longer than the path by less than a unit a
-    contact: only those can be as light. A step crosses one contact in one direction.
+    """Return the steps (crossings of one contact in one direction) that may lie on a lightest path. They lie on a way
+    from the left to the right outside that is longer than the shortest path by less than one unit for each of its
+    contacts: rounding to units cannot hide more.
 
     inner, upward : weights of the contacts of B grids of w columns and h rows: along rows, without the end rows, (B, w
         - 1, h - 2); between rows, (B, w, h - 1).
