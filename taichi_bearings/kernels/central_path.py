@@ -52,13 +52,12 @@ GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # recentring does its work, or keeps
 
 @ti.func
 def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: ti.template(), m):
-    """Return a list of numbers of one contact, from neighbouring rows; a row has one number of every contact.
+    """Return a vector of one contact as a list: its numbers in one or two rows that follow each other.
 
-    values : all rows, flat.
-    at : list: for each row the index of its number for the first contact of a block.
+    values : all numbers, flat, row by row; a row has one number of each contact.
+    at : for each row the index in `values` of the number that the first contact of a block has there.
     row : first of the rows that are read.
-    like : any list with as many entries as rows are to be read: the number of slipping components of the contact, 1 or
-        2.
+    like : a list with one entry for each row to be read, 1 or 2; only its length is used.
     m : number of the contact within its block."""
     return [values[at[row + k] + m] for k in ti.static(range(len(like)))]
 
@@ -83,9 +82,10 @@ def size(a: ti.template()):
 
 @ti.func
 def determinant(head, tail: ti.template()):
-    """Return head^2 - |tail|^2 of a point (head, tail) of a cone, above 0 inside it. It is computed as a product, so
-    that rounding takes no more than from head - |tail|.
+    """Return head^2 - |tail|^2 of a point (head, tail), which is above 0 inside the cone head > |tail|. It is computed
+    as (head - |tail|) (head + |tail|), which loses fewer digits than the difference of the squares.
 
+    head : a number.
     tail : a list of one or two numbers.
     """
     length = size(tail)
@@ -94,11 +94,11 @@ def determinant(head, tail: ti.template()):
 
 @ti.func
 def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti.template()):
-    """Return a point (head, tail) of the cone head >= |tail| after a hyperbolic rotation, which keeps head^2 -
-    |tail|^2: a list that begins with the head.
+    """Return a point (head, tail) after a hyperbolic rotation, which keeps head^2 - |tail|^2: a list that begins with
+    the head. The rotation is the one that takes the point (1, 0) to (by_head, by_tail).
 
-    by_head, by_tail : the rotation, with by_head^2 - |by_tail|^2 = 1.
-    head, tail : the point; tails are lists of one or two numbers.
+    by_head, by_tail : a number, and a list of one or two numbers, with by_head^2 - |by_tail|^2 = 1.
+    head, tail : the point, in the same form.
     sign : 1 for the rotation, -1 for its inverse."""
     along, share = dot(by_tail, tail), 1.0 / (1.0 + by_head)
     forth = sign * head + along * share
@@ -107,13 +107,12 @@ def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti
 
 @ti.func
 def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m, sign: ti.template()):
-    """Return W times a point (head, tail) of the cone of a contact, or W^-1 times it: a list that begins with the head.
-    W is the scaling of Nesterov and Todd, the symmetric matrix that makes the two points of the contact equal: W^-1
-    (bound, slip) = W (friction limit, minus force).
+    """Return W x or W^-1 x for a point x = (head, tail): a list that begins with the head. W is the scaling of Nesterov
+    and Todd of a contact: the symmetric matrix with W^-1 (bound of the slip, slip) = W (friction limit, minus force).
 
-    values : numbers of all contacts, row by row, flat; some rows hold W as a weight and a rotation.
-    at : list: for each row of the iterate the index in `values` of its number for the first contact of the block.
-    head, tail : the point; the tail is a list of one or two numbers.
+    values : numbers of all contacts, flat, row by row; some rows hold W, as a weight and a rotation.
+    at : for each row of the iterate the index in `values` of the number that the block's first contact has there.
+    head, tail : a number, and a list of one or two numbers.
     m : number of the contact within its block.
     sign : 1 for W, -1 for W^-1.
     """
@@ -136,13 +135,13 @@ def jordan(a, b: ti.template(), c, e: ti.template()):
 
 @ti.func
 def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Return W^-1 x for the point x with (scaled point) o x = (head, tail): a list that begins with the head.
+    """Return W^-1 x for the point x with p o x = (head, tail): a list that begins with the head.
 
-    W is the Nesterov-Todd scaling of the contact, by which its primal and its dual point become the same scaled point,
-    W^-1 primal = W dual. o is the Jordan product, (a, b) o (c, e) = (a c + b.e, a e + c b), which is inverted here.
+    W is the Nesterov-Todd scaling of the contact, and p its scaled point: p = W^-1 (bound of the slip, slip) = W
+    (friction limit, minus force). o is the Jordan product, (a, b) o (c, e) = (a c + b.e, a e + c b).
 
-    values : numbers of all contacts, row by row, flat; some rows hold W and the scaled point.
-    at : list: for each row of the iterate the index in `values` of its number for the first contact of the block.
+    values : numbers of all contacts, flat, row by row; some rows hold W and p.
+    at : for each row of the iterate the index in `values` of the number that the block's first contact has there.
     head, tail : the right-hand side; the tail is a list of one or two numbers.
     m : number of the contact within its block."""
     by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
@@ -153,14 +152,15 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
 
 @ti.func
 def right_side_and_pull(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Return the right-hand side of a Newton step at one contact, and the pull on the spheres that follows from it: a
-    list of head, tail, and pull (1 or 2 numbers, one for each slipping component).
+    """Return a list: the right-hand side (head, tail) of a Newton step at one contact, and the pull that follows from
+    it, 1 or 2 numbers, one for each slipping component.
 
-    The pull is the force with which the contact enters the equations of the spheres, once the change of its bound of
-    the slip is eliminated from them.
+    The pull is the force with which the contact enters the equations of its spheres, once the unknown change of its
+    bound of the slip is eliminated. At a contact in no cone, where the block INVERSE is stored as 0, it is minus the
+    friction.
 
-    values : numbers of all contacts, row by row, flat.
-    at : list: for each row of the iterate the index in `values` of its number for the first contact of the block.
+    values : numbers of all contacts, flat, row by row.
+    at : for each row of the iterate the index in `values` of the number that the block's first contact has there.
     head, tail : the right-hand side; the tail is a list of one or two numbers.
     m : number of the contact within its block."""
     dual = vector(values, at, DUAL, tail, m)
@@ -173,12 +173,11 @@ def right_side_and_pull(values: ti.template(), at: ti.template(), head, tail: ti
 
 @ti.func
 def step_to_boundary(head, tail: ti.template(), head_step, tail_step: ti.template()):
-    """Return the largest a for which (head, tail) + a * (head_step, tail_step) stays in the cone head >= |tail|.
+    """Return the largest a for which (head, tail) + a * (head_step, tail_step) stays in the cone head >= |tail|;
+    ENDLESS_STEP if the cone is never left.
 
-    head, tail : a point inside the cone; tails are lists of one or two numbers.
-    head_step, tail_step : direction of the step.
-
-    The result is ENDLESS_STEP if the cone is never left.
+    head, tail : a point inside the cone: a number, and a list of one or two numbers.
+    head_step, tail_step : direction of the step, in the same form.
     """
     # a is the smallest positive root of quadratic * a^2 + 2 linear * a + constant = 0
     quadratic = head_step * head_step - dot(tail_step, tail_step)
@@ -193,19 +192,24 @@ def step_to_boundary(head, tail: ti.template(), head_step, tail_step: ti.templat
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact all that the Newton steps from an iterate share, and the right-hand side of the first
-    step, the predictor, which aims at products of zero.
+    """Return for one contact what all Newton steps from an iterate share, and the right-hand side of the first of them,
+    the predictor.
 
-    The list has: weight and rotation (head, tail) of the scaling W, by which the primal point (bound, slip) and the
-    dual point (friction limit, minus force) become the same scaled point; that point (head, tail); of W^-2 the inverse
-    of the block head-head, and the block head-tail; the stiffness of each contact, 1 number or 3 of a triangle;
-    right-hand side (head, tail); and pull on the spheres. A contact that is in no cone, as its row SMOOTH says, has a
-    stiffness by the friction law instead, and the inverse 0.
+    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force), each with one
+    number as head and one or two as tail. At the minimum their product is zero; that is what the predictor aims at. The
+    scaling W makes both the same scaled point, W^-1 primal = W dual. The list has
 
-    values : numbers of all contacts, row by row, flat.
-    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
-        block's first contact; the second and the last have the same for the steps that are read and written. Of the
-        third only the length is used, 1 or 2: how many slipping components the contact has.
+    * weight and rotation (head, tail) of W; the scaled point (head, tail);
+    * of W^-2 the inverse of the entry head-head, and the entries head-tail;
+    * the stiffness that the contact adds to the matrix of the spheres, 1 number or 3 of a triangle;
+    * right-hand side (head, tail), and pull on the spheres.
+
+    A contact in no cone (row SMOOTH above 0) has the stiffness of the friction law, and the inverse 0.
+
+    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
+    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
+        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
+        slipping components, 1 or 2; only its length is used.
     numbers : at m, a small work: where the friction law has no stiffness along the slip, it gets work / slip^2.
     m : number of the contact within its block."""
     state, like = at[0], at[2]
@@ -255,19 +259,23 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact the steps of bound and dual that follow from the change of its slip, how far they may go,
-    and their products.
+    """Return for one contact the steps of its other numbers that follow from the change of its slip, and how far these
+    steps may go.
 
-    The list has: step of the bound of the slip; steps of the dual, minus the friction force (by slipping component);
-    the largest lengths of steps that keep the primal point (bound, slip) and the dual point (friction limit, minus
-    force) in the cone; and four products, in this order: friction * bound + slip . dual, its derivatives by the length
-    of the primal and of the dual step, and the mixed derivative. A contact that is in no cone, as its row SMOOTH says,
-    has products of 0, and its slip may change by half.
+    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, dual), where the dual is
+    minus the force; both must stay in the cone, where the first number is at least the length of the rest. The list has
 
-    values : numbers of all contacts, row by row, flat.
-    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
-        block's first contact; the second and the last have the same for the steps that are read and written. Of the
-        third only the length is used, 1 or 2: how many slipping components the contact has.
+    * the step of the bound, and the step of the dual (one or two numbers);
+    * the largest factors of these steps that keep the primal and the dual point in the cone;
+    * friction limit * bound + slip . dual; its derivatives by the factor of the primal and of the dual step; and the
+      mixed derivative.
+
+    For a contact in no cone (INVERSE is 0) the last four numbers are 0, and its slip may change by half.
+
+    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
+    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
+        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
+        slipping components, 1 or 2; only its length is used.
     numbers : not used; all laws take the same arguments.
     m : number of the contact within its block."""
     state, step, like = at[0], at[1], at[2]
@@ -311,18 +319,18 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact the right-hand side of the corrector (the second solve of a Newton step), and what it adds
-    to the forces on the contact's spheres (its pull), in a list: head, tail, pull. Head and tail are the parts of a
-    point of the contact's cone: one number for the bound of the slip, and one for each of its slipping components.
+    """Return for one contact the right-hand side of the corrector (the second solve of a Newton step), and the pull on
+    the contact's spheres that follows from it, in a list: head, tail, pull. The head is one number, for the bound of
+    the slip; tail and pull have one number for each slipping component.
 
-    The corrector aims at a given product of bound and friction, less the second-order error of the predictor (Mehrotra
-    1992). That error is the Jordan product of the predictor's scaled steps p and q: a point with the head p . q, over
-    head and tail, and with the tail (head of p) * (tail of q) + (head of q) * (tail of p).
+    The corrector aims at a given product of the contact's primal and dual point, less the second-order error of the
+    predictor (Mehrotra 1992). That error is the Jordan product of the predictor's scaled steps p and q: a point with
+    the head p . q, over head and tail, and with the tail (head of p) * (tail of q) + (head of q) * (tail of p).
 
-    values : numbers of all contacts, row by row, flat.
-    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
-        block's first contact; the second and the last have the same for the steps that are read and written. Of the
-        third only the length is used, 1 or 2: how many slipping components the contact has.
+    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
+    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
+        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
+        slipping components, 1 or 2; only its length is used.
     numbers : at m, the product that is aimed at, which is the head of the Jordan product of the two points.
     m : number of the contact within its block.
     """
@@ -341,16 +349,17 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 
 @ti.func
 def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact a right-hand side that brings products outside given limits closer to them (Gondzio 1996),
-    and its pull: head, tail, pull, in a list.
+    """Return for one contact the right-hand side of a further corrector (Gondzio 1996), and the pull on the contact's
+    spheres that follows from it, in a list: head, tail, pull.
 
-    Products are the eigenvalues of the Jordan product after steps of two given lengths; none is lowered by more than
-    the upper limit.
+    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force). Their Jordan
+    product after steps of given lengths has two eigenvalues, head - |tail| and head + |tail|. The corrector brings
+    those outside given limits to the nearer limit, but lowers none by more than the upper limit.
 
-    values : numbers of all contacts, row by row, flat.
-    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
-        block's first contact; the second and the last have the same for the steps that are read and written. Of the
-        third only the length is used, 1 or 2: how many slipping components the contact has.
+    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
+    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
+        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
+        slipping components, 1 or 2; only its length is used.
     numbers : at m, m + BLOCK, ... : length of the primal step, of the dual step, lower limit, upper limit, and a
         choice: GO_ON, or, in a sample that needs no further corrector, AS_READ or AS_WRITTEN to keep the right-hand
         side of the step that is read or that of the step that is written.
@@ -390,17 +399,17 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 
 @ti.func
 def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact its iterate after a step, that before, and its power and excess after the step.
+    """Return for one contact its numbers after a step, those before, and its share of two sums after the step.
 
-    The list has: bound of the slip, slip, and dual, minus the friction force (the last two by slipping component); the
-    same three before the step; friction * |slip|, of which the sum is the power; and that plus slip . dual, the excess
-    of the power over the work of the forces. A contact that is in no cone, as its row SMOOTH says, gets |slip| as its
-    bound, and as its dual minus the friction along the slip.
+    The list has: bound of the slip, slip, and dual, which is minus the force (slip and dual by slipping component); the
+    same three before the step; friction limit * |slip|, of which the sum is the power; and that plus slip . dual, of
+    which the sum is the excess of the power over the work of the forces. A contact in no cone (row SMOOTH above 0) gets
+    |slip| as its bound, and its dual is minus the friction along the slip.
 
-    values : numbers of all contacts, row by row, flat.
-    at : a list of four lists. The first has for each row of the iterate the index in `values` of the number of the
-        block's first contact; the second and the last have the same for the steps that are read and written. Of the
-        third only the length is used, 1 or 2: how many slipping components the contact has.
+    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
+    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
+        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
+        slipping components, 1 or 2; only its length is used.
     numbers : at m and at m + BLOCK, the lengths of the primal and of the dual step.
     m : number of the contact within its block."""
     state, step, like = at[0], at[1], at[2]
@@ -423,26 +432,25 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     return [bound_after] + after + dual_after + [bound] + slip + dual + [power, power + dot(after, dual_after)]
 
 
-def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return two tuples with the numbers of the rows that a pass over all contacts writes: for contacts with one
-    slipping component, and for contacts with two, whose vectors take more rows. A row of memory has one number of every
-    contact.
+def _row_numbers(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the numbers of all rows in which some quantities stand, as two tuples: for contacts with one slipping
+    component, and for contacts with two, whose vectors take more rows. A row of memory has one number of each contact.
 
-    rows : for each quantity that is written a pair: number of its first row; and how many rows it has, itself a pair,
-        for contacts with one component and with two.
+    rows : for each quantity a pair: the number of its first row; and how many rows it has, itself a pair, for contacts
+        with one component and with two.
     """
     one, two = (tuple(first + k for first, counts in rows for k in range(counts[kind])) for kind in (0, 1))
     return one, two
 
 
 SCALAR, VECTOR = (1, 1), (1, 2)
-AIM = _numbered((RIGHT_HEAD, SCALAR), (RIGHT_TAIL, VECTOR), (PULL, VECTOR))
-MADE = _numbered(
+AIM = _row_numbers((RIGHT_HEAD, SCALAR), (RIGHT_TAIL, VECTOR), (PULL, VECTOR))
+MADE = _row_numbers(
     (WEIGHT, SCALAR), (WEIGHT_HEAD, SCALAR), (TAIL, VECTOR), (POINT_HEAD, SCALAR), (POINT_TAIL, VECTOR),
     (INVERSE, SCALAR), (OFF, VECTOR), (STIFFNESS, (1, 3)),
 )  # fmt: skip
-EXTENT = _numbered((BOUND_STEP, SCALAR), (DUAL_STEP, VECTOR))
-TAKEN = _numbered(
+EXTENT = _row_numbers((BOUND_STEP, SCALAR), (DUAL_STEP, VECTOR))
+TAKEN = _row_numbers(
     (BOUND, SCALAR), (SLIP, VECTOR), (DUAL, VECTOR),
     (BOUND_BEFORE, SCALAR), (SLIP_BEFORE, VECTOR), (DUAL_BEFORE, VECTOR),
 )  # fmt: skip
@@ -450,26 +458,26 @@ NO_NUMBERS = ((), ())
 
 
 @ti.func
-def walk(
+def apply_to_block(
     values: ti.template(), blocks: ti.template(), found: ti.template(), law: ti.template(), length, block,
     slots: ti.template(), writes: ti.template(), finds: ti.template(), like: ti.template(), numbers: ti.template(),
 ):  # fmt: skip
-    """Call law(contact) for every contact of one block (BLOCK contacts with neighbouring numbers), write the first
-    numbers that it returns into rows, and reduce each of the others to a sum or a least number.
+    """Call `law` for every contact of one block (BLOCK contacts with neighbouring numbers). Of the list of numbers that
+    it returns the first are written into rows; each of the others is added to a sum, or kept if it is the least so far.
 
-    values : numbers of the iterate and of two steps, flat, row by row; a row has one number of every contact.
+    values : numbers of the iterate and of two steps, flat, row by row; a row has one number of each contact.
     blocks : the same memory as vectors of BLOCK numbers.
-    found : (FOUND, n) vectors of BLOCK numbers, flat: sums and least numbers, one for each contact of a block. Blocks
-        take turns among the n, so that each sample has sums of its own, in the same order however many samples there
-        are.
+    found : (FOUND, n) sums and least numbers, flat, changed in place: each is a vector with one number for each place
+        in a block. Blocks take turns among the n, so that each sample has sums of its own, which are added up in the
+        same order however many samples there are.
     law : function of one contact that returns a list of numbers, such as `prepared`.
     length : length of a row.
     block : number of the block.
     slots : two numbers, 0 or 1: which of the two steps is read, and which is written.
-    writes : pair of tuples: rows of the iterate, and rows of the step, into which the first numbers of the list go.
-    finds : for each further number of the list, its index (0 to FOUND - 1) in the first axis of `found`; below
-        LEAST_FOUND the least is taken, else the sum.
-    like : a list with 1 or 2 entries, of which only the length counts: the slipping components of a contact.
+    writes : two tuples: rows of the iterate, and rows of the step, into which the first numbers of the list go.
+    finds : for each further number of the list, its index (0 to FOUND - 1) on the first axis of `found`; below
+        LEAST_FOUND the least is kept, else the sum.
+    like : tuple with one entry for each slipping component of these contacts, 1 or 2; only its length is used.
     numbers : what the law takes besides, such as the length of a step.
     """
     # where the numbers of the block's first contact stand, in the rows of the iterate and of the two steps
@@ -493,32 +501,35 @@ def walk(
             found[at] = found[at] + more
 
 
-def _pass(
+def _kernels_over_contacts(
     law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
 ) -> tuple[Callable, Callable]:
-    """Return two kernels that call law(contact) for many contacts: one for contacts with one slipping component, one
-    for those with two. Each is compiled only where there are such contacts.
+    """Return two kernels that call `law` for many contacts: one for contacts with one slipping component, one for those
+    with two. Each is compiled only where there are such contacts.
 
     law : function of one contact that returns a list of numbers, such as `prepared`: first the new values of the rows
-        that it writes, then numbers that are reduced over all contacts. A row has one number of every contact.
+        that it writes (a row has one number of each contact), then numbers of which the sum or the least over all
+        contacts is found.
     iterate : rows of the iterate that the law writes, as two tuples: for contacts with one slipping component, and for
         contacts with two, whose vectors take more rows.
-    step : rows of the step that the law writes, as two such tuples; their values follow those of `iterate`.
-    finds : for each number to be reduced, the index (0 to FOUND - 1) of its result; below LEAST_FOUND the least number
-        over all contacts is taken, else the sum."""
-    return _kernel_of(law, (iterate[0], step[0]), finds, (0,)), _kernel_of(law, (iterate[1], step[1]), finds, (0, 1))
+    step : rows of the step that the law writes, as two such tuples; their values follow those of `iterate` in the list.
+    finds : for each remaining number of the list, the index (0 to FOUND - 1) of its result; below LEAST_FOUND the least
+        number over all contacts is found, else the sum."""
+    of_one, of_two = (iterate[0], step[0]), (iterate[1], step[1])
+    return _kernel_over_contacts(law, of_one, finds, (0,)), _kernel_over_contacts(law, of_two, finds, (0, 1))
 
 
-def _kernel_of(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
-    """Return a kernel that calls law(contact) for every contact of a range of blocks, BLOCK contacts each, and stores
-    the numbers that it returns: first new numbers of the iterate and of the step, then numbers to be reduced.
+def _kernel_over_contacts(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
+    """Return a kernel that calls `law` for every contact of a range of blocks, BLOCK contacts each. The list of numbers
+    that the law returns is used in order: first new numbers of the iterate, then of the step; of each of the others the
+    sum or the least over all contacts is found.
 
     law : function of one contact that returns a list of numbers, such as `prepared`.
-    writes : (rows of the iterate, rows of the step), two tuples in the order of the list; a row has one number of every
-        contact.
-    finds : for each remaining number of the list, the index (0 to FOUND - 1) of its result; below LEAST_FOUND the least
-        number over all contacts is taken, else the sum.
-    like : tuple with 1 or 2 entries, of which only the length counts: the slipping components that each contact has.
+    writes : two tuples: the rows of the iterate, and the rows of the step, that these numbers go to; a row has one
+        number of each contact.
+    finds : for each remaining number, the index (0 to FOUND - 1) of its result; below LEAST_FOUND it is the least
+        number over all contacts, else the sum.
+    like : tuple with one entry for each slipping component of these contacts, 1 or 2; only its length is used.
     """
 
     @ti.kernel
@@ -526,19 +537,20 @@ def _kernel_of(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Calla
         values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first: int, end: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
-        """Call the law for the contacts of the blocks first ... end-1, BLOCK contacts each.
+        """Call `law`, the function of one contact for which this kernel is made, for all contacts of the blocks first
+        ... end - 1. Write what it returns into rows, and into sums and least numbers.
 
-        values : numbers of the iterate and of two steps, flat, row by row; a row has one number of every contact.
-        blocks : the same memory as vectors of BLOCK numbers.
-        found : flat array of sums and least numbers, each a vector with one number for each contact of a block; it is
-            changed.
+        values : numbers of the iterate and of two steps, flat, row by row; a row has one number of each contact.
+        blocks : the same memory as vectors of BLOCK numbers, one for each contact of a block.
+        found : (FOUND, n) sums and least numbers, flat, changed in place: each is a vector with one number for each
+            place in a block. Blocks take turns among the n.
         numbers : what the law takes besides, such as the length of a step.
         length : length of a row.
         read_slot, write_slot : which of the two steps in memory is read, and which is written, 0 or 1.
         """
         ti.loop_config(serialize=True)
         for block in range(first, end):
-            walk(
+            apply_to_block(
                 values, blocks, found, law, length, block, [read_slot, write_slot], ti.static(writes), ti.static(finds),
                 ti.static(like), numbers,
             )  # fmt: skip
@@ -546,25 +558,27 @@ def _kernel_of(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Calla
     return run
 
 
-prepare = _pass(prepared, MADE, AIM)
-expand = _pass(expanded, step=EXTENT, finds=(REACH, DUAL_REACH, PRODUCT, BY_REACH, BY_DUAL_REACH, BY_BOTH))
-correct = _pass(corrected, step=AIM)
-recentre = _pass(recentred, step=AIM)
-take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
+prepare = _kernels_over_contacts(prepared, MADE, AIM)
+expand = _kernels_over_contacts(
+    expanded, step=EXTENT, finds=(REACH, DUAL_REACH, PRODUCT, BY_REACH, BY_DUAL_REACH, BY_BOTH)
+)
+correct = _kernels_over_contacts(corrected, step=AIM)
+recentre = _kernels_over_contacts(recentred, step=AIM)
+take = _kernels_over_contacts(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
 FINDING = (expand, take)  # the passes that find sums or least numbers over the contacts
 
 
 @ti.func
 def zero_of(together: ti.template()):
-    """Return zero in double precision: if `together`, a vector of LANES zeros, for as many samples that are worked on
-    together; else one number."""
+    """Return zero in double precision: one number, or, if `together` is True, a vector of LANES zeros, one for each of
+    the samples that are worked on together."""
     if ti.static(together):
         return ti.Vector.zero(ti.f64, LANES)
     return ti.cast(0.0, ti.f64)
 
 
 def _sums(together: bool) -> Callable:
-    """Return a kernel that adds up numbers that stand at given places, one sum for each list of places.
+    """Return a kernel that computes sums of numbers of an array, each over a list of places in it.
 
     together : True for LANES samples at a time, whose numbers form vectors; False for one sample.
     """

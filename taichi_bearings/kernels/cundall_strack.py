@@ -240,9 +240,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
+        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
+            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
+            in its ring. strides[axis::3] is what belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, and compliance and memory of a spring that slips; others are not used."""
         if ti.static(self.tally):
@@ -270,9 +270,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
+        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
+            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
+            in its ring. strides[axis::3] is what belongs to one axis.
         """
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
@@ -296,9 +296,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first sphere of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
+        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
+            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
+            in its ring. strides[axis::3] is what belongs to one axis.
         response : time step * radius / inertia, 1/(force * time), which turns a force into the change of a spin.
         """
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
@@ -318,7 +318,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
                 self.sum_up(values, blocks, [impulse], [(1.0 - is_free) * pull])
 
     @ti.func
-    def walk(
+    def at_sites(
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
@@ -329,13 +329,13 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
+        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
+            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
+            in its ring. strides[axis::3] is what belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, compliance and memory of a spring that slips, and time step * radius /
             inertia.
-        sweep : not used; `walk` takes the same arguments in all methods.
+        sweep : not used; `at_sites` takes the same arguments in all methods.
         carried : not used."""
         if ti.static(part == 0):
             self.contact_pass(values, blocks, row, first, strides, numbers)

@@ -79,7 +79,7 @@ class DescentSweeps(Sweeps):
             self.force_sum = stencil.force_rows(slot["force_sum"])
 
     @ti.func
-    def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
+    def initial_carry(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
         """Return the force of the contact below a worker's first site, along the height: a list with an entry for each
         spin component that makes it slip. (A worker is a thread, which goes through its blocks of sites in the order of
         memory; each block takes this force from the block before, so only the first one needs it.)
@@ -126,7 +126,7 @@ class DescentSweeps(Sweeps):
             carried[t] = last(above[t], self.block)
 
     @ti.func
-    def walk(
+    def at_sites(
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
@@ -139,9 +139,9 @@ class DescentSweeps(Sweeps):
         blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
+        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
+            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
+            in its ring. strides[axis::3] is what belongs to one axis.
         numbers : step; sharpness, 1 over the spin difference up to which friction grows; three lower and three upper
             ends of the interval in which spins stay; 1 to add spins and forces to their sums, else 0.
         sweep : number of the sweep since the momentum was last set to zero.

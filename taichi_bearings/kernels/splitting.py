@@ -12,19 +12,20 @@ ABSENT_FRICTION = -1.0  # friction where the lattice has no contact
 
 @ti.data_oriented
 class ContactStep(Sweeps):
-    """The pass over all contacts of an iteration of operator splitting: first at the contacts, then the sum at each
-    sphere.
+    """The kernel of an iteration of operator splitting, in two parts: first new forces at all contacts, then their sum
+    at each sphere. (The spins that balance these sums are computed between two iterations, elsewhere.)
 
-    Fields, with one number at each site for each spin component that makes the contact slip (`friction`: for each axis;
-    `pull`: for each spin component). D is the difference of spins across a contact, f its trial force cut off at the
-    friction limit:
+    The method puts a fictitious spring into each contact. Fields are, with numbers of each contact at its lower site,
+    one for each spin component that makes it slip:
 
-    friction : friction limit mu F_n of the contact above each site along each axis, ABSENT_FRICTION where there is
-        none.
-    trial : v, the force that each contact would need, before friction limits it.
-    spring : the force of each spring, weight D(potential) - (trial - 2 f).
-    potential : the spins in units of force, stiffness * spin; the stiffness is part of it, so kernels need not know it.
-    pull : sum of the spring forces on each sphere.
+    friction : friction limit mu F_n of the contact above each site along each axis (one number each), ABSENT_FRICTION
+        where there is none.
+    trial : trial force of each contact, which may exceed the friction limit.
+    spring : force of each spring: weight * (difference of `potential` across the contact) - (trial - 2 * trial force
+        cut off at the friction limit).
+    potential : at each site, for each spin component, stiffness of the springs * spin, a force; so kernels need not
+        know the stiffness.
+    pull : at each site, for each spin component, the sum of the spring forces on the sphere.
 
     Its constants, `numbers`: weight (relative stiffness) of the springs sideways, weight along the height, relaxation.
     """
@@ -95,9 +96,9 @@ class ContactStep(Sweeps):
         blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
+        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
+            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
+            in its ring. strides[axis::3] is what belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha."""
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
@@ -118,9 +119,9 @@ class ContactStep(Sweeps):
         blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every sphere.
         first : index in a row of the first sphere of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis."""
+        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
+            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
+            in its ring. strides[axis::3] is what belongs to one axis."""
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
@@ -130,7 +131,7 @@ class ContactStep(Sweeps):
         store_each(values, blocks, places(self.pull, row, first), self.block, pulls)
 
     @ti.func
-    def walk(
+    def at_sites(
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
@@ -141,11 +142,11 @@ class ContactStep(Sweeps):
         blocks : the same memory in blocks (groups of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : three numbers, the distance in memory from a site to its upper neighbour along x, y and z. With
-            periodic axes three such triples in a row: these distances, the numbers of sites after which rings close,
-            and the places of `first` in its rings. In either case strides[axis::3] is what belongs to one axis.
+        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
+            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
+            in its ring. strides[axis::3] is what belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
-        sweep : not used; `walk` takes the same arguments in all methods.
+        sweep : not used; `at_sites` takes the same arguments in all methods.
         carried : not used."""
         if ti.static(part == 0):
             self.limit_block(values, blocks, row, first, strides, numbers)

@@ -152,25 +152,24 @@ def made_once(kind: Callable[..., Made], *configuration: Any) -> Made:
 
 @lru_cache(maxsize=16)
 def _constants(numbers: tuple[float, ...]) -> Any:
-    """Return an array on the device that holds `numbers`, the constants of a kernel; the same array in a later call
-    with equal numbers.
-    """
+    """Return an array on the device that holds `numbers`, the constants of a kernel. The last 16 arrays are kept, and
+    returned again for equal numbers."""
     return on_device(np.array(numbers, dtype=np.float64))
 
 
 @ti.data_oriented
 class Sweeps:
-    """A kernel that repeats one step of a method over all sites; subclasses say in `walk` what is done with a block, a
-    group of neighbouring sites that are worked on together.
+    """A kernel that repeats one step of a method over all sites. Subclasses say in `at_sites` what is done with a
+    block, a group of neighbouring sites that are worked on together.
 
     A step, called a turn, is `repeats` sweeps, each made of the same `parts` one after the other. A part reads nothing
     that it writes at other sites, so that the order of the sites does not matter.
 
-    Some methods make two parts of which the first reads, beside a block itself, only its upper neighbours, and the
-    second only what the first has written at its lower neighbours. Lattices larger than the caches are then read once
-    instead of twice: a worker makes both parts of a block, then those of the next one. Its first blocks are upper
-    neighbours of those of another worker; their second part waits until all workers have met. Every number is computed
-    from the same numbers in either order.
+    Some methods have two parts of this kind: the first reads, beside a block itself, only its upper neighbours; the
+    second reads what the first has written at the lower neighbours. Then a worker (thread) can make both parts of a
+    block before it goes on to the next one, so that large lattices are read from memory once instead of twice. Only the
+    second part of its first blocks has to wait for another worker, and follows in a second sweep. Every number is
+    computed from the same numbers in either order.
 
     parts : parts of a sweep; all workers wait for each other after each.
     looks_up : True for methods with two such parts.
@@ -195,10 +194,10 @@ class Sweeps:
         self.join(self.looks_up and not periodic and not self.on_gpu)  # a ring closes at a lower neighbour
 
     def join(self, joined: bool) -> None:
-        """Set whether a worker makes both parts of a step for one block (a group of neighbouring sites) before it goes
-        on to the next block; sets `parts` and `repeats` accordingly.
+        """Choose the order of the two parts of a step, and set `joined`, `parts` and `repeats` accordingly.
 
-        joined : True if so; False if one part is made for all blocks before the other begins.
+        joined : True if a worker makes both parts for one block (a group of neighbouring sites) before it goes on to
+            its next block; False if one part is made for all blocks before the other begins.
         """
         self.joined = joined
         kind = type(self)
@@ -226,25 +225,28 @@ class Sweeps:
         self.run(fields, team, 0, (0.0,) * self.numbers)
 
     @ti.func
-    def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return what a worker hands from block to block in a part: a list with the first site of which both parts can
-        be made one after the other, where they are joined; else with a 0, which nothing uses. Methods that need
-        something else define it anew.
+    def initial_carry(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
+        """Return the list that a worker (a thread with a share of the blocks of sites) passes from each of its blocks
+        to the next in one sweep, as its first block gets it.
 
-        values : all fields, flat.
-        size : integers that say where the sites are; on lattices first the length of a row, the numbers in it before
-            the first site, the number of blocks, and the stride along x.
+        Where a worker does both parts of a step for a block before the next one (`joined`), it is the index of the
+        first site for which the second part may follow at once, since all its lower neighbours are the worker's own;
+        else [0.0], which is not used. Methods that pass on something else override this.
+
+        values : all fields, flat; not used here.
+        size : integers; on lattices first the length of a row (one number of every site), the numbers in a row before
+            the first site, the number of blocks, and the distance in memory to the neighbour along x.
         low : number of the worker's first block.
-        numbers : constants of the kernel.
-        sweep : number of the sweep."""
+        numbers : constants of the kernel; not used here.
+        sweep : number of the sweep; not used here."""
         if ti.static(self.joined):
             return [size[1] + (low + size[3] // self.block + 1) * self.block]
         return [0.0]
 
     @ti.func
     def count(self, part: ti.template(), size: ti.template()):
-        """Return the number of blocks (groups of sites that are worked on together) in a part of a sweep: on lattices
-        the same for all parts.
+        """Return the number of blocks (groups of sites that are worked on together) that a part of a sweep goes
+        through: on lattices the same for all parts.
 
         part : number of the part, not used here.
         size : integers that say where the sites are; on lattices the third is the number of blocks."""
@@ -256,7 +258,7 @@ class Sweeps:
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
         """Do one part of a sweep for one block (group of sites that are worked on together) of a lattice: find its
-        sites, and call `walk`, which subclasses define.
+        sites, and call `at_sites`, which subclasses define.
 
         part : number of the part.
         values : all fields, flat.
@@ -267,20 +269,20 @@ class Sweeps:
         number : number of the block.
         numbers : constants of the kernel.
         sweep : number of the sweep.
-        carried : what `enter` returned, or the block before has left.
+        carried : list that the worker's block before has left, or, for its first block, what `initial_carry` returned.
 
-        `walk` gets instead of `tables`, `size` and `number` the length of a row, the index of the block's first site,
-        and the strides, with rings along periodic axes."""
+        `at_sites` gets, in place of `tables`, `size` and `number`, the length of a row, the index of the block's first
+        site, and the strides, with rings along periodic axes."""
         sides = [in_range(size[3]), in_range(size[4]), 1]
         strides = with_rings(sides, number * self.block, size[5], self.periodic)
         first = in_range(size[1] + number * self.block)
         if ti.static(self.joined):  # the first sweep makes the first part, and the second part where it can
             if sweep % 2 == 0:
-                self.walk(0, values, blocks, size[0], first, strides, numbers, sweep, carried)
+                self.at_sites(0, values, blocks, size[0], first, strides, numbers, sweep, carried)
             if (sweep % 2 == 0) == (first >= carried[0]):
-                self.walk(1, values, blocks, size[0], first, strides, numbers, sweep, carried)
+                self.at_sites(1, values, blocks, size[0], first, strides, numbers, sweep, carried)
         else:
-            self.walk(part, values, blocks, size[0], first, strides, numbers, sweep, carried)
+            self.at_sites(part, values, blocks, size[0], first, strides, numbers, sweep, carried)
 
     @ti.func
     def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
@@ -299,11 +301,13 @@ class Sweeps:
         self, arrived: INTEGERS, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS, tables: INTEGERS,
         constants: VALUES,
     ):  # fmt: skip
-        """Make the turns `begin` ... `end` - 1 over all blocks.
+        """Make the turns `begin` ... `end` - 1, each one step of the method over all blocks of sites.
 
-        arrived : counter of the barrier.
+        arrived : array with one number, the counter of the barrier at which threads wait for each other.
         workers : number of threads on a CPU; each takes an equal share of the blocks.
-        values, blocks, tables : all fields, flat; the same memory in blocks; and where the sites are. See `Fields`.
+        values : all fields, flat.
+        blocks : the same memory in blocks (groups of sites that are worked on together).
+        tables : integers that say where the sites are in memory.
         constants : constants of the kernel.
         """
         if ti.static(self.on_gpu):  # one loop over all blocks for each part, a thread for each block
@@ -312,7 +316,7 @@ class Sweeps:
                     numbers = [constants[k] for k in ti.static(range(self.numbers))]
                     size = [tables[k] for k in ti.static(range(self.measures))]
                     sweep = (begin + turn) * self.repeats + again
-                    carried = self.enter(values, size, b, numbers, sweep)
+                    carried = self.initial_carry(values, size, b, numbers, sweep)
                     self.visit(part, values, values, tables, size, b, numbers, sweep, carried)
         else:  # one loop over the workers, which meet at the barrier after each part
             for item in range(workers * LEAST_CHUNK):
@@ -324,7 +328,7 @@ class Sweeps:
                         for part in ti.static(range(self.parts)):
                             count = self.count(part, size)
                             low, high = count * worker // workers, count * (worker + 1) // workers
-                            carried = self.enter(values, size, low, numbers, sweep)
+                            carried = self.initial_carry(values, size, low, numbers, sweep)
                             for b in range(low, high):
                                 self.visit(part, values, blocks, tables, size, b, numbers, sweep, carried)
                             met += workers
