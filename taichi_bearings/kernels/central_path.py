@@ -192,19 +192,14 @@ def step_to_boundary(head, tail: ti.template(), head_step, tail_step: ti.templat
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact what all Newton steps from an iterate share, and the right-hand side of the first of them,
-    the predictor.
+    """Return for one contact what all Newton steps from an iterate share, and the right-hand side of the first one.
 
-    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force), each with one
-    number as head and one or two as tail. At the minimum their product is zero; that is what the predictor aims at. The
-    scaling W makes both the same scaled point, W^-1 primal = W dual. The list has
-
-    * weight and rotation (head, tail) of W; the scaled point (head, tail);
-    * of W^-2 the inverse of the entry head-head, and the entries head-tail;
-    * the stiffness that the contact adds to the matrix of the spheres, 1 number or 3 of a triangle;
-    * right-hand side (head, tail), and pull on the spheres.
-
-    A contact in no cone (row SMOOTH above 0) has the stiffness of the friction law, and the inverse 0.
+    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force), each a head
+    and a tail. The first step aims at their product 0, as at the minimum. A scaling W makes both one scaled point, W^-1
+    primal = W dual. The list has: weight and rotation (head, tail) of W; that point (head, tail); of W^-2 the inverse
+    of its entry head-head, and the entries head-tail; the stiffness of the contact, 1 number or 3 of a triangle;
+    right-hand side (head, tail); and pull on the spheres. A contact in no cone (row SMOOTH above 0) has the stiffness
+    of the friction law, and the inverse 0.
 
     values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
     at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
