@@ -11,8 +11,9 @@ from taichi_bearings.version import VERSION
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as Markdown text, its columns padded so that it reads as plain text, too. rows : texts of all
-    cells; the first row has the titles.
+    """Return a table as Markdown text, its columns padded so that it reads as plain text, too.
+
+    rows : texts of all cells; the first row has the titles.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [rows[0], ["-" * width for width in widths], *rows[1:]]

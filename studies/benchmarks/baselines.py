@@ -27,12 +27,17 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w", 
 
 
 class Arrays:
-    """Flat arrays of a scene in the layout of the kernels: row after row, with zeros as margins before and after.
+    """Flat arrays of a scene of one sample, in the order in which the kernels store them: row after row, with zeros as
+    margins before and after.
 
-    kept : for each axis, the spin components that make its contacts slip.
-    spin : (components, length) staggered spins.
-    friction : (axes, length) coefficient of the contact of each sphere with its upper neighbour along an axis.
-    step : (components, length) step of a sweep for each sphere, 0 for driven ones.
+    length : numbers in such an array, margins included.
+
+    kept : for each axis of the lattice, the places of the spin components that make its contacts slip.
+    spin : (components, length), spins with signs that alternate between neighbours.
+    friction : (axes, length), friction coefficient of the contact of each sphere with its upper neighbour along an
+        axis.
+    step : (components, length), for each sphere the factor from the sum of its friction to the change of its spin, 0
+        for driven ones.
     """
 
     def __init__(self, scene: Scene, precision: str) -> None:
@@ -50,24 +55,26 @@ class Arrays:
         self.step = self._rows(1e-3 / weight)
 
     def _rows(self, values: np.ndarray) -> np.ndarray:
-        """Return values (C, 1, *N spheres) as (C components, length), zero in the margins."""
+        """Return values (C, 1, *N spheres) as flat rows (C components, length), with zeros in the margins."""
         margin, sites = self.layout.margin, self.layout.sites
         sides = ((0, 0), (margin, self.layout.length - margin - sites))
         return np.pad(values.reshape(len(values), -1), sides).astype(self.dtype)
 
 
 class NumpySweep:
-    """The Coulomb subgradient sweep in vectorised NumPy, as fast as we could write it.
+    """A sweep of gradient descent for Coulomb friction (all contact forces from the spins, then a step of each spin) in
+    vectorised NumPy, as fast as we could write it.
 
-    Every operation runs over one contiguous stretch, in place, with no temporaries; there is one square root and one
+    Every operation runs over one contiguous stretch, in place, with no temporaries. There is one square root and one
     division for each contact with two components, none for one with a single component. (Written with slices of
     three-dimensional arrays it takes 1.2 to 1.6 times as long.)
     """
 
     def __init__(self, arrays: Arrays) -> None:
         """Take the arrays, whose spins the sweeps change, and make all buffers: for each axis and spin component the
-        forces on all contacts along the axis; two of that length for intermediate results; the sum of the forces on
-        each sphere."""
+        forces on all contacts along the axis; two of that length for intermediate results; and the sum of the forces on
+        each sphere.
+        """
         self.arrays, self.layout, self.kept = arrays, arrays.layout, arrays.kept
         most = self.layout.sites + self.layout.strides[0]
         self.force = [[np.empty(most, arrays.dtype) for _ in kept] for kept in self.kept]
@@ -127,15 +134,18 @@ class NumpySweep:
 
 
 class CSweep:
-    """The Coulomb subgradient sweep in C, in which each contact is computed twice, once for each of its ends. Sweeps
-    are made in pairs, which read one array of spins and write the other.
+    """A sweep of gradient descent for Coulomb friction in C, in which each contact is computed twice, once for each of
+    its ends. Sweeps are made in pairs, which read one array of spins and write the other.
     """
 
     def __init__(self, arrays: Arrays, folder: Path) -> None:
         """Compile the sweep for these arrays, whose spins it changes, and make a second array of spins. The type of
-        numbers and the spin components that make the contacts of each axis slip are compiled in.
+        numbers, and the spin components that make the contacts of each axis slip, are constants of the compiled code.
 
-        folder : for the machine code. Raises OSError where it cannot be made or loaded.
+        arrays : spins, friction and steps.
+        folder : where the machine code is written.
+
+        Raises OSError if it cannot be compiled or loaded.
         """
         self.arrays, layout = arrays, arrays.layout
         self.other = arrays.spin.copy()
@@ -167,8 +177,10 @@ def find_compiler() -> str | None:
 
 @lru_cache
 def compiled(options: tuple[str, ...], folder: Path) -> Path:
-    """Return the path of sweep.c, compiled to a shared library in a folder. options : of the compiler, which fix sizes
-    and types. Raises OSError where it cannot be made.
+    """Return the path of sweep.c, compiled to a shared library. Raises OSError if it cannot be compiled.
+
+    options : options of the compiler, which fix sizes and types.
+    folder : where the library is written.
     """
     compiler = find_compiler()
     if compiler is None:

@@ -42,7 +42,7 @@ HERE = Path(__file__).parent / "others"
 class Code:
     """Another code that runs our scene.
 
-    name : of the code.
+    name : name of the code.
     how_to_install : a command.
     program : command with the script, to which the request is appended as JSON; empty if the code is not installed.
     request : values that this code wants beside those of the scene.
@@ -56,8 +56,10 @@ class Code:
     environment: Mapping[str, str] = field(default_factory=dict)
 
     def measure(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Run the script with a request, and return the JSON object that it prints last. Raises BearingsError if it
-        fails.
+        """Run the program of this code with a request, and return the JSON object that it prints last. Raises
+        BearingsError if it fails.
+
+        request : the scene and the numbers of steps, by name, as `request_of` returns them.
         """
         command, environment = [*self.program, json.dumps({**request, **self.request})], os.environ | self.environment
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
@@ -99,7 +101,8 @@ def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up
 
     spin : (*N spheres, 3) initial spins, laboratory frame.
     folder : where they are written.
-    steps : time steps that are timed. warm_up : steps before.
+    steps : time steps that are timed.
+    warm_up : steps before.
     """
     options, file = CundallStrack(), folder / "spin.npy"
     np.save(file, spin)
@@ -112,7 +115,10 @@ def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up
 
 def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
     """Yield a row for each code: the processor time of a time step on a lattice. Others run in processes of their own,
-    ours in this one. rounds : how often each is timed. steps : time steps in each round.
+    ours in this one.
+
+    rounds : how often each is timed.
+    steps : time steps in each round.
     """
     runtime.start("cpu", "f64", 1)
     scene = Scene.random(shape)

@@ -43,7 +43,10 @@ def measure(side: int, program: str, seed: int, threads: int) -> Found:
     """Yield a row for a cubic lattice of the paper, solved in this process: wall and processor time of a solve, and the
     memory that it took, GB. A sentence is yielded instead if the lattice is too large for the program.
 
-    side : spheres along an edge. program : OURS or THEIRS. seed : of the sample. threads : number of threads.
+    side : spheres along an edge.
+    program : OURS or THEIRS.
+    seed : seed of the sample.
+    threads : number of threads.
     """
     runtime.start("cpu", "f64", threads)
     shape = (side, side, side)
@@ -69,19 +72,22 @@ def measure(side: int, program: str, seed: int, threads: int) -> Found:
 
 
 def _by_us(scene: Scene, threads: int) -> Row:
-    """Return the proven relative gap of our minimum, and the share of contacts whose state is proven. threads : number
-    of threads.
+    """Solve a scene by this program, and return the relative gap that is proven (`proven_gap`) and the share of
+    contacts whose state is proven (`proven`).
 
     scene : what is solved.
+    threads : number of threads.
     """
     result = solve(scene, "interior-point", TOLERANCE, progress=False, threads=threads)
     return {"proven_gap": float(result.gap), "proven": 1 - float(result.unproven) / scene.lattice.contacts}
 
 
 def _by_clarabel(scene: Scene, threads: int) -> Callable[[], Row]:
-    """Return a function that solves a scene by Clarabel and returns the proven relative gap. Its linear solver is faer,
-    the quickest for many unknowns, if that is here. Raises InputError if Clarabel is not installed.
+    """Return a function that solves a scene by Clarabel and returns the relative gap that is proven of the answer. Of
+    Clarabel's linear solvers it uses faer, the quickest for many unknowns, if that is installed. Raises InputError if
+    Clarabel is not installed.
 
+    scene : what is solved.
     threads : number of threads.
     """
     here = {peer.linear_solver: peer for peer in find_peers()[0] if peer.name == "clarabel"}
@@ -100,7 +106,9 @@ def _by_clarabel(scene: Scene, threads: int) -> Callable[[], Row]:
 class PowerLaw(NamedTuple):
     """A power law fitted to points (x, y) by least squares of log y against log x.
 
-    exponent : of x. error : its standard error. factor : y = factor x^exponent.
+    exponent : exponent of x.
+    error : its standard error.
+    factor : y = factor x^exponent.
     """
 
     exponent: float
@@ -109,7 +117,10 @@ class PowerLaw(NamedTuple):
 
 
 def fitted(x: Sequence[float], y: Sequence[float]) -> PowerLaw:
-    """Return the power law of three or more points."""
+    """Return the power law through three or more points, fitted by least squares in the logarithms.
+
+    x, y : (points,), coordinates, all positive.
+    """
     (slope, start), covariance = np.polyfit(np.log(x), np.log(y), 1, cov="unscaled")
     rest = np.log(y) - start - slope * np.log(x)
     return PowerLaw(slope, float(np.sqrt(covariance[0, 0] * (rest**2).sum() / (len(x) - 2))), float(np.exp(start)))
@@ -131,7 +142,11 @@ def fits(rows: Sequence[Row]) -> dict[tuple[str, str], PowerLaw]:
 
 
 def words(rows: Sequence[Row]) -> list[str]:
-    """Return a sentence for each power law of :func:`fits`. rows : as there."""
+    """Return one sentence for each power law that `fits` finds, with its exponent and standard error.
+
+    rows : measurements, each with the program (`what`), the number of `spheres`, processor time and memory (the keys of
+        COLUMNS).
+    """
     return [
         f"{what}: from {FROM} spheres on {COLUMNS[key]} grows as N^{law.exponent:.2f}, with N the number of spheres"
         f" (standard error {law.error:.2f})"
@@ -142,10 +157,10 @@ def words(rows: Sequence[Row]) -> list[str]:
 @in_our_style
 def draw_growth(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw processor time (left) and memory (right) of a minimum against the number of spheres, both axes logarithmic.
-
     Each program has a colour, dots for what was measured, and a line for the power law fitted to it.
 
-    rows : one dictionary for each measured minimum, with the columns of the table of this part by name.
+    rows : measurements, each with the program (`what`), the number of `spheres`, processor time and memory (the keys of
+        COLUMNS).
     """
     figure = new_figure(DOUBLE, 0.42 * DOUBLE)
     laws, looks = fits([dict(row) for row in rows]), {OURS: (BLUE, "o"), THEIRS: (GREY, "s")}

@@ -96,8 +96,9 @@ def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds
 
 
 def clocked(call: Callable[[int], None], number: int = 1, _: int = 0) -> tuple[float, float]:
-    """Return wall and processor time, seconds, of one repetition, as the mean over one call. call : function that
-    repeats something `number` times. The last argument, the number of the round, is not used.
+    """Return wall and processor time, seconds, of one repetition, as the mean over one call.
+
+    call : function that repeats something `number` times. The last argument, the number of the round, is not used.
     """
     began, at = time.perf_counter(), time.process_time()
     call(number)
@@ -124,16 +125,16 @@ class Plan:
     """How much is measured.
 
     shapes : lattices of the benchmark `kernels`.
-    scenes : (shape, law) of those of `methods`, which each method solves for at most `seconds`.
+    scenes : (shape, law) of the scenes of `methods`, which each method solves for at most `seconds`.
     scanned : lattices of `scans`, and for each the number of samples in a round.
     moved : lattices of `dynamics`.
     grown : spheres along an edge of the cubes of `growth`.
     rounds : how often everything is timed.
     seconds : time limit of a method.
     slice_seconds : about how long a timed call of a kernel takes.
-    precisions : of kernels.
+    precisions : precisions of kernels, "f64" or "f32".
     steps : time steps of the dynamics in a round.
-    seed : of the scenes.
+    seed : seed of the scenes.
     methods : names of the methods that are measured.
     peers : True if conic solvers are measured, too.
     threads : numbers of threads.
@@ -177,9 +178,9 @@ class Benchmark:
 
 @dataclass
 class Report:
-    """What was measured.
+    """All that was measured in one call of the benchmark.
 
-    rows : for each benchmark its rows.
+    rows : for each benchmark its rows (dictionaries of plain values).
     notes : sentences on what the rows say, and on what was left out, and why.
     missing : other programs that are not installed here, and how to install them, by name.
     faults : sentences on rows that contradict each other.
@@ -216,9 +217,11 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
 
 
 def _take(report: Report, name: str, found: Row | str) -> None:
-    """Add a row, or a sentence on what is left out, to the report. name : of the benchmark.
+    """Add to the report what a benchmark has found.
 
-    found : a row, a dictionary, or the sentence."""
+    name : name of the benchmark.
+    found : a row (a dictionary of measured values), or a sentence on what was left out and why.
+    """
     if isinstance(found, str):
         report.notes += [] if found in report.notes else [found]
     else:
@@ -336,8 +339,10 @@ def _lines(row: Row) -> Iterator[Row]:
 
 
 def as_json(report: Report, here: Mapping[str, Any], files: Sequence[Path]) -> dict[str, Any]:
-    """Return the object of `--json`. here : the machine, as :func:`machine` returns it. files : paths that were
-    written.
+    """Return the object of `--json`.
+
+    here : the machine, as :func:`machine` returns it.
+    files : paths that were written.
 
     report : all that was measured.
     """

@@ -46,10 +46,12 @@ def instances() -> dict[str, Scene]:
 
 
 def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
-    """Write the files of one problem, solve it, and return its row of the table.
+    """Write the files of one problem, solve it by this program and perhaps by other solvers, and return its row of the
+    table.
 
-    name, scene : of the problem.
-    folder : for the files. peers : largest side that other solvers are given.
+    name, scene : name and scene of the problem.
+    folder : for the files.
+    peers : largest side of a problem that other solvers are given.
     """
     write_problem(scene, "fclib", folder / f"{name}.hdf5")
     written = write_problem(scene, "cbf", folder / f"{name}.cbf")

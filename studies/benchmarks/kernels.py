@@ -33,7 +33,8 @@ FOREVER = 2**40  # sweeps: more than are ever made
 class Candidate(NamedTuple):
     """Something that is timed.
 
-    name : in the table. call : function that repeats it as often as its argument says.
+    name : in the table.
+    call : function that repeats it as often as its argument says.
     components : number of spin components that it computes.
     seconds_compile : seconds that its first start took to compile; None if nothing is compiled.
     """
@@ -48,7 +49,8 @@ def measure(plan: Plan, precision: str, threads: int) -> Found:
     """Yield a row for each kernel and lattice, measured in this process, and a sentence for each lattice that does not
     fit into memory.
 
-    plan : the shapes of the lattices, and how long to measure. precision : "f64" or "f32", the type of all numbers.
+    plan : the shapes of the lattices, and how long to measure.
+    precision : "f64" or "f32", the type of all numbers.
     threads : number of threads of the kernels.
     """
     runtime.start("cpu", precision, threads)
@@ -63,11 +65,14 @@ def measure(plan: Plan, precision: str, threads: int) -> Found:
 
 
 def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Path) -> Iterator[Row]:
-    """Yield a row for each kernel on one lattice, all timed in the same rounds. The sweeps in NumPy and C have a
-    column with their time over that of our plain sweep.
+    """Yield a row for each kernel on one lattice, all timed in the same rounds. The sweeps in NumPy and C have a column
+    with their time over that of our plain sweep.
 
-    plan : number of rounds and length of a timed call. scene : one sample of the lattice. precision : "f64" or "f32",
-    the type of all numbers. threads : of the kernels. folder : for files that the C compiler writes.
+    plan : number of rounds and length of a timed call.
+    scene : one sample of the lattice.
+    precision : "f64" or "f32", the type of all numbers.
+    threads : number of threads of the kernels.
+    folder : for files that the C compiler writes.
     """
     candidates = list(_candidates(scene, precision, folder))
     found = timed({str(n): one.call for n, one in enumerate(candidates)}, plan.rounds, plan.slice_seconds)
@@ -85,8 +90,9 @@ def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Pa
 def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidate]:
     """Yield all that is timed on a lattice, compiled and ready, the plain sweep first.
 
-    scene : one sample of the lattice. precision : "f64" or "f32", the type of all numbers. folder : for files that the
-    C compiler writes.
+    scene : one sample of the lattice.
+    precision : "f64" or "f32", the type of all numbers.
+    folder : for files that the C compiler writes.
     """
     plain = GradientDescentMethod(GradientDescent(momentum=False))
     yield _candidate("sweep", plain, scene, "random")
@@ -105,7 +111,9 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
     """Return a method as something to time, with the seconds by which its first start took longer than its second: to
     compile, or to load compiled code.
 
-    name : in the table. method : built from its options. start : name of the initial spins.
+    name : in the table.
+    method : built from its options.
+    start : name of the initial spins.
     """
     spin, took = initial_spin(scene, start), []
     for _ in range(2):

@@ -53,8 +53,8 @@ LEAST = 1e-17  # lower end of the grey band, below all errors in double precisio
 def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, rounds: int) -> Found:
     """Yield a row for each method and conic solver on one scene, and a sentence for each method that is left out.
 
-    settings : of the scene; their time limit is that of each method (of a conic solver: for each tolerance).
-    names : of the methods.
+    settings : settings of the scene; their time limit is that of each method (of a conic solver: for each tolerance).
+    names : names of the methods.
     with_peers : measure conic solvers, too.
     rounds : how often those that take less than BRIEF seconds are run; the run of the median time is reported.
 
@@ -93,15 +93,17 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
 
 
 def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, _: int = 0) -> Row:
-    """Return the course of one run of a method with its default options: a row whose lists have one entry for each
-    check.
+    """Return the course of one run of a method with its default options: a row whose lists have one entry for each time
+    that its progress was read.
 
     scene : what is solved.
-    name : of the method.
+    name : name of the method.
+    options : the method with its options.
     seconds : time limit.
+    _ : number of the round, not used.
 
-    `power` is what the method would return (the potential, where the law minimises that), and `lower_bound` what it has
-    proven, energy/time. The last argument, the number of the round, is not used.
+    In the row `power` is what the method would return (the potential, for laws that minimise that), and `lower_bound`
+    what it has proven, energy/time.
     """
     spin = initial_spin(scene, "linear")
     first = uninterrupted(solve(scene, options.build(), spin, StopRule(TIGHTEST, iterations=1)))
@@ -122,7 +124,9 @@ def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int
     """Return what a conic solver reaches at one tolerance after another: a row whose lists have one entry for each
     tolerance. It ends at the first that the solver does not reach.
 
-    peer : the other solver. programme : the conic programme that it is given. threads : number of threads.
+    peer : the other solver.
+    programme : the conic programme that it is given.
+    threads : number of threads.
     seconds : time limit for each tolerance. The last argument, the number of the round, is not used.
     """
     answers, asked = [], []
@@ -136,19 +140,20 @@ def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int
 
 
 def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[float]:
-    """Return (power - bound) / power of each entry, at least the rounding of double precision. bound : one number for
-    all, or one for each.
+    """Return (power - bound) / power of each entry, at least the rounding of double precision.
+
+    bound : one number for all, or one for each.
     """
     high = np.array(power)
     return np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
 
 
 def judged(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows of one scene, from which all are judged together, with further columns.
+    """Return the rows of one scene with further columns, for which all of these rows are compared with each other.
 
     * `gap`: list, proven relative distance of power and lower bound at each check;
     * `error`: list, relative distance of the power from the best lower bound of all rows; the true error is no larger;
-    * `reference_gap`: distance of that bound from the best power of all rows, relative;
+    * `reference_gap`: relative distance of that bound from the best power of all rows;
     * `proven_gap`, `true_error`, `after`: least gap, the error there, and the seconds until then;
     * `seconds_to`: for each of TARGETS the seconds until that gap was proven, or None.
     """

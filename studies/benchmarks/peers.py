@@ -164,7 +164,7 @@ def conic_programme(scene: Scene) -> ConicProgramme:
 class Answer:
     """What a conic solver has found for one tolerance.
 
-    power, lower_bound : of its spins and forces, recomputed by the certificate, energy/time.
+    power, lower_bound : power and lower bound of its spins and forces, recomputed by the certificate, energy/time.
     seconds : wall time to set up and solve.
     iterations : number that the solver reports.
     status : how the solver says that it ended.
@@ -188,7 +188,8 @@ reached."""
 class Peer:
     """A conic solver with one of its linear solvers.
 
-    name : "clarabel" or "scs". linear_solver : see LINEAR_SOLVERS.
+    name : "clarabel" or "scs".
+    linear_solver : see LINEAR_SOLVERS.
     """
 
     name: str
@@ -202,7 +203,8 @@ class Peer:
         """Return the answer at a tolerance, with power and lower bound recomputed from spins and forces, independently
         of the solver.
 
-        programme : what is solved. tolerance : as the solver understands it.
+        programme : what is solved.
+        tolerance : as the solver understands it.
         seconds : time limit.
         threads : number of threads, 0 for all, as far as the solver can be told.
         """
@@ -214,10 +216,11 @@ class Peer:
         return Answer(float(power), float(bound), took, iterations, status, done)
 
     def run(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int) -> Raw:
-        """Return what the solver returns at a tolerance, without recomputing power and bound: unknowns x,
-        multipliers z, iterations, status, and whether the tolerance was reached.
+        """Return what the solver returns at a tolerance, without recomputing power and bound: unknowns x, multipliers
+        z, iterations, status, and whether the tolerance was reached.
 
-        seconds : time limit. threads : number of threads, 0 for all.
+        seconds : time limit.
+        threads : number of threads, 0 for all.
         """
         return _RUNS[self.name](programme, self.linear_solver, tolerance, seconds, threads)
 
@@ -226,7 +229,9 @@ def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, s
     """Return what Clarabel returns: unknowns x, multipliers z, iterations, status, and whether the tolerance was
     reached.
 
-    linear_solver : name of its linear solver. seconds : time limit. threads : number of threads, 0 for all.
+    linear_solver : name of its linear solver.
+    seconds : time limit.
+    threads : number of threads, 0 for all.
     """
     import clarabel
 
@@ -248,10 +253,11 @@ def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, s
 
 
 def _scs(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
-    """Return what SCS returns: unknowns x, multipliers z, iterations, status, and whether the tolerance was
-    reached.
+    """Return what SCS returns: unknowns x, multipliers z, iterations, status, and whether the tolerance was reached.
 
-    linear_solver : name of its linear solver. seconds : time limit. threads : not used; SCS cannot be told.
+    linear_solver : name of its linear solver.
+    seconds : time limit.
+    threads : not used; SCS cannot be told.
     """
     import scs
 

@@ -46,10 +46,11 @@ def _template(shape: tuple[int, ...]) -> ConicProgramme:
 
 
 def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]:
-    """Solve samples by a conic solver, one after another, and return a record of each, as workers of scans do: key,
-    status, and that no contact state is proven.
+    """Solve samples by a conic solver, one after another. Return a record of each, in the form in which workers of
+    scans return theirs: its key, its status, and that no contact state is proven.
 
-    samples : as a scan plans them. peer : the conic solver.
+    samples : as a scan plans them.
+    peer : the conic solver.
     """
     found = []
     for one in samples:
@@ -78,10 +79,11 @@ def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
 
 
 def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Found:
-    """Yield a row for each program (this one and, if it is installed, Clarabel): the seconds that it takes for a
-    sample of a scan, measured in rounds in which each solves the same `number` samples.
+    """Yield a row for each program (this one and, if it is installed, Clarabel): the seconds that it takes for a sample
+    of a scan, measured in rounds in which each solves the same `number` samples.
 
-    rounds : how often each solves such a set. workers : number of processes.
+    rounds : how often each solves such a set.
+    workers : number of processes.
 
     Raises BearingsError if a sample has no result.
     """
@@ -93,7 +95,9 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> F
             """Let one program solve the samples of a round, and return the seconds for a sample and the share of
             samples all of whose contact states are proven.
 
-            turn : number of the round. name : of the program. most : solve so many units of work only; None for all.
+            turn : number of the round.
+            name : name of the program.
+            most : solve so many units of work only; None for all.
             """
             samples = samples_of(shape, turn * number, number)
             units = units_of(samples, workers=workers) if name == OURS else [(one,) for one in samples]

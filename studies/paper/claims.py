@@ -94,7 +94,7 @@ class Claim:
     samples_needed : with fewer samples there is no verdict.
     kind : what the verdict rests on, one of KINDS.
     paper, ours : the number of the paper and the one found, in a few words.
-    uncertainty : of `ours`, in words.
+    uncertainty : uncertainty of `ours`, in words.
     chosen_after_the_data : limits and choices of the criterion that were made with results in view, in words; "" if
         none.
     """
@@ -283,7 +283,10 @@ class _Sentences(string.Formatter):
         self.phrases, self.named = phrases, named
 
     def fill(self, text: str, **more: Any) -> str:
-        """Return a sentence with all its numbers filled in. more : values by name, beside those of the claim."""
+        """Return a sentence with all its numbers filled in.
+
+        more : values by name, beside those of the claim.
+        """
         return self.vformat(text, (), {**self.named, **more})
 
     def format_field(self, value: Any, format_spec: str) -> str:
@@ -334,8 +337,12 @@ def claims_of(figure: str, named: Mapping[str, Any]) -> list[Claim]:
 
 
 def judge(claim: str, /, **named: Any) -> Claim:
-    """Return one claim with its verdict. claim : "FIGURE.NAME". named : the values that its sentences and rules use,
-    by name. Raises ValueError if it has not exactly one case.
+    """Return one claim with its verdict.
+
+    claim : "FIGURE.NAME".
+    named : the values that its sentences and rules use, by name.
+
+    Raises ValueError if it has not exactly one case.
     """
     (found,) = judged(claim, **named)
     return found

@@ -28,7 +28,8 @@ def draw_growth(axes: Any, found: Mapping[int, np.ndarray], fit: Any, color: str
     axes : panel of matplotlib.
     found : for each size, the numbers (samples,); only the sizes are used.
     fit : the :class:`.fits.Exponent` that was fitted.
-    color : of the line. text : label in the legend.
+    color : color of the line.
+    text : label in the legend.
     """
     sizes = np.array([L for L in found if fit.smallest <= L])
     law = np.sqrt(np.maximum(fit.amplitude * sizes ** (2 * fit.value) + fit.offset, 0.0))
@@ -62,7 +63,7 @@ def draw_row(axes: Any, row: float, values: np.ndarray, color: str) -> None:
     axes : panel of matplotlib.
     row : height of the row.
     values : (samples,), abscissae of the dots; not-a-number has no dot.
-    color : of dots and bar.
+    color : color of dots and bar.
     """
     if np.isfinite(values).any():
         axes.plot(values, row + np.linspace(-0.22, 0.22, len(values)), ".", color=color, ms=4, alpha=0.4, mew=0)
@@ -70,7 +71,10 @@ def draw_row(axes: Any, row: float, values: np.ndarray, color: str) -> None:
 
 
 def name_sizes(axes: Any, sizes: Sequence[int] | np.ndarray, label: str) -> None:
-    """Make the x axis logarithmic, with one tick for each size, labelled by that number. label : of the axis."""
+    """Make the x axis logarithmic, with one tick for each size, labelled by that number.
+
+    label : label of the axis.
+    """
     axes.set(xscale="log", xlabel=label)
     axes.set_xticks(sizes, [str(size) for size in sizes])
     axes.minorticks_off()

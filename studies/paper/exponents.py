@@ -68,11 +68,13 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Find the lightest cuts of random lattices, with held ends for several lengths of the cut, and with free ends for
-    several heights of the lattice; return table, figure and values for the claims.
+    """Find the lightest cuts of random lattices; return table, figure and values for the claims.
 
-    folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
-        quick form.
+    Some cuts have held ends (they begin and end in the middle of both sides), for several lengths of the cut; others
+    have free ends, for several heights of the lattice.
+
+    folder : where finished samples are stored until the study ends.
+    effort : first seed, number of samples, and whether it is the quick form.
     """
     sizes, tall, long = (QUICK_SIZES, QUICK_TALL, QUICK_LONG) if effort.quick else (SIZES, TALL, LONG)
     points = {("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3): several for size, several in sizes.items()}

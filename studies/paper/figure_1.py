@@ -58,7 +58,8 @@ def study(folder: Path, effort: Effort) -> Found:
     """Compute viscous states, minimum cuts with the descents to them, minima by the interior-point method, and
     relaxations; return tables, figure and values for the claims.
 
-    folder : not used, since no sample takes long enough to be kept. effort : first seed and number of samples.
+    folder : not used, since no sample takes long enough to be kept.
+    effort : first seed and number of samples.
     """
     draw = partial(Scene.random, seed=effort.seed)
     few = partial(draw, SHAPE, replicas=min(FEW, effort.samples))
@@ -94,8 +95,9 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def contacts_between(scene: Scene, above: np.ndarray) -> np.ndarray:
-    """Return a mask (R samples, E) of the contacts that join a disc above a cut with one below. above : mask (R, *N
-    spheres) of the discs above.
+    """Return a mask (R samples, E contacts), True for contacts that join a disc above a cut with one below.
+
+    above : mask (R, *N spheres) of the discs above the cut.
     """
     low, high = above.reshape(len(above), scene.lattice.sites)[:, scene.lattice.ends].swapaxes(0, 1)
     return np.asarray(low != high)
@@ -105,7 +107,8 @@ def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
     """Return a table of the exact minima of 2D Coulomb samples, found as shortest paths, compared with the same cuts
     found as largest flows.
 
-    minimum : the solution from the shortest paths. cut, by_flow : the minimum cuts by shortest paths and by flows.
+    minimum : the solution from the shortest paths.
+    cut, by_flow : the minimum cuts by shortest paths and by flows.
 
     Columns: `power`, its `lower_bound`, and `cut_power_by_flow`, energy/time; `distance`, weight of the second lightest
     cut over that of the minimum cut, less 1; `contacts_of_cut`, their number; `is_level`, True if the cut lies between
@@ -133,8 +136,10 @@ def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
 
 
 def visible(scene: Scene, ended: Solution) -> np.ndarray:
-    """Return a mask (R samples, E) of the contacts that slip visibly at the end of a descent: by more than VISIBLE of
-    the largest possible slip.
+    """Return a mask (R samples, E contacts), True for contacts that slip visibly at the end of a descent: by more than
+    VISIBLE of the largest possible slip.
+
+    ended : the solution at that end.
     """
     return np.asarray(ended.slip > VISIBLE * scene.lattice.radius * scene.jump)
 
@@ -175,7 +180,10 @@ def beside_cut(scene: Scene) -> Table:
 
 
 def spins_of(solution: Solution, shown: int) -> Table:
-    """Return a table of the discs of one sample: place and spin over that of the top. shown : index of the sample."""
+    """Return a table with the place of each disc of one sample, and its spin over that of the top.
+
+    shown : index of the sample.
+    """
     spin = solution.spin[shown]
     x, y = np.indices(spin.shape).reshape(2, -1)
     return Table({"seed": [solution.scene.seeds[shown]] * spin.size, "x": x, "y": y, "spin_over_top": spin.ravel()})
@@ -185,8 +193,8 @@ def viscous_numbers(solution: Solution) -> dict[str, Any]:
     """Return numbers of viscous samples, by name:
 
     samples : how many there are.
-    least_slip, largest_slip : of the contacts that can slip, in units of radius times jump.
-    least_rise : of the spin from layer to layer (see :func:`least_rise`).
+    least_slip, largest_slip : least slip and largest slip of the contacts that can slip, in units of radius times jump.
+    least_rise : least rise of the spin from layer to layer (see :func:`least_rise`).
     """
     scene = of_lattice(solution.scene)
     slips = solution.slip[:, ~scene.lattice.between_driven] / (scene.lattice.radius * scene.jump)

@@ -44,7 +44,8 @@ def study(folder: Path, effort: Effort) -> Found:
     """Follow samples from random spins and from the minimum cut, and find the minima of more samples; return tables,
     figure and values for the claims.
 
-    folder : not used, since no sample takes long enough to be kept. effort : first seed and number of samples.
+    folder : not used, since no sample takes long enough to be kept.
+    effort : first seed and number of samples.
     """
     draw = partial(Scene.random, seed=effort.seed)
     scene, rigid_scene = (draw(SHAPE, replicas=min(most, effort.samples)) for most in (RUNS, RIGID_RUNS))
@@ -101,8 +102,8 @@ def names_of(
 
 
 def apart(run: Run, other: Run) -> float:
-    """Return the largest difference of any spin at the end of two relaxations, without the parts that make no contact
-    slip (see :func:`without_idle_spin`).
+    """Return the largest difference of any spin between the ends of two relaxations, 1/time. Left out is the mean spin
+    of each layer about the height, which makes no contact slip.
     """
     return float(np.abs(without_idle_spin(run.last) - without_idle_spin(other.last)).max())
 

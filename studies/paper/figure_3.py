@@ -37,7 +37,8 @@ def study(folder: Path, effort: Effort) -> Found:
     """Find the minima of samples of the paper's size, for Fig. 3; return the spheres of the path of the one that is
     shown, the figure, and values for the claims.
 
-    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    folder : where finished samples are kept meanwhile.
+    effort : first seed and number of samples.
     """
     table, shown = minima(folder, effort)
     path, scene = shown.network.shortest_path, of_lattice(shown.scene)
@@ -51,10 +52,11 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def planes(folder: Path, effort: Effort) -> Found:
-    """Find for Fig. 4 the lattice planes that are drawn, and which contacts of the path lie in them; return the
-    figure and values for the claims.
+    """Find for Fig. 4 the lattice planes that are drawn, and which contacts of the path lie in them; return the figure
+    and values for the claims.
 
-    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    folder : where finished samples are kept meanwhile.
+    effort : first seed and number of samples.
     """
     table, shown = minima(folder, effort)
     path = shown.network.shortest_path
@@ -139,9 +141,11 @@ def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
 def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNetwork, site: float) -> None:
     """Draw the discs in which a lattice plane cuts the spheres, its slipless contacts, and the path.
 
-    axes : where it is drawn. sheet : the plane, with the places of its discs and contacts.
+    axes : where it is drawn.
+    sheet : the plane, with the places of its discs and contacts.
     speed : (discs,), |spin| of its spheres, as a share of the colour scale.
-    network : the slipless contacts, and the path. site : distance of two discs in the figure, in points.
+    network : the slipless contacts, and the path.
+    site : distance of two discs in the figure, in points.
     """
     sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
     sheet.box_driven(axes)

@@ -97,10 +97,11 @@ def first_that_fits(goodness: Sequence[float]) -> int:
 
 
 def _changed(values: Sequence[float], chosen: int) -> float:
-    """Return the largest difference of the chosen value from those of its neighbours: with one size more, and with one
-    or two sizes less.
+    """Return the largest difference of the chosen value from those of its neighbours: the fit with one size more, and
+    those with one or two sizes less.
 
-    values : of all fits, from that with most sizes on. chosen : index of the fit that was taken.
+    values : values of all fits, from that with most sizes on.
+    chosen : index of the fit that was taken.
     """
     return float(max(abs(value - values[chosen]) for value in values[max(chosen - 1, 0) : chosen + 3]))
 
@@ -152,8 +153,8 @@ def exponent(
 
 
 def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
-    """Return (sizes,), from the smallest size on, sqrt(n / (n - 1)) for n samples: by this factor errors from
-    resampling are too small.
+    """Return factors (sizes,), from the smallest size on, by which errors from resampling are too small: sqrt(n / (n -
+    1)) for n samples.
     """
     number = np.array([len(samples[L]) for L in sorted(samples)])
     return np.sqrt(number / (number - 1))
@@ -353,7 +354,9 @@ def _cumulants(values: np.ndarray) -> tuple[float, float]:
 
 def skewness_of_least(values: np.ndarray, several: int) -> tuple[float, float]:
     """Return the skewness of the least of `several` numbers, drawn independently from a distribution, and its standard
-    error from resampling. values : (samples,) numbers drawn from the distribution.
+    error from resampling.
+
+    values : (samples,) numbers drawn from the distribution.
     """
     count, rng = len(values), np.random.default_rng(0)
     # probability that the least is the k-th smallest value: the rest is above with ((count - k) / count) ** several

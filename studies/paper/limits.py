@@ -38,8 +38,8 @@ def study(folder: Path, effort: Effort) -> Found:
     """Solve the samples of all scans, extrapolate their shares to infinite size, and return tables, figure and values
     for the claims.
 
-    folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
-        quick form.
+    folder : where finished samples are kept meanwhile.
+    effort : first seed, number of samples, and whether it is the quick form.
     """
     settings = list(planned(QUICK, effort))
     found = measured(settings, sample_of, folder / "limits.jsonl")
@@ -159,8 +159,11 @@ def draw_limits(named: Any) -> Figure:
 
 
 def _draw_limit(axes: Any, limit: Limit | None, colour: str) -> None:
-    """Draw the fitted line and the extrapolated value with its error at 1/L = 0; nothing where the samples do not
-    follow the law.
+    """Draw the fitted line of a limit, and the extrapolated value with its error at 1/L = 0; nothing if there is no
+    limit or the samples do not follow the law.
+
+    axes : panel of matplotlib.
+    limit : the fit, or None.
     """
     if limit is not None and limit.follows:
         x = np.array([0, 1 / limit.smallest])

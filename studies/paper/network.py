@@ -42,7 +42,8 @@ VIEWED: dict[str, Callable[[Structure], Any]] = {
 def study(folder: Path, effort: Effort) -> Found:
     """Find certified cubes of all sizes; return table, figure and values for the claims.
 
-    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    folder : where finished samples are kept meanwhile.
+    effort : first seed and number of samples.
     """
     chosen = [
         RunSettings(shape=(side, side, side), seed=seed)
@@ -54,7 +55,9 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(table: Table) -> dict[str, Any]:
-    """Return the values that the figure and the claims use, by name. table : a row for each sample.
+    """Return the values that the figure and the claims use, by name.
+
+    table : a row for each sample.
 
     `bulk`: samples of the paper's size and larger; `spanning`: those of them whose slipless contacts join bottom and
     top; `large`: samples of LARGE spheres a side and more; `viewed`: names of the numbers that are compared between
@@ -171,8 +174,8 @@ def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> N
     against the side.
 
     axes : where it is drawn.
-    sides : of the cubes. spans : for each of them (samples, thresholds + 1), True where the network spans; last by the
-        certified states.
+    sides : sides of the cubes.
+    spans : for each of them (samples, thresholds + 1), True where the network spans; last by the certified states.
     """
     share = np.array([of.mean(axis=0) for of in spans])
     for place, colour in enumerate(COARSE):

@@ -71,14 +71,14 @@ SURE = 1e-6  # relative gap of minima of spheres; spheres with less of the top's
 
 
 def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Packing:
-    """Return a lattice without loops of an odd number of discs, to which `odd` odd contacts are added at random
-    places. These close odd loops: in squares a contact across a diagonal, in hexagons the disc that a
-    triangular lattice has there.
+    """Return a lattice without loops of an odd number of discs, to which `odd` odd contacts are added at random places.
+    These close odd loops: in squares a contact across a diagonal, in hexagons the disc that a triangular lattice has
+    there.
 
     lattice : "square", "triangular" (a honeycomb with added discs) or "cubic".
     size : L, the length of each side in diameters.
     bottom : spin of the bottom; that of the top is 1.
-    seed : of the places and of the friction.
+    seed : seed of the places and of the friction.
 
     Raises InputError if `odd` is more than a share DENSEST of the places.
     """
@@ -110,15 +110,16 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
 
 @lru_cache(maxsize=4)
 def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing, np.ndarray, cKDTree, float]:
-    """Return a lattice without loops of an odd number of discs, and where odd contacts, which close such loops,
-    can be put into it: a tuple of
+    """Return a lattice without loops of an odd number of discs, and where odd contacts, which close such loops, can be
+    put into it: a tuple of
 
     * the lattice;
     * the places (holes, D), the middles of its whole squares or hexagons;
     * a search tree of the centres of its discs or spheres;
     * the distance within which the discs around a place are found: those of its square or hexagon, and no others.
 
-    size : length of each side in diameters. bottom : spin of the bottom; that of the top is 1.
+    size : length of each side in diameters.
+    bottom : spin of the bottom; that of the top is 1.
     """
     if lattice == "triangular":
         bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
@@ -133,8 +134,9 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
 
 
 def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
-    """Return the spins at the minimum, 1/time: (N,) of discs, which are exact, or (N, 3) of spheres. lattice : name,
-    by which the solver is chosen.
+    """Return the spins at the minimum, 1/time: (N,) of discs, which are exact, or (N, 3) of spheres.
+
+    lattice : name, by which the solver is chosen.
     """
     if lattice == "cubic":
         return np.asarray(solve_packing(packing, SURE).spin[0])
@@ -167,8 +169,12 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
 
 
 def dilute(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
-    """Return those of some numbers of odd contacts (which close loops of an odd number of discs) for which the
-    lattice has places enough.
+    """Return those of some numbers of odd contacts for which the lattice has places enough. Odd contacts are added ones
+    that close loops of an odd number of discs.
+
+    lattice : "square", "triangular" or "cubic".
+    size : length of each side in diameters.
+    numbers : the numbers of odd contacts.
     """
     return [n for n in numbers if n <= DENSEST * len(_without_odd_loops(lattice, size, 0.0)[1])]
 
@@ -239,8 +245,8 @@ def study(folder: Path, effort: Effort) -> Found:
     """Find the minima of bearings for several lattices, sizes, numbers of odd contacts and spins of the bottom; return
     table, figure and values for the claims.
 
-    folder : where finished samples are kept meanwhile. effort : first seed, number of samples, and whether it is the
-        quick form.
+    folder : where finished samples are kept meanwhile.
+    effort : first seed, number of samples, and whether it is the quick form.
     """
     shares, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
     sizes = {

@@ -69,15 +69,19 @@ def _words(text: str) -> str:
 
 
 def _verdict(claim: Mapping[str, Any]) -> str:
-    """Return the HTML of the verdict of a claim, coloured by its CSS class. claim : as :meth:`.claims.Claim.as_dict`
-    returns it.
+    """Return the HTML of the verdict of a claim, coloured by its CSS class.
+
+    claim : as :meth:`.claims.Claim.as_dict` returns it.
     """
     name = escape(claim["verdict"])
     return f'<span class="verdict {name.replace(" ", "-")}">{name}</span>'
 
 
 def _row(cells: Iterable[str], kind: str = "td") -> str:
-    """Return the HTML of a table row. kind : tag of its cells, "td" or "th"."""
+    """Return the HTML of a table row.
+
+    kind : tag of its cells, "td" or "th".
+    """
     return f"<tr>{''.join(f'<{kind}>{cell}</{kind}>' for cell in cells)}</tr>"
 
 
@@ -112,7 +116,7 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
 def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Iterator[str]:
     """Yield the HTML of one figure: its picture, and each claim with verdict, numbers and grounds.
 
-    name : of the figure.
+    name : name of the figure.
     figure : its entry in the report.
     picture : bytes of its PNG, or None if there is none.
     """

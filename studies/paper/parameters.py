@@ -57,11 +57,11 @@ LOADED = ("F_n = 5", "F_n = 500")  # variants that have another normal force
 
 
 def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Return (R,) the time from which on the power stays within a share LATE of the minimum; the last time if it never
-    does.
+    """Return (R,) the time from which on the power of each sample exceeds the minimum by no more than a share LATE; the
+    last time if it never does.
 
     time : (T,), rising.
-    excess : (T, R samples) power over the proven least one, less 1.
+    excess : (T, R samples), power over the proven least one, less 1.
     """
     late = excess > LATE
     last = len(late) - 1 - np.argmax(late[::-1], axis=0)
@@ -72,7 +72,8 @@ def study(folder: Path, effort: Effort) -> Found:
     """Follow the samples under all variants, and find their minima under all normal forces; return tables, figure and
     values for the claims.
 
-    folder : not used, since no sample takes long enough to be kept. effort : first seed and number of samples.
+    folder : not used, since no sample takes long enough to be kept.
+    effort : first seed and number of samples.
     """
     scenes = {
         force: Scene.random(SHAPE, effort.seed, replicas=min(RUNS, effort.samples), normal_force=force)
@@ -98,18 +99,22 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> dict[str, Any]:
-    """Return the values that figure and claims use of the relaxations, by name.
+    """Return by name the values that figure and claims use of the relaxations. The same spins relax under several
+    variants (choices of stiffness, damping and normal force F_n); the paper's variant is the reference.
 
-    runs : for each variant (a choice of stiffness, damping and normal force F_n) its relaxation from the same spins.
+    runs : for each variant its relaxation.
     bounds : for each normal force (R samples,), proven lower bounds on the least power, energy/time.
 
     With an entry for each variant:
+
     * `courses`: the relaxation with its times multiplied by F_n over the paper's F_n;
-    * `excess`: (T times, R), power over its lower bound, less 1; `last`: (R,), the same at the end.
+    * `excess`: (T times, R), power over its lower bound, less 1;
+    * `last`: (R,), the excess at the end.
 
     With an entry for each variant but the paper's:
+
     * `apart`: (R,), largest difference of power / initial power from the paper's variant, at equal scaled times;
-    * `ratio`: (R,), time until the minimum is reached (`excess` stays below LATE), over that of the paper's variant.
+    * `ratio`: (R,), time from which on the excess stays below LATE, over that of the paper's variant.
 
     Constants: `greater`, names of the variants with larger stiffness or damping; `loaded`, names of those with another
     normal force; `late`, the number LATE.
@@ -128,8 +133,9 @@ def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> d
 
 
 def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
-    """Return the values that claims use of the minima: for each normal force the power over it (R,); the contact
-    states (R, E) of each; the number of samples whose states are all proven; and the number of slipless contacts.
+    """Return by name the values that claims use of the minima: `per_force`, for each normal force the power over it (R
+    samples,); `states`, the contact states (R, E contacts) for each; `proven`, the least number of samples whose states
+    are all proven; `slipless`, the number of slipless contacts.
 
     minima : for each normal force the solution.
     """

@@ -36,13 +36,13 @@ from .page import page
 class PaperFigure:
     """One figure, with the claims about it.
 
-    name : by which users ask for it; its files begin with it.
+    name : by which users ask for it; the names of its files begin with it.
     title : what it shows.
     module : the module of this folder whose function `study` finds its numbers; MODULE.FUNCTION for another function.
     seconds : rough times in full and in the quick form, on two cores.
     shown : which samples the figure shows, a sentence.
     tables : ends of the names of its CSV files.
-    asked : True for a question beyond the paper, computed only if the user names it.
+    asked : True for a question beyond the paper, which is computed only if the user names it.
     samples_of : name of the figure whose samples it uses; "" for its own.
     """
 
@@ -223,7 +223,8 @@ def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence
 
     folder : where figures and reports are.
     effort : first seed, number of samples, and whether this is the quick form.
-    done : finished figures as plain data, by name. missing : names of those that are not done yet.
+    done : finished figures as plain data, by name.
+    missing : names of those that are not done yet.
     """
     report = describe(folder, effort, done, missing)
     write_text(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
@@ -233,13 +234,13 @@ def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence
 
 
 def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str, Any]:
-    """Compute a figure and return it as plain data: title, claims with verdicts, and the seconds of wall and processor
-    time that it took.
+    """Compute one figure of the paper and return a summary for JSON: title, what is shown, claims with their verdicts,
+    files, wall and processor seconds.
 
-    name : key of FIGURES.
-    folder : where its files are written.
-    effort : first seed, number of samples, and whether this is the quick form.
-    title : True for words above the figure.
+    name : name of the figure.
+    folder : folder in which its files are written.
+    effort : seed, number of samples, and whether the quick version is asked for.
+    title : True to put titles above figures.
     """
     began, processor = time.perf_counter(), time.process_time()
     claims = FIGURES[name].reproduce(folder, effort, title)
@@ -253,8 +254,9 @@ def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str,
 
 
 def _tally(figure: dict[str, Any]) -> str:
-    """Return in words how many claims of a figure have which verdict. figure : the figure as plain data, with its
-    `claims`.
+    """Return in words how many claims of a figure have which verdict.
+
+    figure : the figure as plain data, with its `claims`.
     """
     found = Counter(claim["verdict"] for claim in figure["claims"])
     return ", ".join(f"{number} {verdict}" for verdict, number in found.items()) or "nothing to judge"
@@ -265,7 +267,8 @@ def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequen
 
     folder : where figures and reports are.
     effort : first seed, number of samples, and whether this is the quick form.
-    done : finished figures as plain data, by name. missing : names of those that are not done yet.
+    done : finished figures as plain data, by name.
+    missing : names of those that are not done yet.
     """
     figures = {name: done[name] | {"files": list(map(str, _files(name, folder)))} for name in FIGURES if name in done}
     verdicts = Counter(claim["verdict"] for found in figures.values() for claim in found["claims"])
@@ -286,7 +289,8 @@ def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequen
 def _command(names: Sequence[str], effort: Effort) -> str:
     """Return the command line that computes the same figures with the same numbers again.
 
-    names : of the figures, keys of FIGURES. effort : first seed, number of samples, and whether it is the quick form.
+    names : names of the figures, keys of FIGURES.
+    effort : first seed, number of samples, and whether it is the quick form.
     """
     asked = [] if set(names) == set(choose_figures(())) else [name for name in FIGURES if name in names]
     quick = ["--quick"] if effort.quick else []

@@ -85,7 +85,10 @@ class Table:
         return found
 
     def __getitem__(self, chosen: Any) -> "Table":
-        """Return a table of some of the samples. chosen : mask (samples,), slice, or indices."""
+        """Return a table of some of the samples.
+
+        chosen : mask (samples,), slice, or indices.
+        """
         return Table({name: values[chosen] for name, values in self.columns.items()})
 
     def __or__(self, more: Mapping[str, Any]) -> "Table":
@@ -110,8 +113,9 @@ class Table:
         return {value.item(): self.columns[name][own == value] for value in np.unique(own)}
 
     def only(self, names: str) -> dict[str, list[Any]]:
-        """Return some columns as lists of plain Python numbers, by name. names : those of the columns, separated by
-        spaces.
+        """Return some columns as lists of plain Python numbers, by name.
+
+        names : those of the columns, separated by spaces.
         """
         return {name: self.columns[name].tolist() for name in names.split()}
 
@@ -227,8 +231,8 @@ def _records(
     error.
 
     parts : the pieces that are computed.
-    units : groups of pieces that are sent to a worker together. workers : number of processes; up to 1, this process
-        does all.
+    units : groups of pieces that are sent to a worker together.
+    workers : number of processes; up to 1, this process does all.
     """
     if workers <= 1:
         yield from map(_record, parts)
@@ -266,8 +270,10 @@ Numbers = Callable[[Structure], dict[str, Any]]  # returns the columns of a samp
 
 
 def certified(settings: RunSettings) -> Structure:
-    """Return the structure (slipless network, rigid domains, cut, ...) of the sample with these settings at its
-    minimum, which is certified to a relative gap of 1e-9.
+    """Return the structure (slipless network, rigid domains, minimum cut, ...) of one sample at its minimum, which is
+    certified to a relative gap of 1e-9.
+
+    settings : settings of the sample.
     """
     return structure_of(solved(build_scene(settings), InteriorPoint(), StopRule(1e-9)))
 
@@ -420,9 +426,9 @@ def relax(
 
 
 def relax_rigidly(scene: Scene, start: str) -> Run:
-    """Return the relaxation of all samples of a scene from given spins to the minimum, with rigid contacts: they have
-    no springs, and each keeps its spins or slips at the friction limit. It ends when the power of each sample is proven
-    to be within a relative RIGID_END of the least one; powers are recorded at each step.
+    """Return the relaxation of all samples of a scene to the minimum, with rigid contacts: they have no springs, and
+    each rolls without slip or slips at the friction limit. It ends when the power of each sample is proven to be within
+    a relative RIGID_END of the least one. Powers are recorded at each step.
 
     start : name of the spins to begin from, such as "random".
     """
@@ -430,8 +436,12 @@ def relax_rigidly(scene: Scene, start: str) -> Run:
 
 
 def _followed(scene: Scene, start: str, method: MethodOptions, rule: StopRule, recording: Recording) -> Run:
-    """Return the relaxation of a scene by a method. start : name of the initial spins. rule : when it stops.
-    recording : at which times the power is recorded.
+    """Return the relaxation of a scene in time by a method.
+
+    start : name of the initial spins.
+    method : the dynamics with its options.
+    rule : when it stops.
+    recording : simulated times at which the power is recorded; each step if there are none.
     """
     axes, spin = scene.lattice.all_spin_axes, initial_spin(scene, start)
     solution = uninterrupted(solve(scene, method.build(), spin, rule, recording=recording))

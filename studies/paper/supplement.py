@@ -45,12 +45,11 @@ COUNT = "contacts per bin"
 class Ending:
     """The state of one sample at the end of a method, for the n contacts that can slip.
 
-    power : (n,) dissipated power of each contact, over F_n R omega_T.
-    slips : (n,) True if the contact slips at the minimum; of a descent, if it moves at all.
+    power : (n,), dissipated power of each contact, over F_n R omega_T.
+    slips : (n,), True if the contact slips at the minimum; for a descent, if it slips at all.
     total : power of all contacts, in the same unit.
     iterations : number of iterations made.
-    slip_error : proven bound on the relative difference of any slip from that of the minimum; None where it is not
-        known.
+    slip_error : proven bound on the relative difference of any slip from that of the minimum; None if it is not known.
     """
 
     power: np.ndarray
@@ -76,8 +75,8 @@ def study(folder: Path, effort: Effort) -> Found:
     """Follow descents of the first sample for 10^4, 10^5 and 10^6 iterations, and find the minima of some samples;
     return table, figure and values for the claims.
 
-    folder : where finished descents and minima are kept meanwhile. effort : first seed, number of samples, and whether
-        it is the quick form.
+    folder : where finished descents and minima are kept meanwhile.
+    effort : first seed, number of samples, and whether it is the quick form.
     """
     lengths, budget = (QUICK_ITERATIONS, QUICK_BUDGET) if effort.quick else (ITERATIONS, BUDGET)
     parts = [Part(f"descent-{length}", descended, (effort.seed, length, budget)) for length in lengths]
@@ -157,7 +156,10 @@ def packed(values: np.ndarray) -> str:
 
 
 def unpacked(text: str, kind: type) -> np.ndarray:
-    """Return the array from a text that :func:`packed` has made. kind : type of its entries."""
+    """Return the array from a text that :func:`packed` has made.
+
+    kind : type of its entries.
+    """
     return np.frombuffer(zlib.decompress(b64decode(text)), kind)
 
 
@@ -199,8 +201,11 @@ def by_decade(descent: Ending, minimum: Ending) -> Table:
 
 
 def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """Return (n,) the decade of each contact: floor(log10(power)), or -9999, below all others, where the contact does
-    not slip.
+    """Return (n,) the decade of each contact: the exponent floor(log10(power)), or -9999, below all others, if the
+    contact does not slip.
+
+    power : (n,), dissipated power of each contact.
+    slips : (n,), True if the contact slips.
     """
     return np.floor(np.log10(power, out=np.full(len(power), -9999.0), where=slips)).astype(int)
 

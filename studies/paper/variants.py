@@ -61,7 +61,8 @@ DRIVINGS: Variants = {REFERENCE: {}, **SAME, **OTHER, HEIGHT: {"direction": (0.0
 def distributions(folder: Path, effort: Effort) -> Found:
     """Find certified samples for each distribution of the friction; return table, figure and values for the claims.
 
-    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    folder : where finished samples are kept meanwhile.
+    effort : first seed and number of samples.
     """
     variants = {name: {"distribution": name} for name in (*SPREAD, *TIED, EQUAL)}
     seeds = effort.seeds(max(1, int(SHARE_OF_SAMPLES * effort.samples)))
@@ -72,7 +73,8 @@ def distributions(folder: Path, effort: Effort) -> Found:
 def drivings(folder: Path, effort: Effort) -> Found:
     """Find certified samples for each driving; return table, figure and values for the claims.
 
-    folder : where finished samples are kept meanwhile. effort : first seed and number of samples.
+    folder : where finished samples are kept meanwhile.
+    effort : first seed and number of samples.
     """
     seeds = effort.seeds(max(1, min(MOST_SAMPLES, effort.samples // 4)))
     tables = samples_of(DRIVINGS, seeds, driven_numbers, folder / "drivings.jsonl")
@@ -125,7 +127,9 @@ def driven_numbers(structure: Structure) -> dict[str, Any]:
 
 
 def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
-    """Return the values that the figure and the claims use, by name. found : for each distribution its table.
+    """Return the values that the figure and the claims use, by name.
+
+    found : for each distribution its table.
 
     Among them: `random`, the tables of the distributions in which not all values are equal; `judged`, the samples whose
     contact states are all proven, of the distributions in which all values differ.
@@ -157,7 +161,9 @@ def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
 
 
 def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
-    """Return the values that the figure and the claims use, by name. found : for each driving its table.
+    """Return the values that the figure and the claims use, by name.
+
+    found : for each driving its table.
 
     `same`: drivings that pose the same problem as the reference. `other`: other axes of rotation. `rates`: other values
     of C. `along`: the axes along x and along y together.

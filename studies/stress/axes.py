@@ -117,7 +117,7 @@ class Axis:
 def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: Any) -> Scene:
     """Return a scene with the law of a row of the report, all of whose coefficients are drawn in the same way.
 
-    shape : of the lattice.
+    shape : shape of the lattice.
     draw : function that returns an array of coefficients, from a generator of random numbers and a shape.
     others : further arguments of a Scene.
     """
@@ -127,13 +127,13 @@ def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: A
 
 
 def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
-    """Return the small sample of a row (method, law, dimension, device, precision) in which no parameter is
-    extreme: coefficients uniform in [0.1, 1].
+    """Return the sample of a row of the report in which no parameter is extreme: a small lattice, with coefficients
+    uniform in [0.1, 1]. It is driven about x + y or, if the method refuses that, about x alone; None if the method
+    refuses both.
 
-    It is driven about x + y or, if the method refuses that, about x alone; None if the method refuses both.
-    quick : take a smaller sample.
-
-    seed : of the sample.
+    row : method, law, dimension, device and precision.
+    seed : seed of the sample.
+    quick : True for a smaller lattice.
     """
     shape = (SMALL_SHAPES if quick else SHAPES)[row.dimension]
     for direction in ((1.0, 1.0, 0.0), (1.0, 0.0, 0.0)):
@@ -169,15 +169,19 @@ def _log_uniform(rng: np.random.Generator, shape: Sequence[int], value: float) -
 
 
 def _tied(rng: np.random.Generator, shape: Sequence[int], value: str) -> np.ndarray:
-    """Return coefficients (of `shape`) with few different values, so that minima tie. value : which ones, such as
-    "1 or 2"."""
+    """Return coefficients (of `shape`) with few different values, so that minima tie.
+
+    value : which ones, such as "1 or 2".
+    """
     values = {"all equal": [1.0], "1 or 2": [1.0, 2.0], "1, 2 or 3": [1.0, 2.0, 3.0], "nearly": [1.0, 1 + 2**-50]}
     return rng.choice(values[value], shape)
 
 
 def _with_coefficients(draw: Callable[..., np.ndarray]) -> Change:
     """Return a function that changes a case (a sample and how it is solved): it draws other coefficients on the
-    same lattice. draw : function (generator, shape, value) that returns them.
+    same lattice.
+
+    draw : function (generator, shape, value) that returns them.
     """
 
     def change(case: Case, value: Any, row: Row) -> Case:
@@ -198,7 +202,8 @@ def _absent(case: Case, value: str, row: Row) -> Case:
     """Return the case in which some contacts are absent: their coefficients are exactly zero.
 
     value : which ones: "a tenth" or "a third" of all at random, "all", those of "a sphere" in the middle, or those
-        between "a layer" in the middle and the one below. row : not used here.
+        between "a layer" in the middle and the one below.
+    row : not used here.
     """
     scene, lattice = case.scene, case.scene.lattice
     middle = tuple(n // 2 for n in lattice.shape)
@@ -217,11 +222,11 @@ def _absent(case: Case, value: str, row: Row) -> Case:
 
 
 def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., Case]:
-    """Return a function that rescales a case (a sample and how it is solved) to other units, such that one parameter
-    of its scene is multiplied by a given factor. The solution is the same in the new units.
+    """Return a function that rescales a case (a sample and how it is solved) to other units, such that one parameter of
+    its scene is multiplied by a given factor. In the new units the solution is the same.
 
-    force, length, time : whole exponents. Numbers that stand for a force (a length, a time) are multiplied by the
-        factor raised to this power, those of other units by the product of such powers.
+    force, length, time : whole exponents: the units of force, length and time are divided by the factor raised to these
+        powers, so that forces are multiplied by factor^force, and so on.
     """
 
     def change(case: Case, value: float, row: Row, name: str) -> Case:
@@ -252,15 +257,17 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
 
 
 def _scene(changes: Callable[[Scene, Any], dict[str, Any]]) -> Change:
-    """Return a function that changes parameters of the scene of a case. changes : function that returns the new
-    parameters by name, from the scene and the value of the axis.
+    """Return a function that changes parameters of the scene of a case.
+
+    changes : function that returns the new parameters by name, from the scene and the value of the axis.
     """
     return lambda case, value, row: replace(case, scene=replace(case.scene, **changes(case.scene, value)))
 
 
 def _nearly_equal(_: Scene, value: str) -> dict[str, Any]:
-    """Return a spin of the bottom that is nearly, or exactly, the spin 1 of the top. value : 1 - omega_B / omega_T as
-    a text, "an ulp" for the next double, or "equal".
+    """Return a spin of the bottom that is nearly, or exactly, the spin 1 of the top.
+
+    value : 1 - omega_B / omega_T as a text, "an ulp" for the next double, or "equal".
     """
     bottom = {"equal": 1.0, "an ulp": np.nextafter(1.0, 0.0)}.get(value) or 1.0 - float(value)
     return {"spin_bottom": float(bottom)}
@@ -292,8 +299,9 @@ RINGS = {"of 4": ((4, 6), (4, 2, 4)), "of 2": ((2, 6), (2, 2, 4)), "of 2, 9 deca
 
 
 def _rings(case: Case, value: str, row: Row) -> Case:
-    """Return the case on a lattice that is periodic in all directions but the height. value : length of the closed
-    sides and decades of the coefficients, in words (a key of RINGS).
+    """Return the case on a lattice that is periodic in all directions but the height.
+
+    value : length of the closed sides and decades of the coefficients, in words (a key of RINGS).
     """
     decades = {"of 2, 9 decades": 9.0, "of 2, 18 decades": 18.0}.get(value)
     draw = partial(_log_uniform, value=decades) if decades else _uniform
@@ -483,7 +491,7 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
 
     rows : combinations of method, law, dimension, device and precision.
     axes : names of the axes.
-    seed : of the samples.
+    seed : seed of the samples.
     quick : take smaller samples and the first values alone of axes that need patience, and then only every QUICK-th
         cell; of fewer axes more of the cells, about QUICK_CELLS.
     seconds : time limit of a solve; it is multiplied by the patience of the axis, unless `quick`.

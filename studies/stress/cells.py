@@ -86,9 +86,10 @@ def bytes_of(cell: Cell) -> float:
 
 @dataclass
 class Judge:
-    """Compares what workers have found with the truth of each cell.
+    """Compares what worker processes have found with the exact minimum (the truth) of each cell, one extreme value of a
+    parameter for one method.
 
-    truths : the truths found so far, by what determines the sample, so that each is found once.
+    truths : the exact minima found so far. The key is all that determines the sample, so that each is found once.
     """
 
     truths: dict[Any, Truth] = field(default_factory=dict)
@@ -102,8 +103,10 @@ class Judge:
         Columns of the row; those that are not known are None:
 
         key, axis, value, and the fields of the method : which cell it is.
+
         outcome : one of OUTCOMES. reason : why it is wrong, refused or a crash; else "".
-        status, objective, gap, seconds, states_proven : of the answer. unit : energy/time, the unit of its objective.
+        status, objective, gap, seconds, states_proven : status, objective, gap, seconds and states proven of the
+            answer. unit : energy/time, the unit of its objective.
         truth, error : the true least objective, and the relative error of the answer.
         states_wrong : number of slipless contacts that are said to slip and the other way round.
         states_unproven : number of contacts without a proven state.

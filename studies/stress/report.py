@@ -63,7 +63,8 @@ class Sweep:
         """Read the journal of the folder, and judge those of the cells again that it has from this version of the
         program.
 
-        folder : of the report. cells : all that it should have.
+        folder : folder of the report.
+        cells : all that it should have.
         """
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
         known = read_journal(folder / JOURNAL)
@@ -76,8 +77,8 @@ class Sweep:
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
         """Solve the cells that are missing, by worker processes; return False if Ctrl-C ended that early.
 
-        workers : number of processes. say : function that is called with a line of text on each cell whose answer is
-            wrong, or that crashed.
+        workers : number of processes.
+        say : function that is called with a line of text on each cell whose answer is wrong, or that crashed.
         """
 
         def take(outcomes: Sequence[Outcome]) -> None:

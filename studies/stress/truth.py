@@ -34,13 +34,13 @@ SLIPLESS, SLIPPING, UNCLEAR = range(3)  # states of contacts, the first two as i
 
 @dataclass(frozen=True)
 class Truth:
-    """An enclosure of the least objective.
+    """An enclosure of the least objective (power or potential) of a sample, by decimals of 140 digits.
 
     lower, upper : its bounds, energy/time.
     state : for each axis an array with the state of each contact: SLIPLESS at every minimum, SLIPPING in the middle of
         the minima, or UNCLEAR; empty where states are not known.
-    unit : energy/time, what errors are relative to if the least objective is 0: the cost if all contacts slipped by the
-        jump (by the unit of spins, without a jump).
+    unit : energy/time. If the least objective is 0, errors are given relative to it. It is the cost if all contacts
+        slipped by the jump (by the unit of spins, without a jump).
     """
 
     lower: Decimal
@@ -55,8 +55,9 @@ def _decimals(values: np.ndarray) -> np.ndarray:
 
 
 def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays (E,), a and c, energy/time: a contact with the slip d costs a |d| + c |d|^2 / 2. some : the
-    contacts wanted.
+    """Return two arrays (E,), a and c, energy/time: a contact with the slip d costs a |d| + c |d|^2 / 2.
+
+    some : the contacts wanted.
     """
     speed = Decimal(scene.radius) * unit_of(scene)
     values, *second = (_decimals(of[0, some]) for of in scene.named_coefficients.values())
@@ -73,12 +74,11 @@ def unit_of(scene: Scene) -> Decimal:
 
 
 def jump_of(scene: Scene) -> dict[int, np.ndarray]:
-    """Return the spin components that differ between bottom and top and make contacts along the height slip.
+    """Return for each spin component k that drives slip the difference of the imposed spins, top minus bottom, as exact
+    decimals: {k: (columns,)} with one number for each sphere of the top, or {k: (1,)} if all are equal.
 
-    returns : for each such component the difference at each sphere of the top, (columns,), in units of spin; (1,) where
-        all are equal.
-
-    Other components are constant in each layer at the minimum (docs/equations.md, 3).
+    The numbers are in 1/time if the scene has `top` and `bottom`; otherwise they are components of the direction of the
+    spins, in units of spin_top - spin_bottom. In 2D, k is 2.
     """
     if scene.top is not None and scene.bottom is not None:
         (*high, rise), (*low, fall) = ([Decimal(part) for part in of] for of in (scene.top, scene.bottom))
@@ -100,16 +100,18 @@ def jump_of(scene: Scene) -> dict[int, np.ndarray]:
 
 
 class Sample:
-    """A small sample: its spins and contacts as arrays of decimals.
+    """A small sample: its spins and contacts as arrays of decimals. C spin components drive slip.
 
-    spin : (spins,) one after the other: components of the free spheres, a zero for the bottom, those of the top.
-    jump : by spin component, spins of the top less those of the bottom, (columns,) or (1,) decimals. top : these, flat.
-    unknowns : number of components of free spheres, which come first.
-    low, up : (E contacts, C) index into `spin` of each component of the lower and of the upper sphere of a contact.
-    felt : (E, C components) 1 for components that make the contact slip, else 0.
-    a, c : (E, 1) costs of the contacts, see :func:`_costs`.
-    of : (E,) indices of these contacts among all contacts of the lattice: those without cost are left out.
-    box : (unknowns,) largest value that each free component can have at a minimum.
+    spin : (spins,), one after the other: components of the free spheres, a zero for the bottom, those of the top; over
+        the unit of spins.
+    jump : by spin component, spins of the top less those of the bottom, (columns,) or (1,) decimals.
+    top : the same numbers in one row, column after column.
+    unknowns : number of components of free spheres, which come first in `spin`.
+    low, up : (E contacts, C), index into `spin` of each component of the lower and of the upper sphere of a contact.
+    felt : (E, C), 1 for components that make the contact slip, else 0.
+    a, c : (E, 1), energy/time: a contact with the slip d costs a |d| + c |d|^2 / 2.
+    of : (E,), indices of these contacts among all contacts of the lattice: those without cost are left out.
+    box : (unknowns,), largest value that each free component can have at a minimum.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -146,7 +148,10 @@ class Sample:
         return (self.spin[self.up] - self.spin[self.low]) * self.felt
 
     def torques(self, force: np.ndarray) -> np.ndarray:
-        """Return (unknowns,) the sum of the forces (E contacts, C) on each component of the free spins."""
+        """Return (unknowns,) the sum of the contact forces on each component of the free spins.
+
+        force : (E contacts, C components), forces.
+        """
         total = np.full(len(self.spin), Decimal(0), dtype=object)
         np.add.at(total, self.up, force)
         np.subtract.at(total, self.low, force)
@@ -211,8 +216,11 @@ class Sample:
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return x with matrix x = right, by Gauss elimination of a symmetric matrix. Unknowns without stiffness (of
-    spheres that are cut off) are 0.
+    """Return x with matrix x = right, by Gauss elimination. Unknowns without stiffness (of spheres that are cut off)
+    are 0.
+
+    matrix : (n, n), symmetric, of decimals.
+    right : (n,), of decimals.
     """
     n, scale = len(right), matrix.diagonal().copy()
     matrix, x = matrix.copy(), right.copy()
@@ -232,8 +240,8 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def least(scene: Scene) -> Truth:
-    """Return the truth of one small sample. Raises ArithmeticError if the least value cannot be enclosed to the
-    relative width WANTED.
+    """Return the exact minimum of one small sample, by its central path. Raises ArithmeticError if the least value
+    cannot be enclosed to the relative width WANTED.
     """
     with localcontext() as context:
         context.prec = DIGITS
@@ -241,8 +249,8 @@ def least(scene: Scene) -> Truth:
 
 
 def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
-    """Follow the central path of a sample to its end, and return the truth and the last barrier. The spins of `sample`
-    are changed: they end there.
+    """Follow the central path of a sample to its end. Return the enclosure of the least value, and the last barrier,
+    energy/time. The spins of `sample` are changed: they end at the minimum.
     """
     barrier = first = sample.cost() / len(sample.a)
     steps, holds, before = 0, sample.a.any(), sample.spin
@@ -277,7 +285,8 @@ def _nothing(scene: Scene) -> Truth:
 def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
     """Return the state of each contact, an array for each axis; empty for a law without friction.
 
-    sample : with the spins at the end of the central path. barrier : weight of the barrier there, energy/time.
+    sample : with the spins at the end of the central path.
+    barrier : weight of the barrier there, energy/time.
 
     A contact slips if its slip is clearly above 0 and its friction is at the limit; it is slipless if its slip is 0 and
     its friction is clearly below. Any other is UNCLEAR.

@@ -90,7 +90,8 @@ class Analysis:
         """Analyse all samples of a result.
 
         threshold : slip speed, length/time, up to which contacts count as slipless; None for the contact states of the
-            result. sample : number of the sample whose structure is shown.
+            result.
+        sample : number of the sample whose structure is shown.
         """
         began, solution, is_one = time.perf_counter(), result.solution, len(result.solution.state) == 1
         if threshold is not None and not 0 < threshold < np.inf:
@@ -118,7 +119,7 @@ class Analysis:
         }
 
     def __getattr__(self, name: str) -> Any:
-        """Return a row of the report, or an attribute of the structure of the sample that is shown."""
+        """Return a row of the report by its name, or else an attribute of the structure of the sample that is shown."""
         known = self.__dict__.get("report", {})
         if name in known:
             return known[name]
@@ -201,7 +202,8 @@ def analyse(
     force : True to replace files that exist in `out`.
     replica : number of the sample that the figures show.
     threshold : slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the run.
-    figures : True to draw figures. title : True for words above them.
+    figures : True to draw figures.
+    title : True for words above them.
 
     Raises InputError or FileError before anything is computed.
     """
@@ -228,21 +230,19 @@ def analyse(
 def write_analysis(
     path: Path, samples: Sequence[Mapping[str, Finding]], attributes: Mapping[str, object], into_run: bool
 ) -> None:
-    """Write the findings of all samples as the group /analysis of a file.
+    """Write the findings of all samples as the group /analysis of an HDF5 file.
 
     path : the file.
-    samples : arrays of each sample, by name.
+    samples : arrays of each sample, by name, with units.
     attributes : numbers and words, by name; those that are dictionaries, or lists of lists or dictionaries, are left
         out.
     into_run : True if the file is a run.h5 to which the group is added; False to write a file with the group alone.
 
-    With several samples every array has a leading axis of samples, filled up where their lengths differ.
+    With several samples every array has a leading axis of samples; shorter arrays are filled up with FILL.
     """
 
     def fill(group: h5py.Group) -> None:
-        """Write the arrays of all samples and the attributes into a group of an HDF5 file. Arrays of several samples
-        get a leading axis of samples and are filled up with FILL where they are shorter; attributes that are or contain
-        dictionaries or nested lists are left out."""
+        """Write the arrays of all samples and the attributes into a group of an HDF5 file."""
         listed = {key: value if isinstance(value, list) else [value] for key, value in attributes.items()}
         nested = {key for key, parts in listed.items() if any(isinstance(part, (dict, list)) for part in parts)}
         put_attributes(group, {key: value for key, value in attributes.items() if key not in nested})

@@ -64,9 +64,11 @@ def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield for each sample of a packing why its lower bound on the least power is not proven, or only in part.
+    """Yield a sentence for each sample of a packing whose lower bound on the least power is not proven, or only in
+    part, with the reason.
 
-    settings : those of the run; not used.
+    solution : the answer for the packing, with all samples.
+    settings : not used.
     """
     several = solution.scene.replicas > 1
     for seed, proof in zip(solution.scene.seeds, solution.findings["proof"], strict=True):
@@ -76,8 +78,8 @@ def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 def _contacts_found_and_idle(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield up to two sentences about the contacts of a packing: how many were found from the centres of its spheres,
-    only if the user gave a table of centres without a list of contacts; and how many have normal force 0 and so do not
-    act, only if there are any.
+    if the user gave a table of centres without a list of contacts; and how many have normal force 0 and so do not act,
+    if there are any.
 
     solution : the answer for the packing, with all samples.
     settings : those of the run; they tell where the contacts come from.
@@ -95,9 +97,11 @@ def _contacts_found_and_idle(solution: Solution, settings: RunSettings) -> Itera
 
 
 def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield why the least power of a packing is 0: no sphere is driven, or there are spins without any slip.
+    """Yield a sentence if the least power of a packing is 0: because no sphere is driven, or because there are spins
+    without any slip.
 
-    settings : those of the run; not used.
+    solution : the answer for the packing, with all samples.
+    settings : not used.
     """
     idle = np.full(solution.scene.replicas, not len(solution.scene.network.bodies))
     still = (solution.objective == 0) & (solution.gap == 0) & ~idle
@@ -108,8 +112,8 @@ def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield why the gap of a packing is above the tolerance, if the method stalled: power and slips are so small that
-    they may be rounding alone, or else the method got no closer.
+    """Yield a sentence if the method stalled with a gap of a packing above the tolerance: either power and slips are so
+    small that they may be rounding alone, or the method got no closer.
 
     solution : the answer for the packing, with all samples.
     settings : those of the run, with the tolerance.
@@ -132,12 +136,19 @@ def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _in_samples(which: np.ndarray) -> str:
-    """Return words for the number of samples in the mask `which`, (samples R,); empty for a single sample."""
+    """Return the words " in n of R samples"; empty for a single sample.
+
+    which : (R samples,), mask of the samples that are counted.
+    """
     return f" in {int(which.sum()):,} of {len(which):,} samples" if len(which) > 1 else ""
 
 
 def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield which properties of a law that the user has defined its lower bounds assume. settings : not used."""
+    """Yield a sentence, for a law that the user has defined, on the properties of the law that its lower bounds assume.
+
+    solution : the answer to all samples.
+    settings : not used.
+    """
     if not solution.scene.law.is_sum:
         yield (
             f"what is proven rests on the law {solution.scene.law.name!r} as it was given: that its potential is "
@@ -147,7 +158,11 @@ def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]
 
 
 def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield why the least power on a lattice is 0, where that is known beforehand. settings : not used."""
+    """Yield a sentence if it is known beforehand that the least power on a lattice is 0, with the reason.
+
+    solution : the answer to all samples.
+    settings : not used.
+    """
     scene = of_lattice(solution.scene)
     if scene.jump == 0:
         yield "the least power is 0: top and bottom are driven alike, so that all spheres turn in one bearing state"
@@ -164,8 +179,8 @@ def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield why a run ended before it was done, and what it had reached then: the proven gap of a minimisation, the
-    simulated time of a dynamics, and the torques that were left over if its motion was not at rest.
+    """Yield a sentence if a run ended early: why, and what it had reached, which is the proven gap of a minimisation,
+    or the simulated time of a dynamics and the torques that were left over if its motion was not at rest.
 
     solution : the answer to all samples of a lattice.
     settings : those of the run, with the tolerance and the duration that were asked for.
@@ -193,7 +208,11 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield how many contact states are undecided, by reason. settings : not used."""
+    """Yield a sentence on how many contact states are undecided, by reason; none if all are decided.
+
+    solution : the answer to all samples of a lattice.
+    settings : not used.
+    """
     number = int(solution.counts[:, ContactState.UNDECIDED].sum())
     named = ~solution.proven & (solution.state != ContactState.UNDECIDED)
     uneven = too_uneven(solution) & ~named.any(axis=1)
@@ -219,9 +238,9 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield warnings if slipping contacts are hard to tell from slipless ones on a lattice: some dissipate less than
-    ten times the part of the power that the gap leaves open, or the slowest one slips less than ten times faster than
-    the fastest slipless one.
+    """Yield sentences if slipping contacts are hard to tell from slipless ones on a lattice. There are two cases: some
+    dissipate less than ten times the power that the gap leaves open, or the slowest one slips less than ten times
+    faster than the fastest slipless one.
 
     solution : the answer to all samples.
     settings : those of the run, with the tolerance.
@@ -246,7 +265,11 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield how many contacts slip at some minima and not at others. settings : not used."""
+    """Yield a sentence on how many contacts slip at some minima and not at others; none if there are none.
+
+    solution : the answer to all samples.
+    settings : not used.
+    """
     tied = int(solution.counts[:, ContactState.TIED].sum())
     if tied:
         contacts = counted(tied, "contact")
@@ -254,9 +277,10 @@ def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a warning if the time step of a dynamics is too long for accurate spins before its end.
+    """Yield a sentence if the time step of a dynamics is too long for accurate spins before its end.
 
-    settings : those of the run; not used.
+    solution : the answer to all samples.
+    settings : not used.
     """
     error, advised = (solution.findings.get(name) for name in ("step_error", "accurate_time_step"))
     if error is not None and error.max() > ACCURATE_ERROR:
@@ -266,10 +290,11 @@ def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a warning if the springs of a dynamics are stretched by a noticeable part of the distance that the planes
-    have slid.
+    """Yield a sentence if the springs of a dynamics are stretched by more than STRETCHED_SHARE of the distance by which
+    the planes have slid past each other.
 
-    settings : those of the run; not used.
+    solution : the answer to all samples.
+    settings : not used.
     """
     share = solution.findings.get("elastic_share", np.zeros(1))
     largest = float(np.nanmax(share, initial=0.0))

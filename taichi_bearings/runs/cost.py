@@ -65,7 +65,9 @@ def bytes_of_lattice(
 ) -> float:
     """Return the most memory, in bytes, of a process that solves samples of a lattice together.
 
-    row : class of the method. shape : spheres along each axis. periodic : numbers of the periodic axes.
+    row : class of the method in the table of methods, such as `InteriorPoint`.
+    shape : spheres along each axis.
+    periodic : numbers of the periodic axes.
     replicas : number of samples.
     """
     each = row.bytes(shape, periodic)
@@ -77,7 +79,8 @@ def bytes_of_lattice(
 def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
     """Raise NotEnoughMemory if a solve on a lattice, with proof and file, needs more memory than is free.
 
-    row : class of the method. scene : what is solved. Its coefficients are in memory already, so they are not counted.
+    row : class of the method.
+    scene : what is solved. Its coefficients are in memory already, so they are not counted.
     """
     scene = of_lattice(scene)
     lattice, there = scene.lattice, sum(values.nbytes for values in (*scene.coefficients, *scene.viscosity))
@@ -91,7 +94,7 @@ def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
 def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
     """Return the estimated cost of a run: seconds, steps and bytes.
 
-    settings : of the run.
+    settings : settings of the run.
     row : class of its method.
     scene : what it solves, with all samples.
     """
@@ -110,11 +113,11 @@ def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> 
 
 
 def _limited(settings: RunSettings, beside: float, solve: float | None) -> float | None:
-    """Return the seconds of a whole run, None if they are not known.
+    """Return the estimated seconds of a whole run; None if they are not known.
 
-    settings : of the run, whose time limit may end the solve sooner.
-    beside : seconds of all but the solve.
-    solve : seconds of the solve without a time limit, None if not known.
+    settings : settings of the run, whose time limit may end the solve sooner.
+    beside : seconds of everything but the solve.
+    solve : seconds of the solve without a time limit; None if not known.
     """
     most = inf if settings.time_limit is None else settings.time_limit
     least = min(most, inf if solve is None else solve)
@@ -126,7 +129,9 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> i
     duration of a dynamics over the length of its time step, if that is less. None where it continues until it is at
     rest.
 
-    settings : of the run. row : class of the method. scene : its lattice.
+    settings : settings of the run.
+    row : class of the method.
+    scene : its lattice.
     """
     limit = settings.iterations
     if not row.is_dynamics or settings.duration is None:
@@ -143,11 +148,11 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> i
 
 
 def _of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """Return the estimated cost of a run of packings, whose samples are solved one after the other.
+    """Return the estimated cost of a run of a packing, whose samples are solved one after the other.
 
-    settings : of the run.
-    row : class of the method.
-    scene : its packing with all samples.
+    settings : settings of the run.
+    row : class of the method in the table of methods.
+    scene : the packing with all samples.
     """
     network, count = scene.network, scene.replicas
     spheres = network.spheres

@@ -43,7 +43,9 @@ def draw_figure(
 ) -> Figure:
     """Draw a figure of an answer; raise InputError if there is none of this name, or nothing to show.
 
-    kind : name of the figure. solution : the answer. sample : number of the sample that is drawn.
+    kind : name of the figure.
+    solution : the answer.
+    sample : number of the sample that is drawn.
     time : simulated time of the snapshot whose spins are drawn; None for the answer itself.
     slip_threshold : slip speed, length/time, up to which contacts of a snapshot count as slipless; None if the run was
         not given one.
@@ -94,9 +96,11 @@ def draw_snapshot(
 ) -> Figure:
     """Draw the spins of the snapshot that is nearest to a simulated time, and the contacts that slip in it.
 
-    answer : what was solved. replica : number of the sample. time : simulated time; the title has that of the snapshot.
-    slip_threshold : slip speed, length/time, up to which contacts count as slipless; None if the run was not given
-        one. page : how the figure is printed: width, planes and view.
+    answer : what was solved.
+    replica : number of the sample.
+    time : simulated time; the title has that of the snapshot.
+    slip_threshold : slip speed, length/time, up to which contacts count as slipless; None if the run was not given one.
+    page : how the figure is printed: width, planes and view.
 
     Raises InputError if the run has no snapshots or does not reach that time.
     """
@@ -115,11 +119,11 @@ def draw_snapshot(
 
 
 def _nearest(answer: Solution, time: float) -> tuple[float, int]:
-    """Return the simulated time and the number of the snapshot that is nearest to a time that was asked for.
+    """Return the simulated time and the number of the snapshot that is nearest to a given time. Raises InputError if
+    there are no snapshots, or if the run does not reach that time.
 
-    answer : one sample. time : simulated time.
-
-    Raises InputError if there are no snapshots, or if the run does not reach that time.
+    answer : one sample.
+    time : simulated time.
     """
     if answer.snapshots is None:
         raise InputError("the run holds no snapshots; run a dynamics with --snapshots")
@@ -136,11 +140,12 @@ def _nearest(answer: Solution, time: float) -> tuple[float, int]:
 def moment_of(structure: Structure, spin: np.ndarray, slip_threshold: float | None = None) -> Structure:
     """Return the structure of a sample with the spins of a snapshot in place of those of the answer.
 
-    spin : laboratory spins of the snapshot, (spheres *N) of discs or (*N, 3) of spheres, 1/time.
-    slip_threshold : the slip threshold that the run was given, length/time; None if it was not.
+    spin : spins of the snapshot, (spheres *N) of discs or (*N, 3) of spheres, 1/time.
+    slip_threshold : the slip speed, length/time, up to which the user lets contacts count as slipless; None if not
+        given.
 
     A contact counts as slipping if its slip is above the threshold of the run. Friction would be a better criterion,
-    but snapshots do not hold it. Springs that stretch look like slip: in a dynamics with springs the threshold is at
+    but snapshots do not hold it. Springs that stretch look like slip. So in a dynamics with springs the threshold is at
     least STRETCHED_SLIP times the largest imposed radius * spin, unless `slip_threshold` is given.
     """
     threshold = float(structure.answer.slip_threshold)

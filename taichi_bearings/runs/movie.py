@@ -44,7 +44,8 @@ def movie(
     out : the file, MP4 or GIF by its ending. Default: movie.mp4 in the run directory, or movie.gif without ffmpeg; for
         a sample other than the first the name has its number, as in movie-replica-2.mp4.
     force : True to replace a file that exists.
-    replica : number of the sample. frames_per_second : of the film.
+    replica : number of the sample.
+    frames_per_second : frames per second of the film.
     title : True for words above each picture.
 
     Raises InputError or FileError before anything is drawn.
@@ -87,11 +88,13 @@ def _picture(figure: Figure, inches: float) -> np.ndarray:
 
 
 def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -> bytes:
-    """Return the bytes of an MP4 film, H.264 in colours that every player can show.
+    """Return the bytes of an MP4 film, H.264 in colours that every player can show. Raises WriteError if ffmpeg fails.
 
-    frames_per_second : of the film.
-    encoder : path of ffmpeg. frames : pictures of equal size. Each picture is repeated so that the file has at least 10
-    frames a second, as some players need. Raises WriteError if ffmpeg fails.
+    Each picture is repeated so that the file has at least 10 frames a second, as some players need.
+
+    encoder : path of ffmpeg.
+    frames : pictures of equal size, (height, width, 3) bytes.
+    frames_per_second : frames per second of the film.
     """
     first = next(frames)
     height, width = first.shape[:2]
@@ -118,7 +121,9 @@ def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -
 def _gif(frames: Iterator[np.ndarray], frames_per_second: float) -> bytes:
     """Return the bytes of a GIF film that starts again at its end, without limit.
 
-    frames : pictures, one for each moment. frames_per_second : of the film."""
+    frames : pictures, one for each moment.
+    frames_per_second : frames per second of the film.
+    """
     first, *rest = [Image.fromarray(frame).quantize(256) for frame in frames]
     film, milliseconds = io.BytesIO(), max(20, round(1000 / frames_per_second))
     first.save(film, "GIF", save_all=True, append_images=rest, duration=milliseconds, loop=0)

@@ -44,7 +44,9 @@ def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None
     """Return the packing that settings describe, with all its samples, and its initial spins if the settings name a
     file for them, else None. The spins are (spheres N, 3), or (samples R, N, 3), of discs (N,) or (R, N); 1/time.
 
-    settings : of the run. Raises InputError or FileError for a file that does not fit.
+    settings : settings of the run.
+
+    Raises InputError or FileError for a file that does not fit.
     """
     packing, named = packing_of(settings), settings.initial
     if named in STARTS or not Path(named).exists():
@@ -65,10 +67,13 @@ def solve_packings(
 ) -> Result:
     """Solve all samples of a packing, each as if it were alone, and return the result.
 
-    scene : the packing. start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N); None to
-        take those that the settings name.
-    monitors : functions that are called at each check. checkpoints : where and how often checkpoints are written, and
-        the one to continue from; None for none. others : `density` of the spheres, mass / length^D, for dynamics.
+    settings : settings of the run.
+    scene : the packing, with all samples.
+    start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N); None to take those that the
+        settings name.
+    monitors : functions that are called at each check.
+    checkpoints : where and how often checkpoints are written, and the one to continue from; None for none.
+    others : `density` of the spheres, mass / length^D, for dynamics.
 
     After Ctrl-C the result holds the samples that were begun. With checkpoints, from which the others can be solved
     later, KeyboardInterrupt is raised instead, unless all samples were begun.
@@ -102,9 +107,11 @@ def solve_packings(
 
 
 def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
-    """Yield blocks of samples that are solved together: the number of the first, and one more than that of the last.
+    """Yield pairs (first number, number after the last) of samples that are solved together.
 
-    settings : of the run. scene : the packing with all samples."""
+    settings : settings of the run.
+    scene : the packing with all samples.
+    """
     if are_solved_together(settings, scene.network.spheres):
         yield from side_by_side(scene)
     else:
@@ -114,13 +121,17 @@ def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
 def are_solved_together(settings: RunSettings, spheres: int) -> bool:
     """Return True if samples of a packing are solved together, each with the same bits as alone.
 
-    settings : of the run. spheres : number of spheres of the packing.
+    settings : settings of the run.
+    spheres : number of spheres of the packing.
     """
     return minimises(settings) and settings.torque is None and spheres < InteriorPoint.alike_in_a_block
 
 
 def minimises(settings: RunSettings) -> bool:
-    """Return True if the method finds the minimum of a packing without initial spins.
+    """Return True if the method finds the minimum of a packing directly, without initial spins; False if it makes steps
+    from them.
+
+    settings : settings of the run.
 
     Raises InputError for a method that packings do not have.
     """
@@ -128,7 +139,11 @@ def minimises(settings: RunSettings) -> bool:
 
 
 def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
-    """Return the class of the method that solves a packing; for "auto" the interior point."""
+    """Return the class, in the table of methods, of the method that solves a packing; for "auto" that of the interior
+    point.
+
+    settings : settings of the run.
+    """
     return row_of_packing(settings.method) or METHODS.get(settings.method, InteriorPoint)
 
 
@@ -145,7 +160,7 @@ def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
 def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
     """Raise InputError for settings that describe no packing that can be solved.
 
-    settings : of one sample of a scan.
+    settings : settings of one sample of a scan.
     has_seeds : True if the scan asks for several seeds; something must then be drawn from them.
     """
     settings = fitting(settings, strict=False)
@@ -200,7 +215,11 @@ def packing_of(
 
 
 def _refuse_twice(settings: RunSettings, found: Mapping[str, object]) -> None:
-    """Raise InputError for an option that repeats what the file holds. found : the arrays of the file by name."""
+    """Raise InputError if an option says again what the file of the packing holds.
+
+    settings : settings of the run.
+    found : the arrays of the file by name.
+    """
     pairs = list(TWICE.items())
     pairs += [(key, "spin") for key in OF_SIDES] if settings.has_table else []
     for key, name in pairs:
@@ -210,10 +229,10 @@ def _refuse_twice(settings: RunSettings, found: Mapping[str, object]) -> None:
 
 
 def idle_seed(settings: RunSettings) -> list[str]:
-    """Return a list with a sentence for the user if the seed changes nothing, because the file of the packing has all
-    coefficients and the initial spins are not random; else an empty list.
+    """Return a list with one sentence if the seed changes nothing, because the file of the packing has all coefficients
+    and the initial spins are not random; else an empty list.
 
-    settings : of the run.
+    settings : settings of the run.
     """
     if settings.packing is None or not Path(settings.packing).is_file():
         return []
@@ -226,7 +245,7 @@ def _draws_nothing(settings: RunSettings, found: Mapping[str, object]) -> bool:
     """Return True if nothing is drawn from the seed: the file has every coefficient, and the initial spins are not
     random.
 
-    settings : of the run; their law says which coefficients a contact has.
+    settings : settings of the run; their law says which coefficients a contact has.
     found : the arrays of the file by name.
     """
     return set(COEFFICIENTS[: len(settings.drawn)]) <= found.keys() and settings.initial != "random"
@@ -259,7 +278,7 @@ ON_DEVICE = ("arch", "precision", "threads")  # settings of the device
 def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | None = None, **others: Any) -> Solution:
     """Return the answer for all samples of a packing by the method that the settings name.
 
-    settings : of the run.
+    settings : settings of the run.
     packing : the samples that are solved; other settings that describe a packing are not used.
     start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N), 1/time; None to take those that
         the settings name. A method that minimises directly uses none.
@@ -307,9 +326,11 @@ def _stepped(
     """Return the answer for all samples of a packing by a dynamics or a descent.
 
     packing : what is solved.
-    options : the method with its options. start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or
-        (R, N), 1/time; or their name, such as "linear", or the path of a file. settings : of the run.
-    density : of the spheres, mass / length^D, for dynamics alone, from which their inertia follows.
+    options : the method with its options.
+    start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N), 1/time; or their name, such as
+        "linear", or the path of a file.
+    settings : settings of the run.
+    density : density of the spheres, mass / length^D, for dynamics alone, from which their inertia follows.
     monitors : functions that are called at each check.
     checkpoints : where and how often checkpoints are written, and the one to continue from; None for none.
     """

@@ -26,10 +26,10 @@ DOMAIN_KINDS = "0 bottom, 1 top, 2 both, 3 mixed, 4 partly, 5 neither"
 
 @dataclass(frozen=True)
 class Moments:
-    """Spins, slips and contact states of a sample at S snapshots of a dynamics, the end left out.
+    """Spins, slips and contact states of a sample at S snapshots of a dynamics; a snapshot at its end is left out.
 
     time : (snapshots S,), simulated time.
-    spin : (S, spheres N, 3), laboratory spins, 1/time.
+    spin : (S, spheres N, 3), spins, 1/time.
     slip : (S, contacts E), slip speeds, length/time.
     state : (S, E), contact states: slipping where the slip is above `threshold`. Friction would be a better criterion,
         but snapshots do not hold it.
@@ -50,9 +50,10 @@ class PointsAndLines:
     On lattices spheres are in C order; contacts along x come first, then those along y (and z), each in C order of
     their lower spheres.
 
-    structure : spheres, contacts and answer of the sample. Its properties that take long to compute, such as rigid
-    domains, are not to be asked for; `drawn` has those that are known.
+    structure : spheres, contacts and answer of the sample. Some of its properties, such as rigid domains, take long to
+        compute; `drawn` has those that are known.
     spheres, contacts : columns (N, ...) of the N spheres, and (E,) of the E contacts, by name, with units.
+    drawn : what is known of the structure: domains, network, path.
     time : simulated time at the end of a dynamics, else None.
     moments : its snapshots before the end, None if there are none.
     """
@@ -109,9 +110,11 @@ def points_and_lines(run: Result, replica: int = 0, analyse: bool = False) -> Po
 def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_threshold: float | None) -> PointsAndLines:
     """Return a sample as points and lines with all columns that are known.
 
-    structure : the sample. drawn : known columns of its structure. time : simulated time at the end of a dynamics, else
-        None. slip_threshold : slip speed, length/time, up to which contacts of a snapshot count as slipless; None if
-        the run was not given one.
+    structure : the sample.
+    drawn : known columns of its structure.
+    time : simulated time at the end of a dynamics, else None.
+    slip_threshold : slip speed, length/time, up to which contacts of a snapshot count as slipless; None if the run was
+        not given one.
     """
     answer, moments = structure.answer, _moments(structure, time, slip_threshold)
     spheres, contacts, network, row = dict(drawn.spheres), dict(drawn.contacts), structure.whole, SPHERES["spin"]
@@ -141,7 +144,8 @@ def _of_contacts(answer: Solution) -> dict[str, Finding]:
 def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
     """Return spins as vectors, (snapshots S, spheres N, 3).
 
-    spin : (S, ..., 3) of spheres, or (S, ...) of discs, whose spins point along z. dimension : 2 for discs, or 3.
+    spin : (S, ..., 3) of spheres, or (S, ...) of discs, whose spins point along z.
+    dimension : 2 for discs, or 3.
     """
     if dimension == 3:
         return spin.reshape(len(spin), -1, 3)
@@ -151,10 +155,12 @@ def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
 
 
 def _moments(structure: Structure, end: float | None, slip_threshold: float | None) -> Moments | None:
-    """Return the snapshots before the end of a dynamics, which the answer itself shows; None if there are none.
+    """Return the snapshots of a dynamics before its end, which the answer itself shows; None if there are none.
 
-    structure : the sample. end : simulated time at the end, None for other methods. slip_threshold : slip speed,
-        length/time, up to which contacts of a snapshot count as slipless; None if the run was not given one.
+    structure : the sample.
+    end : simulated time at the end, None for other methods.
+    slip_threshold : slip speed, length/time, up to which contacts of a snapshot count as slipless; None if the run was
+        not given one.
     """
     kept = structure.answer.snapshots
     if kept is None or end is None or not (early := np.flatnonzero(kept.time < end)).size:

@@ -145,8 +145,8 @@ class Result:
         """How each sample ended, as a list of members of the enumeration `Status`; the attribute `status` has the same
         in words.
 
-        A sample whose own gap is within the tolerance is certified, however the other samples ended. The exception is a
-        dynamics that ended before the simulated time that was asked for.
+        A sample is certified if its own gap is within the tolerance, however the run ended. The exception is a dynamics
+        that ended before the simulated time that was asked for.
         """
         own, asked = self.solution.own.get("status", [self.solution.status] * len(self)), self.asked
         return [
@@ -188,9 +188,10 @@ class Result:
 
     @property
     def summary(self) -> Json:
-        """All numbers by name, as `bearings run --json` prints them: `numbers`, then how the network is driven, the
-        name of the coefficients and the directory of the run; of lattices also `arch`, `precision` and `threads`. Where
-        samples may differ a list has one number of each."""
+        """All numbers by name, as `bearings run --json` prints them: `numbers`, how the network is driven, the name of
+        the coefficients and the directory of the run; for lattices also `arch`, `precision` and `threads`. If there are
+        several samples, numbers in which they may differ are lists.
+        """
         where = {"coefficients": None, "run": None if self.path is None else str(self.path)}
         if self.scene.network.lattice is not None:
             where |= {name: getattr(self.solution.running, name) for name in ("arch", "precision", "threads")}
@@ -199,9 +200,10 @@ class Result:
 
     @property
     def friction(self) -> OfContacts:
-        """Friction on the upper sphere of each contact in the laboratory frame, force: for each axis an array
-        (*contacts, 3), or in 2D (*contacts), the component along z x n. For packings it is the force on the second
-        sphere, one array (contacts E, 3), or (E,) for discs. The lower bound follows from these forces."""
+        """Friction on the upper sphere of each contact, force. For each axis of a lattice it is an array (*contacts,
+        3), or in 2D (*contacts), the component along z x n with the normal n. For packings it is the force on the
+        second sphere, one array (contacts E, 3), or (E,) for discs. The lower bound follows from these forces.
+        """
         found, lattice = self._of_samples(self.solution.friction), self.scene.network.lattice
         return found if lattice is None else read_only(friction_by_axis(found, lattice))
 
@@ -404,29 +406,31 @@ class Result:
 
 
 def _described(row: Quantity) -> str:
-    """Return the docstring of a quantity: its text and unit. row : its row in the table of quantities."""
+    """Return the docstring of a quantity: its text and its unit.
+
+    row : the row of the quantity in the table of quantities.
+    """
     unit = "" if row.unit == "1" else f", {row.unit}"
     return f"{row.text[0].upper()}{row.text[1:]}{unit}."
 
 
 def _of_samples(row: Quantity) -> property:
-    """Return a property of `Result` that shows a quantity of samples: one number or word each. row : of the table of
-    quantities.
+    """Return a property of `Result` that shows a quantity with one number or word for each sample.
+
+    row : the row of the quantity in the table of quantities.
     """
     return property(lambda result: result._of_samples(row.of(result)), doc=_described(row))
 
 
 def _of_contacts(row: Quantity) -> property:
-    """Return a property of `Result` that shows a quantity of the contacts. row : of the table of quantities.
+    """Return a property of `Result` that shows a quantity of the contacts. Its value is a tuple with an array for each
+    axis on a lattice, one array in a packing, and an empty tuple where nothing is known.
 
-    Its value is a tuple with an array for each axis on a lattice, one array in a packing, and an empty tuple where
-    nothing is known.
+    row : the row of the quantity in the table of quantities.
     """
 
     def found(result: Result) -> OfContacts:
-        """Return the values of the row's quantity on the contacts: a tuple with an array for each axis of a lattice,
-        one array for a packing, an empty tuple where nothing is known.
-        """
+        """Return the values of the quantity on the contacts of a result."""
         values = row.of(result.solution)
         if values is None:
             return ()
@@ -437,8 +441,10 @@ def _of_contacts(row: Quantity) -> property:
 
 
 def _of_findings(row: Quantity) -> property:
-    """Return a property of `Result` that shows a finding of the method for each sample; None where there is none.
-    row : of the table of quantities.
+    """Return a property of `Result` that shows a number or word that the method has found for each sample; None if
+    there is none.
+
+    row : the row of the quantity in the table of quantities.
     """
     return property(lambda result: result.findings.get(row.name), doc=_described(row))
 

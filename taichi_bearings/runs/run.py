@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 def build_scene(settings: RunSettings) -> Scene:
     """Return the scene on a lattice that the settings describe; its coefficients are drawn or read from a file.
 
-    settings : of the run; `replicas` is the number of samples of the scene.
+    settings : settings of the run; `replicas` is the number of samples of the scene.
 
     Raises InputError for settings of a packing, and for a file that does not fit them.
     """
@@ -96,10 +96,11 @@ def build_scene(settings: RunSettings) -> Scene:
 
 
 def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
-    """Return the class of the method that the settings name; for "auto" that of the fastest method which certifies its
-    answers to a scene.
+    """Return the class, in the table of methods, of the method that the settings name; for "auto" that of the fastest
+    method that certifies its answers to a scene.
 
-    settings : of the run. scene : what is solved, on a lattice.
+    settings : settings of the run.
+    scene : what is solved, on a lattice.
     """
     if settings.method == "auto":
         arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
@@ -122,9 +123,10 @@ def row_of(settings: RunSettings) -> type[MethodOptions]:
 
 @lru_cache(maxsize=4096)
 def _row_of(settings: RunSettings) -> type[MethodOptions]:
-    """Return the class of the method that solves a run on a lattice; raise InputError if it cannot solve it.
+    """Return the class, in the table of methods, of the method that solves a run on a lattice; raise InputError if it
+    cannot solve it.
 
-    settings : of the run. Coefficients do not matter for the choice, so all are 1 here.
+    settings : settings of the run. Coefficients do not matter for the choice, so all are 1 here.
     """
     Distribution.parse(settings.distribution)
     scene = build_scene(replace(settings, distribution="constant:1"))
@@ -136,11 +138,12 @@ def _row_of(settings: RunSettings) -> type[MethodOptions]:
 
 @dataclass(frozen=True)
 class Job:
-    """A checked run that is ready to be solved.
+    """A run whose input has been checked and that is ready to be solved.
 
     settings : what was asked for.
-    scene : what is solved, with all replicas.
-    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; None for a packing whose start has only a name.
+    scene : what is solved, with all samples.
+    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; None for a packing whose initial spins are
+        given by name alone.
     method : the method for a lattice; None for a packing, whose settings name it.
     """
 
@@ -169,7 +172,7 @@ class Job:
 def prepare(settings: RunSettings, strict: bool = True) -> Job:
     """Return the job that the settings describe; every input error is raised here, before anything is computed.
 
-    settings : of the run.
+    settings : settings of the run.
     strict : True to raise InputError for options that neither the method nor the law uses; False to ignore them, as a
         scan that compares methods does.
     """
@@ -189,7 +192,7 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
 def cost(settings: RunSettings) -> Cost:
     """Return the estimated cost of a run: seconds, steps and bytes. Nothing is solved, but every input error is raised.
 
-    settings : of the run.
+    settings : settings of the run.
     """
     job = prepare(settings)
     row = row_of(job.settings) if job.method is None else type(job.method.options)
@@ -199,7 +202,7 @@ def cost(settings: RunSettings) -> Cost:
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
     """Return the job that solves a scene on a lattice as the settings say.
 
-    settings : of the run; their scene is not used.
+    settings : settings of the run; their scene is not used.
     scene : what is solved.
     spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time.
     strict : True to raise InputError for options that neither the method nor the law uses; False to ignore them.
@@ -230,11 +233,12 @@ FIRST_SPLITTINGS, DOUBLE_DECADES = 100, 2.0**53
 def solve_job(job: Job, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkpoints | None" = None) -> Solution:
     """Solve a job on a lattice and return the answer; Taichi is started if the method needs it.
 
-    monitors : functions that are called at each check. checkpoints : where and how often checkpoints are written, for a
-    dynamics.
+    If the method was chosen automatically and the interior point stalled, operator splitting goes on from its spins. A
+    torque on the top is evaluated at the end, which may take further solves.
 
-    Where the method was chosen automatically and the interior point stalled, operator splitting goes on. A torque on
-    the top is evaluated at the end, which may take further solves.
+    job : what is solved.
+    monitors : functions that are called at each check.
+    checkpoints : where and how often checkpoints are written, for a dynamics.
     """
     from taichi_bearings.solvers.drive import solve
     from taichi_bearings.solvers.recording import Recording
@@ -284,11 +288,12 @@ def solve_job(job: Job, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkp
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
-    """Return the better of two answers to one sample, with the higher of their two lower bounds.
-
-    It is the second one only if it alone is within the tolerance, or if its gap is less than half of the other.
+    """Return the better of two answers to one sample. Both get the forces that prove the higher of their two lower
+    bounds. The second answer is returned only if it alone is within the tolerance, or if its gap is less than half of
+    the other.
 
     first, second : the two answers.
+    tolerance : relative gap that was asked for.
     """
     from taichi_bearings.solvers.answer import with_forces_of
 
@@ -306,9 +311,11 @@ def run(
 ) -> Result:
     """Solve a scene or a packing, write a run directory, and return the result.
 
-    settings : of the run.
-    out : the run directory. Default: a new one below outputs/. force : True to replace a run directory that exists.
-    monitors : functions that are called at each check. title : True for words above the figures.
+    settings : settings of the run.
+    out : the run directory. Default: a new one below outputs/.
+    force : True to replace a run directory that exists.
+    monitors : functions that are called at each check.
+    title : True for words above the figures.
 
     The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures. With `checkpoint_every` it
     exists from the start, with a checkpoint from which :func:`resume` continues.
@@ -336,13 +343,15 @@ def command() -> str:
 def written_or_rescued(
     found: Result, write: Callable[[], Result], title: bool = True, otherwise: str = "the result is lost"
 ) -> Result:
-    """Write a result and its figures, and return it with the path where it is stored.
+    """Write a result and its figures, and return it with the path where it is stored. If the result cannot be written
+    to its own path, it goes to a temporary folder; if that fails too, WriteError is raised.
 
-    found : the result. write : function that writes its files and returns it. title : True for words above figures.
+    After an interrupt, now or during the solve, the files are still written, but no figures are drawn.
+
+    found : the result.
+    write : function that writes its files and returns it.
+    title : True for words above figures.
     otherwise : end of the message if nothing can be written.
-
-    If its path cannot be written, the result goes to a temporary folder; if that cannot be written either, WriteError
-    is raised. After an interrupt, now or during the solve, the files are still written, but no figures.
     """
     with awaited() as heard:
         found = _rescued(found, write, otherwise)
@@ -357,10 +366,12 @@ def written_or_rescued(
 
 
 def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Result:
-    """Write a result, into a temporary folder if its own path cannot be written, and return it with its path.
+    """Write a result, into a temporary folder if its own path cannot be written, and return it with its path. Raises
+    WriteError if both fail.
 
-    found : the result. write : function that writes its files and returns it. otherwise : end of the message if nothing
-        can be written. WriteError is raised then.
+    found : the result.
+    write : function that writes its files and returns it.
+    otherwise : end of the message if nothing can be written.
     """
     try:
         return write()
@@ -390,8 +401,10 @@ def resume(
 ) -> Result:
     """Continue a run from its checkpoint, to the same bits as if it had never been stopped, and return the result.
 
-    path : the run directory or its run.h5. changes : new values of settings that are named in CHANGEABLE.
-    monitors : functions that are called at each check. title : True for words above the figures.
+    path : the run directory or its run.h5.
+    changes : new values of settings that are named in CHANGEABLE.
+    monitors : functions that are called at each check.
+    title : True for words above the figures.
 
     Raises FileError if there is no checkpoint that can be read, InputError for a change that is not possible.
     """
@@ -430,17 +443,21 @@ def _solve_with_checkpoints(
 ) -> Result:
     """Solve a job in a run directory that exists and is locked by this process; write its files and return the result.
 
-    path : the directory. job : the run. stored : its settings, with the names of files as they are in the directory.
-    arrays : the checkpoint to continue from, by name; None to start at the beginning. monitors : functions that are
-        called at each check. title : True for words above the figures.
+    path : the directory.
+    job : the run.
+    stored : its settings, with the names of files as they are in the directory.
+    arrays : the checkpoint to continue from, by name; None to start at the beginning.
+    monitors : functions that are called at each check.
+    title : True for words above the figures.
 
     A KeyboardInterrupt that ends the solve has the path of the directory as its message.
     """
     from taichi_bearings.solvers.drive import Checkpoints
 
     def write(state: Mapping[str, np.ndarray]) -> None:
-        """Write a checkpoint into the run directory; log a warning if that fails. state : of the method, arrays by
-        name.
+        """Write a checkpoint into the run directory; log a warning if that fails.
+
+        state : state of the method, arrays by name.
         """
         try:
             write_checkpoint(path, stored.to_toml(), versions(), state)
@@ -456,7 +473,7 @@ def _solve_with_checkpoints(
     found = replace(found, path=path, command=command())
 
     def complete() -> Result:
-        """Write the files of the finished run into its directory, and return the result with that path."""
+        """Write the files of the finished run into its directory, and return the result."""
         with completed(path, _drawn(path)) as folder:
             write_run(folder, found)
         return found
@@ -470,8 +487,9 @@ PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")  # files that o
 
 
 def _drawn(path: Path) -> list[str]:
-    """Return the names of files in a run directory that show an earlier answer: figures, histograms, films and
-    exports.
+    """Return the names of files in a run directory that show an earlier answer: figures, histograms, films and exports.
+
+    path : the run directory.
     """
     from taichi_bearings.runs.figures import FIGURE_KINDS
 

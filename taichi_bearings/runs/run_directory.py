@@ -36,8 +36,9 @@ that is to be removed."""
 class RunDirectory:
     """A run directory that is being written under a hidden name.
 
-    path : the name that it gets. partial : the hidden folder to which files are written until :meth:`publish` renames
-        it. replaced : status of what had the name `path` at the beginning, None if nothing had.
+    path : the name that it gets.
+    partial : the hidden folder to which files are written until :meth:`publish` renames it.
+    replaced : file status of what had the name `path` at the beginning; None if nothing had.
     """
 
     path: Path
@@ -64,12 +65,14 @@ class RunDirectory:
 
 @contextlib.contextmanager
 def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
-    """Yield a new run directory, which appears under its name `path` when it is published.
+    """Yield a new run directory. It is written under a hidden name, and appears under the name `path` when it is
+    published.
 
+    path : its name.
     force : True to replace a run directory that exists, if no process works in it. Anything else that has the name is
-        never replaced. No other process can write to this name in the meantime. Files that were not published are
-        removed at the end.
+        never replaced.
 
+    No other process can write to this name inside the block. Files that were not published are removed at the end.
     Raises FileError, before anything is written, if the name cannot be used.
     """
     refuse_name(path)
@@ -116,7 +119,7 @@ def refuse_name(path: Path) -> None:
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:
-    """Remove the folders that are empty, one after the other."""
+    """Remove those of the folders that are empty, one after the other."""
     for folder in folders:
         with contextlib.suppress(OSError):
             folder.rmdir()
@@ -127,7 +130,8 @@ def tidy(parent: Path, ours: str = "") -> None:
 
     A directory that was just being replaced gets its name back. What a running process has locked stays.
 
-    parent : the folder. ours : a name in it whose lock this process itself holds.
+    parent : the folder.
+    ours : a name in it whose lock this process itself holds.
     """
     found: dict[str, list[re.Match[str]]] = {}
     for match in filter(None, map(LEFTOVER.fullmatch, os.listdir(parent))):
@@ -188,8 +192,8 @@ def _swap(one: Path, other: Path) -> bool:
 def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
     """Yield a folder for new files of a run directory; all are moved into the directory together when the block ends.
 
-    path : the run directory, which this process has locked; its other files stay. outdated : names of files in it that
-        are removed before, such as figures of the answer that is replaced.
+    path : the run directory, which this process has locked; its other files stay.
+    outdated : names of files in it that are removed before, such as figures of the answer that is replaced.
 
     If the process is killed while files are written, none of them is moved; if it is killed while they are moved,
     :func:`in_use` moves the rest when the directory is used next.
@@ -213,8 +217,11 @@ PARTIAL, COMPLETE = ".partial", ".complete"  # names of that folder before and a
 
 
 def _complete(path: Path) -> None:
-    """Move all files of the folder COMPLETE up into its run directory `path`, run.h5 last; then remove the folder. The
-    folder is there only once all its files are written."""
+    """Move all files of the folder COMPLETE up into its run directory, run.h5 last; then remove the folder. The folder
+    has this name only once all its files are written.
+
+    path : the run directory.
+    """
     folder = path / COMPLETE
     for file in sorted(folder.iterdir(), key=lambda file: (file.name == "run.h5", file.name)):
         file.replace(path / file.name)
@@ -224,11 +231,10 @@ def _complete(path: Path) -> None:
 @contextlib.contextmanager
 def in_use(path: Path, part: str = "") -> Iterator[None]:
     """Lock a run directory inside the block, so that no other process works in it; raise FileError if one already does.
+    Files that a killed process has left there are removed, or moved to their places if they were complete.
 
     path : the run directory.
     part : name for one part of the work, such as a part of a scan, to lock that part alone; empty for all work.
-
-    Files that a killed process has left there are removed, or moved to their places if they were complete.
     """
     with locked(path / (f".in-use-{part}" if part else ".in-use"), f"{part} in {path}" if part else f"{path}") as held:
         with writing(path):
@@ -261,8 +267,9 @@ def claimed(path: Path, force: bool = False) -> Iterator[None]:
 def writable_folder(path: Path, part: str = "") -> Iterator[None]:
     """Make a folder unless it exists, and lock it inside the block, so that no other process works in it.
 
-    part : name for one part of the work, to lock that part alone; empty for all work. Raises FileError if the folder
-        cannot be made, or if another process works in it.
+    part : name for one part of the work, to lock that part alone; empty for all work.
+
+    Raises FileError if the folder cannot be made, or if another process works in it.
     """
     refuse_name(path)
     make_folder(path)
@@ -278,7 +285,9 @@ def default_run_path(command: str = "run") -> Path:
 def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> None:
     """Replace the checkpoint of a run directory in one move, so that a process that is killed leaves the earlier one.
 
-    folder : the run directory. scene : the settings as TOML. versions : of the programs that compute it, by name.
+    folder : the run directory.
+    scene : the settings as TOML.
+    versions : versions of the programs that compute it, by name.
     arrays : state of the method, by name; empty before the first step.
     """
     attributes = layout_of("checkpoint") | {"scene": scene} | dict(versions)

@@ -98,8 +98,9 @@ def read_claims(run: str | Path) -> tuple[Result, list[str]]:
 def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple[Path, h5py.File, Json]]:
     """Yield the path of a run.h5, the opened file and its attributes.
 
-    run : a run directory or its run.h5. changed : a list that gets the names of what was changed after the file was
-        written; None to raise FileError for that.
+    run : a run directory or its run.h5.
+    changed : a list that gets the names of what was changed after the file was written; None to raise FileError for
+        that.
     """
     run = Path(run)
     refuse_scan(run)
@@ -114,8 +115,9 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
 
 
 def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, object]) -> Result:
-    """Return the result in an opened run.h5. path, attributes : of the file; the attributes hold settings and
-    numbers.
+    """Return the result in an opened run.h5.
+
+    path, attributes : path and attributes of the file; the attributes hold settings and numbers.
     """
     if "scene" not in attributes:
         raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
@@ -169,23 +171,29 @@ def replica_drawn(found: Result, replica: int) -> dict[str, int]:
 
 
 class _Sets:
-    """Reader of the data sets of a run file, which checks them and adds an axis of samples where the file has none.
+    """Reader of the data sets of a run file. It checks them, and adds an axis of samples if the file has none.
 
-    path : of the file, for messages. file : the opened file. head : (R,) for R samples, or () if the file has no axis
-        for them.
+    path : path of the file, for messages.
+    file : the opened file.
+    head : (R,) for R samples, or () if the arrays of the file have no axis of samples.
     """
 
     def __init__(self, path: Path, file: h5py.File, head: tuple[int, ...]) -> None:
-        """Take a file. path : its path, for messages. file : the opened file. head : (R,), or () if arrays have no axis
-        of samples.
+        """Take an opened file.
+
+        path : its path, for messages.
+        file : the opened file.
+        head : (R,) for R samples, or () if arrays have no axis of samples.
         """
         self.path, self.file, self.head = path, file, head
 
     def get(self, name: str, *expected: int | None) -> np.ndarray:
         """Return a data set with a leading axis of samples.
 
-        name : of the data set. expected : its shape without that axis, None for any length. Raises FileError for
-            another shape, or for anything but numbers, before the data are read.
+        name : name of the data set.
+        expected : its shape without that axis, None for any length.
+
+        Raises FileError for another shape, or for anything but numbers, before the data are read.
         """
         stored, shape = self.file[name], (*self.head, *expected)
         fits = len(stored.shape) == len(shape) and all(w in (None, n) for n, w in zip(stored.shape, shape, strict=True))
@@ -200,7 +208,8 @@ class _Sets:
         """Return data sets of the contacts of a lattice as a tuple, one array (samples R, *contacts, *parts) for each
         axis.
 
-        name : of the data sets, with {} in place of the axis. parts : shape of the value of one contact.
+        name : name of the data sets, with {} in place of the axis.
+        parts : shape of the value of one contact.
         """
         names = [name.format(axis) for axis in AXES[: lattice.dimension]]
         if lacking := [name for name in names if name not in self.file]:
@@ -210,7 +219,8 @@ class _Sets:
     def of_contacts(self, lattice: Lattice, key: str, *parts: int) -> np.ndarray:
         """Return data sets of the contacts of a lattice as one array, (samples R, contacts E, *parts), axis after axis.
 
-        key : name below ``contact/<axis>``. parts : shape of the value of one contact.
+        key : name below ``contact/<axis>``.
+        parts : shape of the value of one contact.
         """
         found = self.by_axis(f"contact/{{}}/{key}", lattice, *parts)
         return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
@@ -219,8 +229,10 @@ class _Sets:
         """Return the columns of the history by name: (checks,) for columns of all samples together, else (checks,
         samples R).
 
-        apart : True if samples were solved one by one, so that all columns are (checks, R). is_needed : True if there
-            must be a history. Raises FileError for columns that no solve leaves, or where they are needed and missing.
+        apart : True if samples were solved one by one, so that all columns are (checks, R).
+        is_needed : True if there must be a history.
+
+        Raises FileError for columns that no solve leaves, or where they are needed and missing.
         """
         columns = {key: self.get(f"history/{key}", None) for key in self.file.get("history", ())}
         needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
@@ -233,8 +245,10 @@ class _Sets:
     def snapshots(self, apart: bool, *spins: int) -> Snapshots:
         """Return the snapshots of a dynamics: times and laboratory spins.
 
-        apart : True if samples were solved one by one, so that each has its own times. spins : shape of the spins of
-            one sample. Raises FileError if times and spins differ in number.
+        apart : True if samples were solved one by one, so that each has its own times.
+        spins : shape of the spins of one sample.
+
+        Raises FileError if times and spins differ in number.
         """
         time, ways = self.get("snapshots/time", None), self.get("snapshots/spin", None, *spins)
         if time.shape[1] != ways.shape[1]:
@@ -244,8 +258,9 @@ class _Sets:
     def check(self, name: str, values: np.ndarray, is_fine: Callable[[np.ndarray], Any] = np.isfinite) -> None:
         """Raise FileError if a data set has values that no solve writes, such as infinite ones.
 
-        name : of the data set. values : its values. is_fine : function that returns a mask of the values that are
-            allowed; by default all finite ones are.
+        name : name of the data set.
+        values : its values.
+        is_fine : function that returns a mask of the values that are allowed; by default all finite ones are.
         """
         words, known = "", max(ContactState)
         if not np.all(is_fine(values)):
@@ -261,7 +276,8 @@ class _Sets:
 def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
     """Return the solution in an opened run.h5, with an axis of samples.
 
-    path, attributes : of the file `file`. settings : of the run.
+    path, attributes : path and attributes of the file `file`.
+    settings : settings of the run.
 
     The status is that of the first sample that is not certified, if there is one.
     """
@@ -323,13 +339,12 @@ def _of_layout_1(
     state: np.ndarray, proven: np.ndarray | None, all_proven: np.ndarray, is_dynamics: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return contact states (samples R, contacts E), and a mask (R, E) of those that are proven, from a file of layout
-    1.
+    1. There the state 2 also stood for tied contacts, and for contacts at their friction limit that slip at no minimum.
 
-    state : (R, E). In layout 1 the state 2 also stood for tied contacts, and for contacts at their friction limit that
-    slip at no minimum.
-    proven : (R, E), a code there: the state that is proven of all minima, 0, 1 or 4; 2 if none is; 3 for contacts that
-    take no part. None in files that have no such data set.
-    all_proven : (R,) mask, used where `proven` is None: all decided states of a replica are proven.
+    state : (R, E), the states in the file.
+    proven : (R, E), a code: the state that is proven of all minima, 0, 1 or 4; 2 if none is; 3 for contacts that take
+        no part. None in files that have no such data set.
+    all_proven : (R,), used if `proven` is None: True for samples all of whose decided states are proven.
     is_dynamics : True for a dynamics, whose states are those of its motion and stay as they are.
     """
     acts = state != ContactState.DRIVEN
@@ -352,11 +367,15 @@ OWN_COEFFICIENTS = ("run.h5", "coefficients.npz")  # files that runs write: no n
 
 
 def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    """Return the scene on a lattice that a file holds, and how its data sets are read: their reader; a function that
-    returns a data set of the contacts by name, (samples R, contacts E, *parts); the shape of arrays over the spheres;
-    and that of a vector, (3,), or () in 2D.
+    """Return the scene on a lattice that a file holds, and four things with which its data sets are read:
 
-    path, attributes : of the file. settings : of the run.
+    * the reader of data sets;
+    * a function that returns a data set of the contacts by name, (samples R, contacts E, *parts);
+    * the shape of arrays over the spheres;
+    * the shape of a vector, (3,), or () in 2D.
+
+    path, file, attributes : the file, opened, and its attributes.
+    settings : settings of the run.
     """
     shape = tuple(int(side) for side in attributes["shape"])
     lattice, first = Lattice(shape, periodic=axis_numbers(settings.periodic)), file["coefficient/x"]
@@ -373,11 +392,15 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], settings: RunSettings) -> _Found:
-    """Return the packing that a file holds, and how its data sets are read: their reader; a function that returns a
-    data set of the contacts by name, (samples R, contacts E, *parts); the shape of arrays over the spheres; and that of
-    a vector, (3,), or () in 2D.
+    """Return the packing that a file holds, and four things with which its data sets are read:
 
-    path, attributes : of the file. settings : of the run.
+    * the reader of data sets;
+    * a function that returns a data set of the contacts by name, (samples R, contacts E, *parts);
+    * the shape of arrays over the spheres;
+    * the shape of a vector, (3,), or () in 2D.
+
+    path, file, attributes : the file, opened, and its attributes.
+    settings : settings of the run.
     """
     from taichi_bearings.runs.packing_run import TWICE, packing_of
     from taichi_bearings.scene.packing import NEEDED  # and with it much of SciPy
@@ -394,8 +417,10 @@ def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], 
     arrays = _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
 
     def of_contacts(name: str, *parts: int) -> np.ndarray:
-        """Return a data set of the contacts, (samples R, contacts E, *parts). name : of the data set in the group of
-        the contacts. parts : shape of the value of one contact.
+        """Return a data set of the contacts, (samples R, contacts E, *parts).
+
+        name : name of the data set in the group of the contacts.
+        parts : shape of the value of one contact.
         """
         return arrays.get(f"contact/{name}", scene.contacts, *parts)
 

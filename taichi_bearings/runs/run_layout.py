@@ -48,7 +48,8 @@ Row = tuple[str, np.ndarray, str, str]
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, object]) -> None:
     """Write run.h5, whole or not at all. With a single replica data sets have no axis of replicas.
 
-    path : where it is written. solution : the answer to all samples.
+    path : where it is written.
+    solution : the answer to all samples.
     attributes : numbers and words, by name, that become attributes of the file.
     """
     one = solution.scene.replicas == 1
@@ -74,8 +75,9 @@ def _rows(solution: Solution) -> Iterator[Row]:
         yield row.name, found, row.unit, row.text
 
     def of_each(column: np.ndarray, replica_axis: int) -> np.ndarray:
-        """Return a column with a leading axis of samples. replica_axis : number of its axis of samples; a column
-        without one is repeated.
+        """Return a column with a leading axis of samples.
+
+        replica_axis : number of its axis of samples; a column without one is repeated for each sample.
         """
         return np.moveaxis(column, replica_axis, 0) if column.ndim > 1 else np.tile(column, (replicas, 1))
 

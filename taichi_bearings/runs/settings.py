@@ -52,8 +52,8 @@ from taichi_bearings.words import meant, shown
 
 
 def _times(value: Any) -> str:
-    """Return times as a text, such as "0.1,0.2" or "log:1e-4,10,50" (start, stop, count); raise ValueError for anything
-    else.
+    """Return simulated times as a text, such as "0.1,0.2" or "log:1e-4,10,50" (start, stop, count); raise ValueError
+    for anything else.
 
     value : such a text, a number, or a list of numbers.
     """
@@ -68,7 +68,8 @@ def _times(value: Any) -> str:
 
 
 def _state(value: object) -> tuple[float, ...]:
-    """Return a bearing state as (A_x, A_y, A_z, C), or (A_z,) of discs; raise ValueError for anything else.
+    """Return a bearing state as (A_x, A_y, A_z, C), or (A_z,) of discs: the spin A of a driven plane, 1/time, and the
+    rate C at which it changes with the place. Raises ValueError for anything else.
 
     value : a text such as "1,1,0;0.2", or numbers.
     """
@@ -109,7 +110,9 @@ FORMS = Distribution.forms()  # how each distribution is written
 class RunSettings:
     """All settings of one run. They are checked when it is made; an InputError names the key and what is allowed.
 
-    The options of methods are attributes as well. owned : names and values of these options.
+    The options of methods are attributes as well.
+
+    owned : names and values of these options.
     """
 
     shape: tuple[int, ...] = option((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
@@ -296,7 +299,7 @@ class RunSettings:
         return tuple(settings_table())
 
     def of_replica(self, seed: int) -> "RunSettings":
-        """Return the settings of one replica, which has this seed; no value is checked again."""
+        """Return the settings of one sample, which has this seed. No value is checked again."""
         one = copy(self)
         vars(one).update(seed=seed, replicas=1)
         return one
@@ -311,8 +314,10 @@ class RunSettings:
         """Return the settings that key-value pairs describe.
 
         values : the pairs, as in a scene file or from options.
-        source : where the pairs come from, for messages. Raises InputError for an unknown key, with the nearest known
-        one. A file of coefficients determines the shape, and the periodic sides unless some are given.
+        source : where the pairs come from, for messages.
+
+        Raises InputError for an unknown key, with the nearest known one. A file of coefficients determines the shape,
+        and the periodic sides unless some are given.
         """
         for key in values:
             if key not in cls.keys():
@@ -376,8 +381,10 @@ class RunSettings:
         return {key: list(v) if isinstance(v := given[key], tuple) else v for key in DRIVING_KEYS if key in given}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
-        """Return the keys that were given and have no effect with this method, law or packing, each with a sentence
-        that says why.
+        """Return the keys that the user has set but that have no effect with this method, law or packing, each with a
+        sentence that says why.
+
+        method : class of the method in the table of methods.
         """
         table, law, unused = settings_table(), LAWS[self.law], {}
         has_states = self.top is not None or self.bottom is not None
@@ -424,9 +431,9 @@ class RunSettings:
 
 
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return two tuples: the names of the methods, and those of the laws, that use an option of a run.
+    """Return two tuples of names: the methods, and the laws, that use an option of a run.
 
-    item : the option; without a condition on methods (laws) all of them use it.
+    item : the option. If it has no condition on methods (laws), all of them use it.
     """
     methods = tuple(name for name, row in METHODS.items() if item.methods is None or item.methods(row))
     return methods, tuple(name for name, law in LAWS.items() if item.laws is None or item.laws(law))
@@ -457,9 +464,10 @@ def settings_table() -> dict[str, Option]:
 
 @lru_cache(maxsize=8)
 def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
-    """Return the options of a run by key. rows : the classes of all methods.
+    """Return the options of a run by key. If several methods have an option with different defaults, its default here
+    is None.
 
-    If several methods have an option with different defaults, its default here is None.
+    rows : the classes of all methods.
     """
     owners: dict[str, dict[type[MethodOptions], Option]] = {}
     for row in rows:
@@ -499,6 +507,7 @@ def read_toml(path: Path) -> Json:
     """Return the key-value pairs of a file of settings; names of files in it are taken relative to its folder.
 
     path : a TOML file; a run directory, whose scene.toml is read; or a run.h5, whose attribute `scene` is read.
+
     Raises FileError for a file that is missing or cannot be read.
     """
     if path.is_dir():
@@ -520,8 +529,11 @@ def read_toml(path: Path) -> Json:
 def parse_assignment(text: str, option: str, allowed: str) -> tuple[str, Any]:
     """Return key and value of a text ``key=value`` from the command line.
 
-    The value is read as TOML; what is no TOML is taken as a text. option, allowed : for messages, the option and what
-    its value must be. Raises InputError for other texts.
+    The value is read as TOML; what is no TOML is taken as a text.
+
+    option, allowed : for messages, the option and what its value must be.
+
+    Raises InputError for other texts.
     """
     key, equals, word = text.partition("=")
     key = key.strip().replace("-", "_")

@@ -28,9 +28,9 @@ states of the run."""
 class Drawn:
     """What figures and exports show of the structure of a sample; empty if the sample was not analysed.
 
-    spheres, contacts : columns by name, (spheres N,) over the spheres, and (contacts E,) over the contacts.
+    spheres, contacts : columns by name, with units, (spheres N,) over the spheres, and (contacts E,) over the contacts.
     domains : the rigid domains of a lattice, None for packings.
-    path : (L,) numbers of the spheres along one shortest path of slipless contacts, empty if there is none.
+    path : (L,), numbers of the L spheres along one shortest path of slipless contacts, empty if there is none.
     is_known : True if the sample was analysed.
     """
 
@@ -42,18 +42,22 @@ class Drawn:
 
     @classmethod
     def computed(cls, structure: Structure) -> "Drawn":
-        """Compute the structure of a sample and return what figures and exports show of it. structure : the sample."""
+        """Compute the structure of a sample and return what figures and exports show of it.
+
+        structure : the sample.
+        """
         spheres, contacts = columns_of(structure)
         domains = None if structure.whole.lattice is None else structure.rigid_domains
         return cls(spheres, contacts, domains, structure.network.path, True)
 
     @classmethod
     def stored(cls, path: Path, structure: Structure, replica: int | None) -> "Drawn":
-        """Return what `bearings analyse` has stored of the structure of a sample; empty if it has not, or if it used a
-        slip threshold.
+        """Return what `bearings analyse` has stored of the structure of a sample; empty if it has stored nothing, or if
+        a slip threshold was used in place of the contact states.
 
-        path : the run.h5. structure : of the sample; only its spheres, contacts and spins are used, so that nothing is
-            computed. replica : number of the sample; None if the file has no axis of samples.
+        path : the run.h5.
+        structure : structure of the sample; only its spheres, contacts and spins are used, so that nothing is computed.
+        replica : number of the sample; None if the file has no axis of samples.
 
         Raises FileError if the file holds something else there.
         """
@@ -70,10 +74,11 @@ class Drawn:
 
 @dataclass(frozen=True)
 class _Stored:
-    """Reader of the stored structure of one sample.
+    """Reader of what a file has stored of the structure of one sample.
 
-    group : /analysis of its file. structure : spheres, contacts and spins of the sample. replica : number of the
-        sample; None if the file has no axis of samples.
+    group : the group /analysis of the file.
+    structure : spheres, contacts and spins of the sample.
+    replica : number of the sample; None if the file has no axis of samples.
     """
 
     group: h5py.Group
@@ -93,7 +98,8 @@ class _Stored:
     def get(self, name: str, *shape: int | None) -> np.ndarray:
         """Return a data set of the sample as an array; raise ValueError if it is not made of finite numbers.
 
-        name : of the data set. shape : the shape that it must have, None for any length.
+        name : name of the data set.
+        shape : the shape that it must have, None for any length.
         """
         stored = self.group[name]
         found = np.asarray(stored[()] if self.replica is None else stored[self.replica])
@@ -125,7 +131,10 @@ class _Stored:
         return _findings(spheres), _findings(contacts)
 
     def _domains(self, domain: np.ndarray) -> RigidDomains:
-        """Return the stored rigid domains of a lattice. domain : (spheres N,), number of the domain of each sphere."""
+        """Return the stored rigid domains of a lattice.
+
+        domain : (spheres N,), number of the domain of each sphere.
+        """
         scene, shape, count = self.structure.scene, self.structure.whole.shape, int(domain.max()) + 1
         axes = scene.minimum_spin_axes
         spins = scene.staggered_spin(self.structure.spin[None], axes).reshape(len(axes), *shape)

@@ -41,7 +41,7 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
     """Raise InputError for settings with a torque that also impose the spin of the top, or turn the bottom with the law
     viscous.
 
-    settings : of the run; without a torque nothing is refused.
+    settings : settings of the run; without a torque nothing is refused.
     method : class of the method that the settings name.
     """
     if settings.torque is None or method.is_dynamics:  # dynamics do not use a torque, and say so themselves
@@ -57,8 +57,8 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
 
 
 def _with_driven(found: Solution) -> Solution:
-    """Return a copy of an answer in which power, objective and lower bound include contacts between driven spheres,
-    which can slip in packings.
+    """Return a copy of an answer in which power, objective and lower bound include contacts between driven spheres. In
+    packings such contacts can slip.
 
     found : the answer.
     """
@@ -70,30 +70,34 @@ def _with_driven(found: Solution) -> Solution:
 
 
 def _by_friction(solution: Solution, solve: Solve) -> Solution:
-    """Return the answer with the top moved as imposed (strength 1) but without viscosity: solved anew if the law has
-    both friction and viscosity, else the answer itself.
+    """Return the answer for the imposed motion of the top without viscosity. It is solved anew if the law has both
+    friction and viscosity; otherwise it is the given answer.
 
-    solution : the answer at strength 1. solve : function that solves another scene the same way.
+    solution : the answer for the imposed motion.
+    solve : function that solves another scene in the same way.
     """
     scene = solution.scene
     return solve(scene.with_friction_alone()) if scene.law.holds and scene.law.flows else solution
 
 
 def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
-    """Return the answer at strength 1 with four findings on a torque on the top, (samples R,) each.
+    """Return an answer with four findings on a torque on the top added, (samples R,) each.
 
-    solution : the answer at strength 1, with the top moved as imposed. torque : force*length. solve : function that
-        solves another scene or packing the same way.
+    solution : the answer with the top moved as imposed.
+    torque : force*length.
+    solve : function that solves another scene or packing in the same way.
 
-    yields : True if the torque exceeds `yield_torque`.
-    yield_torque : force*length; friction is proven not to hold a larger torque.
-    yield_torque_lower_bound : force*length; friction is proven to hold a torque up to this. Between the two neither is
-        proven.
-    amplitude : strength of the motion, with the sign of the torque: 1 for the motion of the solution, 0 where friction
-        is proven to hold the torque, not-a-number (null in `--json`) where nothing limits the motion or the strength is
-        not known.
+    The findings are:
 
-    Raises InputError if the top does not turn at strength 1, or if the bottom turns with the law viscous.
+    * yields: True if the torque exceeds `yield_torque`.
+    * yield_torque: force*length; friction is proven not to hold a larger torque.
+    * yield_torque_lower_bound: force*length; friction is proven to hold a torque up to this. Between the two neither is
+      proven.
+    * amplitude: factor by which the imposed motion is multiplied, with the sign of the torque: 1 for the motion of the
+      solution, 0 where friction is proven to hold the torque, not-a-number (null in `--json`) where nothing limits the
+      motion or the factor is not known.
+
+    Raises InputError if the imposed motion leaves the top at rest, or if the bottom turns with the law viscous.
     """
     top, others = solution.scene.sides
     if not top:
@@ -107,12 +111,14 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
 
 
 def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
-    """Return four findings on a torque on the top, by name, (samples R,) each: `yields`, True if friction does not hold
-    it; `yield_torque` and `yield_torque_lower_bound`, force*length, above which it surely turns the top, and up to
-    which friction surely holds it; and `amplitude`, the strength of the motion.
+    """Return by name four findings on a torque on the top, (samples R,) each: `yields`, True if friction is proven not
+    to hold it; `yield_torque` and `yield_torque_lower_bound`, force*length, proven bounds on the torque that friction
+    holds; and `amplitude`, the factor by which the imposed motion is multiplied: 0 if the torque is held, not-a-number
+    if nothing limits the motion or the bounds do not decide.
 
-    solution : the answer at strength 1, with the top moved as imposed. torque : force*length. solve : function that
-        solves another scene or packing the same way.
+    solution : the answer with the top moved as imposed, which is the factor 1.
+    torque : force*length.
+    solve : function that solves another scene or packing in the same way.
     """
     scene = solution.scene
     if scene.sides[1]:
@@ -141,15 +147,17 @@ def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndar
 
 
 def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.ndarray]:
-    """Return four findings on a torque on the top, by name, (samples R,) each, if the bottom turns, too: `yields`, True
-    if the torque exceeds `yield_torque`; two torques, force*length; and `amplitude`.
+    """Return by name four findings on a torque on the top, (samples R,) each, if the bottom turns, too.
 
-    scene : what is solved, with the top moved as imposed. torque : force*length. solve : function that solves another
-        scene or packing the same way.
+    * yields: True if the torque exceeds `yield_torque`.
+    * yield_torque: force*length, in the direction of the torque, perhaps negative: a larger torque turns the top.
+    * yield_torque_lower_bound: force*length; up to this torque the top turns by no more than HELD_TURN times the spin
+      of the bottom.
+    * amplitude: not-a-number, as it is not known.
 
-    yield_torque is that in the direction of the torque, and may be negative: a larger torque turns the top. Up to
-    yield_torque_lower_bound the top turns by no more than HELD_TURN times the spin of the bottom. The amplitude is not
-    known.
+    scene : what is solved, with the top moved as imposed.
+    torque : force*length.
+    solve : function that solves another scene or packing in the same way.
     """
     top, bottom = scene.sides
     step = HELD_TURN * bottom / abs(top)
@@ -162,16 +170,17 @@ def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.
 
 
 def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> float:
-    """Return the strength a of the motion that a torque keeps going: the top moves with a times the imposed motion. NaN
-    if a solve misses its tolerance.
+    """Return the factor a such that a torque keeps the top moving with a times the imposed motion. NaN if a solve
+    misses its tolerance.
 
-    scene : one sample. torque : its size, force*length, above what friction holds. least : a strength that is smaller
-        than a.
-    solve : function that solves another scene the same way.
+    Callers take `least` from a bound on the torque P(a) / a, where P is the power. Let P_f be the least power of
+    friction alone, and Q the power that viscosity adds in that motion. The potential is convex, and at most a P_f + a^2
+    Q / 2; so the torque is at most P_f + 2 a Q.
 
-    Callers take `least` from a bound on the torque P(a) / a. Let P_f be the least power of friction alone, and Q the
-    power that viscosity adds in that motion. The potential is convex, and at most a P_f + a^2 Q / 2; so the torque is
-    at most P_f + 2 a Q.
+    scene : one sample.
+    torque : its size, force*length, above what friction holds.
+    least : a factor that is smaller than a.
+    solve : function that solves another scene in the same way.
     """
     from scipy.optimize import brentq  # a third of a second that other runs do not need
 

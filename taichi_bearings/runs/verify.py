@@ -110,20 +110,22 @@ def _size_of(scene: Bearing) -> Json:
 class NewProof:
     """Bounds and contact states of a run, proven anew from the spins and friction forces in its file.
 
-    run : the run as its file says. The proof is called judgement, see proof/judgement.py.
+    run : the run as its file says.
     """
 
     run: Result
 
     @cached_property
     def possible(self) -> Judgement | None:
-        """The proof of all samples; None if numbers are not finite, or too far from 1 for any arithmetic."""
+        """The proof for all samples. It is None if none can be tried: stored numbers are not finite, or so large or
+        small that products over- or underflow.
+        """
         stored = self.run.solution
         return Judgement.of(stored.scene, stored.spin, stored.spin_rounding, stored.friction)
 
     @property
     def judgement(self) -> Judgement:
-        """The proof of all samples. An assertion fails where `possible` is None."""
+        """The proof for all samples; an assertion fails if none could be tried."""
         assert self.possible is not None
         return self.possible
 
@@ -136,9 +138,11 @@ class NewProof:
 
     @cached_property
     def solution(self) -> Solution:
-        """The answer in the file, with all numbers that follow from the new proof in place of those stored. It has the
-        findings on a torque, if one was asked for, unless they would need another solve, which a verification does not
-        make."""
+        """The answer in the file, with all numbers that follow from the new proof in place of those stored.
+
+        If a torque was asked for, it has the findings on the torque as well, unless these would need another solve,
+        which a verification does not make.
+        """
         stored, scene, new = self.run.solution, self.run.solution.scene, self.judgement
         ended = np.array(stored.own["status"])
         # Solution.status says CERTIFIED again where the new gap is within the tolerance
@@ -206,7 +210,7 @@ class NewProof:
 
     @property
     def _nothing(self) -> Json:
-        """Entries of the report where no proof can be made: nothing is proven of any sample."""
+        """Entries of the report if no proof can be tried: nothing is proven of any sample."""
         acts = (self.run.solution.state != DRIVEN).sum(axis=1).tolist()
         open_ = dict.fromkeys(("power", "upper_bound", "lower_bound", "gap", "largest_balance_residual"))
         return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique")} | {
@@ -253,8 +257,10 @@ class NewProof:
 
 
 def _of_sample(number: int, count: int) -> str:
-    """Return the beginning of a sentence on a sample, "sample 3: "; empty if there is only one. count : number of
-    samples.
+    """Return the beginning of a sentence on a sample, "sample 3: "; empty if there is only one sample.
+
+    number : number of the sample.
+    count : number of samples.
     """
     return f"sample {number}: " if count > 1 else ""
 
@@ -264,7 +270,7 @@ JUDGED_CONTACTS = {name: CONTACTS[name] for name in ("slip", "power")}
 
 
 class _NeedsAnother(Exception):
-    """Raised where the findings on a torque would need another solve, which verifying does not make."""
+    """Raised if the findings on a torque would need another solve, which a verification does not make."""
 
 
 def _no_other(_: object) -> Solution:
@@ -285,8 +291,9 @@ def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarr
 
 
 def _driving_contradictions(stored: Solution) -> Iterator[str]:
-    """Yield a sentence for each sample whose driven spheres do not have exactly the imposed spins. stored : the answer
-    in the file.
+    """Yield a sentence for each sample whose driven spheres do not have exactly the imposed spins.
+
+    stored : the answer in the file.
     """
     network, expected = stored.scene.network, stored.scene.imposed_spins()
     driven = ~network.free.reshape(network.shape)
@@ -348,7 +355,7 @@ def _contradicted_attributes(said: Mapping[str, Any], numbers: Mapping[str, Any]
 def _allowed(name: str, said: Any, true: Any) -> bool:
     """Return True if the value of an attribute agrees with the true one: in type, and for numbers up to rounding.
 
-    name : of the attribute.
+    name : name of the attribute.
     said, true : its value in the file, and the one that was proven anew; None if nothing was proven, which files write
         as "" or not-a-number.
 

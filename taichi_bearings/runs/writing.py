@@ -46,12 +46,12 @@ def self_contained(
 ) -> RunSettings:
     """Return settings that name only files in the run directory itself, so that it can be moved and run again.
 
-    settings : of the run, which may name files elsewhere.
+    settings : settings of the run, which may name files elsewhere.
     scene : what is solved.
     spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; None if only their name is known.
     folder : the run directory, to which the files are written.
-    name : of the file that will hold coefficients and packing. In runs with checkpoints other files hold them, and are
-        written now, as the run may be resumed before there is a run.h5.
+    name : name of the file that will hold coefficients and packing. In runs with checkpoints other files hold them, and
+        are written now, as the run may be resumed before there is a run.h5.
     """
     with_file = settings.checkpoint_every is not None
     if scene.network.lattice is not None:
@@ -81,7 +81,8 @@ def self_contained(
 def publish(directory: RunDirectory, found: "Result") -> "Result":
     """Write a result into a new run directory, give the directory its name, and return the result with that path.
 
-    directory : as it is being written, under a hidden name. found : the result.
+    directory : as it is being written, under a hidden name.
+    found : the result.
     """
     found = replace(found, path=directory.path)
     write_run(directory.partial, found)
@@ -92,7 +93,8 @@ def publish(directory: RunDirectory, found: "Result") -> "Result":
 def write_run(folder: Path, found: "Result") -> None:
     """Write all files of a run except its figures: run.h5, summary.json, scene.toml and the histogram.
 
-    folder : the directory. found : the result.
+    folder : the directory.
+    found : the result.
     """
     from taichi_bearings.files.histogram_file import write_table
 
@@ -119,7 +121,7 @@ def write_state(file: Path, found: "Result", stored: RunSettings) -> None:
 
 @contextlib.contextmanager
 def _unless_full() -> Iterator[None]:
-    """Context that turns a WriteError, as on a full disk, into a warning: the files written before are enough."""
+    """Context in which a WriteError, such as on a full disk, becomes a warning: the files written before are enough."""
     try:
         yield
     except WriteError as error:
@@ -128,9 +130,8 @@ def _unless_full() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _unless_undrawable() -> Iterator[None]:
-    """Context that turns errors of drawing, as where matplotlib cannot be loaded, into a warning.
-
-    FileError and MemoryError are raised as they are.
+    """Context in which errors of drawing become a warning, such as when matplotlib cannot be loaded. FileError and
+    MemoryError are raised as they are.
     """
     try:
         yield

@@ -219,7 +219,7 @@ class Stepped(Contacts):
         """Return the forces, or elongations of springs, that a field holds, (C components, R samples, E contacts). In a
         packing C counts the tangents of a contact.
 
-        name : of the field.
+        name : name of the field.
         """
 
     @abstractmethod
@@ -264,8 +264,8 @@ class Stepped(Contacts):
         divided by the square of the radius.
 
         options : options of a method, with `mass` and `inertia`.
-        density : of the spheres of a packing, mass / length^D in D dimensions, one number or (N,), from which their
-            masses follow; None to use the mass in the options. Not used by lattices.
+        density : density of the spheres of a packing, mass / length^D in D dimensions, one number or (N,), from which
+            their masses follow; None to use the mass in the options. Not used by lattices.
         """
 
     @abstractmethod

@@ -493,7 +493,7 @@ OF_BEST = (
 class _Best:
     """The best state so far, and the best lower bound so far, chosen for each sample on its own.
 
-    progress : of a minimisation the states of least objective; of a dynamics the state now.
+    progress : for a minimisation the states of least objective reached so far; for a dynamics the state now.
     bound : (R samples,), the best lower bound on the objective, energy/time.
     proof : (C components, R, E contacts), contact forces from which that bound follows.
     keeps_best : True for a minimisation.

@@ -95,7 +95,7 @@ class RestWatch:
 
         found : the progress now.
         time : simulated time now.
-        radius : of spheres, length.
+        radius : radius of spheres, length.
         tolerance : largest relative change of the objective.
         believed : True if a state without change may be rest; False while springs may still be loading, which changes
             as little.
@@ -126,8 +126,8 @@ class Dynamics(Method):
     aim : the next simulated time at which a state is recorded; infinity for none.
     end : the simulated time at which the run ends; infinity if there is none.
     halted : True if no further step can be made.
-    density : of the spheres of a packing, mass / length^D in D dimensions, one number or (N,); None to use the mass in
-        the options. It is set before the method begins.
+    density : density of the spheres of a packing, mass / length^D in D dimensions, one number or (N,); None to use the
+        mass in the options. It is set before the method begins.
     inertia : moments of inertia of the free spheres, one number or (N,): mass * length^2 on a lattice; in a packing
         over the squared radius, mass.
 

@@ -75,10 +75,10 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
 def largest_stable_step(order: int, decay_rate: float, frequency_squared: float) -> float:
     """Return the largest time step at which the stiffest mode and all softer modes are stable; infinity if any step is.
 
-    order : of Gear's method.
-    decay_rate, frequency_squared : of the stiffest mode, 1/time and 1/time^2: A R^2 lambda / I and K R^2 lambda / I,
-        with damping A and stiffness K of a contact, radius R, moment of inertia I, and largest eigenvalue lambda.
-        Softer modes have the same ratio of the two. Either may be 0.
+    order : order of Gear's method.
+    decay_rate, frequency_squared : decay rate and frequency squared of the stiffest mode, 1/time and 1/time^2: A R^2
+        lambda / I and K R^2 lambda / I, with damping A and stiffness K of a contact, radius R, moment of inertia I, and
+        largest eigenvalue lambda. Softer modes have the same ratio of the two. Either may be 0.
     """
     # first the step is bracketed on a grid, then the bracket is halved 40 times
     rates = [r for r in (decay_rate, np.sqrt(frequency_squared)) if r > 0]
@@ -105,7 +105,7 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
     """Return for each time step the largest modulus of the eigenvalues of the amplification matrices, over the stiffest
     mode and softer ones, (steps,). The steps at which it is at most 1 are stable.
 
-    order : of Gear's method.
+    order : order of Gear's method.
     decay_rate, frequency_squared : damping rate, 1/time, and squared frequency, 1/time^2, of the stiffest mode; the
         softer modes have SOFTER_MODES times both.
     steps : (steps,), time steps.
@@ -211,7 +211,7 @@ class Modes:
         The error is the difference between the exact decay of the modes and that by Gear's method, root mean square
         over the modes.
 
-        order : of Gear's method.
+        order : order of Gear's method.
         time_step : length of its steps.
         """
         matrices = amplification(GEAR_COEFFICIENTS[order], time_step * self.decay, time_step**2 * self.oscillation)
@@ -232,7 +232,7 @@ class Modes:
     def error(self, order: int, time_step: float, steps: float) -> float:
         """Return the relative error of the spins in a run of `steps` steps, the largest on the way.
 
-        order : of Gear's method.
+        order : order of Gear's method.
         time_step : length of its steps.
         """
         reached = int(np.searchsorted(TIMES_IN_STEPS, steps, side="right"))
@@ -244,7 +244,7 @@ class Modes:
 
         The step is halved until that holds, also for a run of up to twice the length; NaN if HALVINGS do not suffice.
 
-        order : of Gear's method.
+        order : order of Gear's method.
         """
         longest = 2.0 ** max(steps, 1).bit_length()
         for parts in 2.0 ** np.arange(HALVINGS + 1):

@@ -157,7 +157,7 @@ class OnLists(Stepped):
         """Return the forces (or elongations of springs) of the contacts along their tangents, (d tangents, 1, E
         contacts).
 
-        name : of the field that holds them; in the field `force` they are vectors, which are projected.
+        name : name of the field that holds them; in the field `force` they are vectors, which are projected.
         """
         found = self.fields.read(name)
         return np.einsum("kre,tek->tre", found, self.across) if name == "force" else found
@@ -188,8 +188,8 @@ class OnLists(Stepped):
         """Return the moments of inertia of the spheres over the squares of their radii, (N spheres,), mass.
 
         options : options of a method, with `mass` and `inertia`.
-        density : of the spheres, mass / length^D in D dimensions, one number or (N,), from which their masses follow;
-            None to use the mass in the options.
+        density : density of the spheres, mass / length^D in D dimensions, one number or (N,), from which their masses
+            follow; None to use the mass in the options.
         """
         return self.scene.inertias(options.mass, options.inertia, density)
 

@@ -145,7 +145,7 @@ class OnStrides(Stepped, WithMinima):
         """Return the forces (or elongations of springs) of the contacts, (C components, R samples, E contacts), by spin
         component.
 
-        name : of the field that holds them.
+        name : name of the field that holds them.
         """
         return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
 

@@ -102,7 +102,7 @@ class OnSystem(WithMinima):
     def flowing(self, number: int) -> Found:
         """Return the spins and forces of a sample at which its viscous forces, without friction, are in balance.
 
-        number : of the sample.
+        number : number of the sample.
         """
         system, law = self.system, self.scene.law
         viscosity = law.viscosity(system.of_contacts(self.samples[number]))
@@ -197,7 +197,7 @@ class OnSystem(WithMinima):
         with all of it. The spins of that solution are then corrected so that these contacts roll, to the rounding of
         sums of two doubles, and judged with the whole friction. This is repeated with the new power while it pays.
 
-        number : of the sample.
+        number : number of the sample.
         found : its answer so far.
         ended : how the run ended.
         """

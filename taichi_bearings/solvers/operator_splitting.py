@@ -407,7 +407,7 @@ class TorqueBalance:
         A plane is spanned by the last side of the lattice and the height; a pair has so few planes that they fit into
         the cache.
 
-        name : of the field.
+        name : name of the field.
         """
         layout = self.fields.layout
         planes, of_modes = (-1, *layout.shape[-2:]), self.modes[: -layout.block].reshape(-1, layout.sites)

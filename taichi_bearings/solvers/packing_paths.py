@@ -162,7 +162,7 @@ class PackingPaths(Paths):
         """Return the spins and forces at the minimum of a sample: the end of its central path. For a sample without
         friction, which has no path, they are those at which its viscous forces balance.
 
-        number : of the sample.
+        number : number of the sample.
         """
         if number not in self.strengths:
             return self.contacts.flowing(number)
@@ -177,7 +177,7 @@ class PackingPaths(Paths):
         """Return the spins and forces that a sample has now: those of its point on the central path, those of its
         minimum if the contact states are settled, or 0 if it has no path.
 
-        number : of the sample.
+        number : number of the sample.
         """
         if number not in self.strengths:
             return self.contacts.at_rest()

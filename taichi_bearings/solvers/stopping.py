@@ -99,7 +99,7 @@ def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool)
     answer is STALLED. A dynamics is STATIONARY instead if a lower bound is 0: no relative gap to a least power of 0 can
     be small.
 
-    status : of the loop.
+    status : status of the loop.
     found : the answer with its proven gap.
     stop : the rule with the tolerance.
     is_dynamics : True if the method is a dynamics.

@@ -72,7 +72,7 @@ def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:
     """Return the most memory, bytes, of a method that factorises a Laplacian of the free spins of a lattice; infinity
     if the factor is too large to index.
 
-    shape : of the lattice.
+    shape : shape of the lattice.
     periodic : its periodic axes.
     """
     from taichi_bearings.lattice import Lattice
@@ -102,7 +102,7 @@ class MethodOptions:
     cpu_only : True if it works in the memory of the CPU, in double precision whatever is asked.
     alike_in_a_block : number of spheres of a sample up to which several seeds are solved together; that is faster, and
         gives each seed the same bits as solving it alone.
-    colour, marker : of its curves in figures.
+    colour, marker : colour and marker of its curves in figures.
     solves : function that is True for the laws that it solves.
     """
 
@@ -154,7 +154,7 @@ class MethodOptions:
         """Return the seconds to solve one sample of a lattice on one core of a common server, right within a factor of
         three; None if that is not known.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         tolerance : relative gap that is asked for.
         """
         return None
@@ -163,7 +163,7 @@ class MethodOptions:
     def step_seconds(cls, shape: Sequence[int]) -> float | None:
         """Return the seconds of a step, if all steps of the method on a lattice take the same time; else None.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         """
         return None
 
@@ -175,7 +175,7 @@ class MethodOptions:
         The memory of the interpreter itself comes on top. Judging the answer takes the most, unless a method overrides
         this because it needs more itself.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         periodic : its periodic axes.
         """
         return JUDGED_BYTES[len(shape)] * prod(shape)
@@ -238,7 +238,7 @@ class PlanarCut(MethodOptions):
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         """Return the seconds to solve one lattice, fitted to measured times: about a power of the number of spheres.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         tolerance : not used, as the minimum is exact.
         """
         return 1e-6 * prod(shape) if len(shape) == 2 else 2e-6 * prod(shape) ** 1.15
@@ -302,7 +302,7 @@ class InteriorPoint(MethodOptions):
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         """Return the seconds to solve one lattice, fitted to measured times.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         tolerance : not used, as a tighter one costs few steps more.
         """
         sites = prod(shape)
@@ -313,7 +313,7 @@ class InteriorPoint(MethodOptions):
         """Return the memory, bytes, that one sample takes: the larger of that of the factorisation and that of its
         answer.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         periodic : its periodic axes.
         """
         return max(_factorising_bytes(shape, periodic), super().bytes(shape))
@@ -343,7 +343,7 @@ class OperatorSplitting(MethodOptions):
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         """Return the seconds to solve one lattice, fitted to measured times: number of iterations times seconds of one.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         tolerance : relative gap that is asked for.
         """
         iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(prod(shape) / 4096, 1) ** 0.25
@@ -375,7 +375,7 @@ class LinearSolver(MethodOptions):
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         """Return the seconds to solve one lattice, fitted to measured times.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         tolerance : not used, as the solution is exact to round-off.
         """
         return 0.003 + 4e-6 * prod(shape)
@@ -500,7 +500,7 @@ class RigidLimit(Motion):
         """Return the memory, bytes, that one sample takes: the larger of that of the factorisation and that of its
         answer.
 
-        shape : of the lattice.
+        shape : shape of the lattice.
         periodic : its periodic axes.
         """
         return max(_factorising_bytes(shape, periodic), super().bytes(shape))

@@ -54,7 +54,10 @@ def main(request: dict[str, Any]) -> None:
 
 
 def sites(code: Any) -> np.ndarray:
-    """Return lattice indices of the spheres that this process owns, (own spheres, 3). code : the LAMMPS instance."""
+    """Return lattice indices of the spheres that this process owns, (own spheres, 3).
+
+    code : the LAMMPS instance.
+    """
     return np.rint(code.numpy.extract_atom("x")[: code.extract_setting("nlocal")]).astype(int)
 
 
