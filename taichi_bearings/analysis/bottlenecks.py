@@ -50,14 +50,16 @@ LEAST_COUNT = 1e-200  # smallest number of paths that is kept, in units of the l
 
 @dataclass(frozen=True)
 class Betweenness:
-    """The loads of all links and spheres: how many shortest paths of all pairs run through them. Links are slipless
-    contacts; a pair is a bottom and a top sphere that links connect; each pair counts 1, split evenly over its shortest
-    paths.
+    """The loads of all links and spheres. A link is a slipless contact. A pair is a bottom and a top sphere that links
+    connect. The load of a link or sphere is the number of shortest paths through it, where all shortest paths of one
+    pair together count 1.
 
-    link : (links,), load of each link. sphere : (spheres,), load of each sphere, which includes the pairs whose end it
-        is.
-    pairs : number of connected pairs. mean_distance : mean length of their shortest paths in links; 0 without pairs.
-    is_exact : True if paths were counted from all sources; else the loads are an unbiased estimate from some.
+    link : (links,), load of each link.
+    sphere : (spheres,), load of each sphere, which includes the pairs whose end it is.
+    pairs : number of connected pairs.
+    mean_distance : mean length of their shortest paths, as a number of links; 0 without pairs.
+    is_exact : True if the paths of all pairs were counted; False if the loads are an unbiased estimate from a random
+        sample of starting spheres.
     """
 
     link: np.ndarray
@@ -69,10 +71,10 @@ class Betweenness:
 
 @dataclass(frozen=True)
 class Bottlenecks:
-    """Bottlenecks of one sample: the loads of its links, the backbone, and the links that alone separate bottom and
-    top.
+    """What carries the paths of slipless contacts, the links, from bottom to top in one sample: loads, backbone, and
+    links that alone separate the two.
 
-    Links are slipless contacts. network : the slipless network of the sample.
+    network : the slipless network of the sample.
     """
 
     network: SliplessNetwork
@@ -82,9 +84,9 @@ class Bottlenecks:
         """(links,) mask: True for links on some path from bottom to top that visits no node twice; all False if there
         is no path. No other link is on a shortest path.
 
-        It is found by blocks, the largest sets of links any two of which lie on a common cycle. Each driven body is
-        joined to one extra node by an extra link, which makes cycles of the paths from bottom to top. The backbone are
-        the blocks that contain extra links.
+        It is found by blocks: the largest sets of links any two of which lie on a common cycle. Extra links join each
+        driven body to one extra node, so that every path from bottom to top becomes part of a cycle. The backbone
+        consists of the blocks that contain extra links.
         """
         network, through = self.network, np.zeros(self.network.ends.shape[1], dtype=bool)
         if not network.spans:
@@ -131,17 +133,20 @@ class Bottlenecks:
 
     @property
     def effective_links(self) -> float:
-        """Number of links that would have the same participation number if they shared all load equally: (sum load)^2 /
-        sum load^2; 0 without pairs.
+        """Effective number of links that carry the shortest paths from bottom to top: (sum load)^2 / sum load^2, with
+        the loads of all links. It is n if n links have equal loads and the others none; 0 without paths.
         """
         load = self.share
         return float(load.sum() ** 2 / (load**2).sum()) if load.any() else 0.0
 
     def most_loaded(self, number: int = 10) -> list[Json]:
-        """Return the links of greatest load, the greatest first, each as a dictionary.
+        """Return the links of greatest load (share of the shortest paths from bottom to top that run through a link),
+        the greatest first, each as a dictionary.
 
-        number : how many links at most. Entries: what identifies the link (`contact`, and `axis` or `spheres`), its
-            `share` of the pairs, and `parts_the_planes`, True if its removal alone separates bottom and top.
+        number : how many links at most.
+
+        Entries: what identifies the link (`contact`, and `axis` or `spheres`), its load as `share`, and
+        `parts_the_planes`, True if its removal alone separates bottom and top.
         """
         columns = {**self.network.names, "share": self.share, "parts_the_planes": self.parting}
         rank = np.argsort(-self.share.round(12), kind="stable")
@@ -167,13 +172,14 @@ def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
 
 
 def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Betweenness:
-    """Return the loads of links and spheres of one sample by the shortest paths between its driven bodies.
+    """Return the loads of links (slipless contacts) and spheres of one sample: how many shortest paths between its
+    driven bodies run through each.
 
-    network : the slipless network. links : (links,) mask of those that can lie on a shortest path (the backbone), to
-        save work; default all.
+    network : the slipless network.
+    links : (links,) mask of the links that can lie on a shortest path, to save work; None for all.
 
-    Paths are counted from the driven spheres of the body that has fewer spheres in pairs: from all of them, or from a
-    random sample where that would be more work than EXACT_WORK.
+    Paths are counted from the driven spheres of the body that has fewer spheres on paths: from all of them or, if that
+    would take more work than EXACT_WORK, from a random sample.
     """
     sites, edges = len(network.body), network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
@@ -189,11 +195,14 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
 def _between(
     neighbours: "_Neighbours", passed: np.ndarray, edges: int, starts: np.ndarray, targets: np.ndarray, pairs: int
 ) -> Betweenness:
-    """Return the loads by the shortest paths between two driven bodies.
+    """Return the loads of links and spheres, which say how many shortest paths between two driven bodies run through
+    each. All shortest paths between the same two spheres together count 1.
 
-    neighbours : the neighbours of all spheres. passed : (spheres,) mask of those that paths may run through.
-    edges : number of links of the network. starts, targets : numbers of the spheres of the one and of the other body.
-    pairs : number of connected pairs of these.
+    neighbours : the neighbours of all spheres.
+    passed : (spheres,) mask of those that paths may run through.
+    edges : number of links of the network.
+    starts, targets : numbers of the spheres of the one and of the other body.
+    pairs : number of pairs of a start and a target that some path connects.
     """
     # all sources are searched, or a random sample of as many as EXACT_WORK allows
     sites = len(passed)
@@ -221,10 +230,10 @@ def _between(
 
 
 def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
-    """Yield, for each driven body and all bodies of higher number, the spheres that belong to pairs between them.
-
-    Each item has the numbers of the spheres on the side with fewer of them, those on the other side, and the number of
-    pairs. Two driven spheres are a pair if they have links to the same connected piece of free spheres.
+    """Yield, for each driven body and all bodies of higher number, the spheres that paths between them can start or end
+    at. Each item has the numbers of these spheres on the side with fewer of them, those on the other side, and the
+    number of pairs that some path connects. A path connects two driven spheres if they have links to the same connected
+    piece of free spheres.
 
     network : a graph of spheres, some of them driven, and of links between them.
     """
@@ -266,12 +275,11 @@ def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
 
 
 class _Neighbours(NamedTuple):
-    """The neighbours of all spheres in one long list, sphere after sphere.
+    """The neighbours of all spheres in one long list, sphere after sphere. Those of sphere i are sphere[k], reached
+    over the links link[k], with k from first[i] to first[i] + degree[i] - 1.
 
-    Those of sphere i are sphere[k], over the links link[k], with k from first[i] to first[i] + degree[i] - 1.
-
-    first, degree : (spheres,), where the neighbours of each sphere begin in the list, and how many they are.
-    sphere, link : (2 * links,), number of the neighbour, and of the link to it.
+    first, degree : (spheres,), where the neighbours of each sphere begin in the list, and how many it has.
+    sphere, link : (2 * links,), number of each neighbour, and of the link to it.
     """
 
     first: np.ndarray
@@ -281,9 +289,11 @@ class _Neighbours(NamedTuple):
 
 
 def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
-    """Return the neighbours of all spheres over some links. links : numbers of these links.
+    """Return for each sphere its neighbours over some of the links.
 
-    network : a graph of spheres and links."""
+    network : a graph of spheres and links.
+    links : (n,), numbers of the links that count.
+    """
     low, high = network.ends[:, links]
     here, there = np.concatenate([low, high]), np.concatenate([high, low])
     order = np.argsort(here, kind="stable")
@@ -311,10 +321,12 @@ class _Level(NamedTuple):
 
 
 def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarray) -> list[_Level]:
-    """Return the levels of breadth-first searches, the nearest first; level 0 has the sources themselves.
+    """Return the levels of breadth-first searches, the nearest first. A level has the spheres at one distance from the
+    sources, and for each link to them its share of the shortest paths; level 0 has the sources themselves.
 
-    neighbours : of all spheres. passed : (spheres,) mask of those from which a search goes on. sources : numbers of the
-        spheres where the searches begin, one for each search.
+    neighbours : the neighbours of all spheres.
+    passed : (spheres,) mask of those from which a search goes on.
+    sources : numbers of the spheres where the searches begin, one for each search.
     """
     searches, sites = len(sources), len(neighbours.degree)
     place = np.full(searches * sites, -1, dtype=np.int32)  # index in the level of a sphere found; -1 if not found yet
@@ -348,12 +360,12 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
 
 
 def _send_home(levels: Sequence[_Level], is_target: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Send one unit from every target back to the source of each search, split over its shortest paths, and return the
-    loads.
+    """Send one unit from every target back to the source of each search, split over its shortest paths. Return two
+    things: a list with what arrives at the spheres of each level, and one array with what flows through the links, from
+    the farthest level to the nearest.
 
-    levels : of the searches, the nearest first. is_target : (spheres,) mask. Two things are returned: a list with the
-        loads of the spheres of each level, and one array with those of the links, from the farthest level to the
-        nearest.
+    levels : levels of the searches, the nearest first.
+    is_target : (spheres,) mask of the targets.
     """
     arrived, flows = [is_target[level.sphere].astype(float) for level in levels], [np.empty(0)]
     for distance in range(len(levels) - 1, 0, -1):

@@ -83,13 +83,17 @@ class RigidDomains:
         cls, spin_axes: tuple[int, ...], labels: np.ndarray, tied: np.ndarray, spins: np.ndarray,
         jump: np.ndarray | None, shape: tuple[int, ...], bodies: tuple[str, ...] = ("bottom", "top"),
     ) -> "RigidDomains":  # fmt: skip
-        """Return the rigid domains, given the domains of each of the C components.
+        """Return the rigid domains, given what slipless contacts join in each of C spin components. Spheres that
+        slipless contacts force to have the same component k, up to signs, are a domain of k; a rigid domain is a set of
+        spheres that agree in all C.
 
-        spin_axes : numbers of the components. labels : (C, spheres), number of the domain of each sphere by component.
-        tied : (C, spheres), driven bodies to which that domain is locked, as `Lock`.
+        spin_axes : numbers of the components.
+        labels : (C, spheres), number of the domain of each sphere in each component.
+        tied : (C, spheres), driven bodies that are in that domain, as values of `Lock`.
         spins : (C, spheres), spins with opposite signs for neighbours, measured from the bottom.
-        jump : (C, spheres), spin of the top, as `spins`; None where driven bodies are not in bearing states.
-        shape : of arrays over the spheres. bodies : names of the driven bodies.
+        jump : (C, spheres), spin of the top, counted as `spins`; None where driven bodies are not in bearing states.
+        shape : shape of arrays over the spheres.
+        bodies : names of the driven bodies.
         """
         # sizes and mean spins of the domains; a domain locked to the top has the spin of the top
         domain = refined(labels)
@@ -136,11 +140,11 @@ class RigidDomains:
 
     @property
     def largest_intermediate(self) -> int:
-        """Spheres of the largest rigid domain that is not locked to one plane in all components."""
+        """Number of spheres of the largest rigid domain that is not locked to one driven plane in all components."""
         return int(self.spheres[self.kind > len(self.bodies)].max(initial=0))
 
     def domains_of_kind(self) -> dict[str, int]:
-        """Number of rigid domains of each kind."""
+        """Return the number of rigid domains of each kind, by the name of the kind."""
         return dict(zip(self.locks, np.bincount(self.kind, minlength=len(self.locks)).tolist(), strict=True))
 
     def spheres_of_kind(self, counted: np.ndarray) -> dict[str, int]:
@@ -169,14 +173,15 @@ def domains_of_packing(
 ) -> RigidDomains:
     """Return the rigid domains of a sample of a packing, found from its spins.
 
-    A domain has the spheres of one connected piece of slipless contacts that have the same sign * radius * spin, with
-    signs by which neighbours differ. It is locked to a driven body that is among them.
+    A domain consists of the spheres of one connected piece of slipless contacts that have the same sign * radius *
+    spin, with signs by which neighbours differ. It is locked to a driven body if that has spheres among them.
 
-    network : the slipless contacts. signed_speeds : (spheres N, components C), sign * radius * spin, length/time.
+    network : the slipless contacts.
+    signed_speeds : (spheres N, components C), sign * radius * spin, length/time.
     states : (2, N, C), these numbers if all spheres rotated with the first, or with the second, of two driven bodies;
         None if there are no two bodies in bearing states.
-    near : difference of speeds within a domain that rounding may cause, length/time. axes : numbers of the components
-        that are compared.
+    near : difference of speeds within a domain that rounding may cause, length/time.
+    axes : numbers of the components that are compared.
     """
     piece, whole, largest = network.component, network.whole, np.abs(signed_speeds).max(initial=0.0)
     low, high = np.zeros((2, *signed_speeds.shape)) if states is None else states

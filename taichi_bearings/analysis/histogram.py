@@ -21,10 +21,10 @@ COUNTED_STATES = (ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UND
 class SampleCounts:
     """Numbers of slipping contacts of S samples in B logarithmic bins of power.
 
-    first, bins_per_decade : bin number b covers powers from 10^((first + b) / bins_per_decade) to the begin of bin b +
-        1.
-    count : (S, bins B) slipping contacts in each bin.
-    contacts : (S, 4) contacts in each of the states COUNTED_STATES.
+    first, bins_per_decade : bin number b holds powers from 10^((first + b) / bins_per_decade) up to where bin b + 1
+        begins.
+    count : (S, bins B), slipping contacts in each bin.
+    contacts : (S, 4), numbers of contacts that are slipless, slipping, undecided and tied (slip at some minima only).
     """
 
     first: int
@@ -91,11 +91,13 @@ def count_powers(
     bins_per_decade: int = 5,
     unit: np.ndarray | None = None,
 ) -> SampleCounts:
-    """Return how many slipping contacts of each of R samples fall into each logarithmic bin of power.
+    """Return how many slipping contacts of each of R samples fall into each logarithmic bin of power. Slipping contacts
+    with a power of exactly 0 are in no bin.
 
+    power : (R, contacts E), energy/time.
+    state : (R, E), values of ContactState.
     bins_per_decade : bins for each factor of 10 of the power.
-    power : (R, E) of the E contacts, energy/time. state : (R, E), contact states. unit : (R,), power that serves as
-        unit in each sample; default 1. Slipping contacts with a power of exactly 0 are in no bin.
+    unit : (R,), power that serves as unit in each sample; None for 1.
     """
     replica, contact = np.nonzero((state == ContactState.SLIPPING) & (power > 0))
     scale = np.ones(len(power)) if unit is None else unit
@@ -158,11 +160,14 @@ def pool(
     disorder: np.ndarray | None = None,
     left_out: Mapping[str, int] | None = None,
 ) -> PowerHistogram:
-    """Return one histogram of all samples, with standard errors.
+    """Return one histogram of the power of all slipping contacts of S samples, with standard errors.
 
-    of : counts of S samples. slip_threshold, units, left_out : as in :class:`PowerHistogram`.
-    disorder : (S,) equal numbers for samples with the same coefficients, which depend on each other; by default all are
+    of : counts of the samples.
+    slip_threshold : largest slip speed, length/time, up to which contacts counted as slipless in one of the samples.
+    units : unit of the power, as a text.
+    disorder : (S,) equal numbers for samples with the same coefficients, which depend on each other; None if all are
         independent.
+    left_out : for each reason, how many further samples were left out; None for none.
     """
     # samples of one disorder are summed first; errors are those of sums, and of their ratios, over independent samples
     own = of.count if disorder is None else _by_disorder(of.count, disorder)

@@ -37,7 +37,7 @@ class SliplessNetwork:
 
     @property
     def lattice(self) -> Lattice:
-        """The lattice of the sample; asked for only where there is one."""
+        """The lattice of the sample, which must be one: a packing has none."""
         assert self.whole.lattice is not None
         return self.whole.lattice
 
@@ -71,8 +71,8 @@ class SliplessNetwork:
 
     @property
     def names(self) -> dict[str, np.ndarray]:
-        """Columns (edges, ...) that identify the edges in listings: position and axis on a lattice, else numbers of
-        contact and spheres.
+        """Columns (edges, ...) that identify the edges (slipless contacts) in listings, by name: position of the lower
+        sphere and axis on a lattice, else numbers of contact and spheres.
         """
         if self.whole.lattice is None:
             return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
@@ -143,7 +143,7 @@ class SliplessNetwork:
 
     @property
     def spans(self) -> bool:
-        """Whether slipless contacts join two driven bodies; for a lattice the bottom and the top plane."""
+        """True if slipless contacts join two driven bodies; for a lattice the bottom and the top plane."""
         return bool(self.spanning.any())
 
     @cached_property
@@ -180,8 +180,10 @@ class SliplessNetwork:
         return int(maximum_flow(self.graph(), *self.driven_nodes).flow_value) if len(self.driven_nodes) == 2 else None
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return an array (contacts,) over all contacts: the values of the edges, and 0 elsewhere.
-        values : (edges,).
+        """Return an array (contacts,) over all contacts of the sample: the values at slipless contacts, 0 at the
+        others.
+
+        values : (edges,), one for each slipless contact.
         """
         spread = np.zeros(self.slipless.shape, dtype=values.dtype)
         spread[self.slipless] = values
@@ -210,19 +212,27 @@ class SliplessNetwork:
         return np.array([self._beside(inner[0], start), *inner, self._beside(inner[-1], stop)])
 
     def _beside(self, sphere: int, body: int) -> int:
-        """Return the number of a sphere of a driven body that has an edge to this sphere. body : node of the body."""
+        """Return the number of a sphere of a driven body that a slipless contact joins to a free sphere; there must be
+        one.
+
+        sphere : number of the free sphere.
+        body : number of the node that stands for the driven body.
+        """
         first, second = self.ends
         others = np.concatenate([second[first == sphere], first[second == sphere]])
         return int(others[self.body[others] == body][0])
 
     @property
     def shortest_path(self) -> np.ndarray:
-        """(L, dimension), lattice positions of the spheres along `path`."""
+        """(L, dimension), lattice positions of the L spheres along the shortest path of slipless contacts from bottom
+        to top; L = 0 if there is none.
+        """
         return self.places(self.path)
 
     @cached_property
     def on_path(self) -> np.ndarray:
-        """(contacts,) True for the contacts along `path`.
+        """(contacts,) mask: True for the contacts along the shortest path between two driven bodies whose spheres
+        `path` lists.
 
         Two spheres in a ring of two have two contacts with each other, of which the first one is taken.
         """
@@ -235,25 +245,30 @@ class SliplessNetwork:
 
     @property
     def path_planes(self) -> Any:
-        """Number of lattice planes across each sideways axis that `path` visits; None for a packing."""
+        """For each sideways axis (x, in 3D also y) the number of different lattice positions along it that the shortest
+        slipless path from bottom to top visits, as a list; None for a packing.
+        """
         if self.whole.lattice is None:
             return None
         return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
 
     def winding(self, axis: int) -> np.ndarray:
-        """Return a mask of the spheres in pieces with a closed path around a periodic axis of a lattice, in the shape
-        of the lattice.
+        """Return a mask of the spheres in connected pieces that have a closed path of slipless contacts around a
+        periodic axis of the lattice, in the shape of the lattice.
 
-        axis : its number. Only paths of slipless contacts count; a driven plane, which would always go around, is not
-            one node here.
+        axis : number of the axis.
+
+        Here a driven plane does not count as one node: it would always go around.
         """
         over_the_side = (self.axis == axis) & (self.contact[:, axis] == self.shape[axis] - 1)
         return winding(len(self.body), self.ends, over_the_side.astype(int)).reshape(self.shape)
 
     def winds_around(self, axis: int, spanning: bool = False) -> bool | None:
-        """Return whether slipless contacts form a closed path around an axis; None if it is no periodic lattice axis.
+        """Return True if slipless contacts form a closed path around an axis; None if the axis is not periodic or there
+        is no lattice.
 
-        axis : its number. spanning : count only paths in pieces that join the planes.
+        axis : number of the axis.
+        spanning : True to count only paths in connected pieces that join bottom and top.
         """
         if self.whole.lattice is None or axis not in self.whole.lattice.periodic:
             return None
@@ -261,10 +276,12 @@ class SliplessNetwork:
 
 
 def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """Return a mask (nodes,) of the nodes in pieces of a graph with a closed path that goes around a periodic axis.
+    """Return a mask (nodes,) of the nodes in connected pieces of a graph that have a closed path around a periodic
+    axis.
 
-    nodes : their number. ends : (2, edges E), nodes of the E edges. turns : (edges E,), whole numbers, how often an
-        edge goes around from its first end to the second.
+    nodes : number of nodes.
+    ends : (2, edges), nodes of each edge.
+    turns : (edges,), whole numbers: how often an edge goes around from its first end to the second.
 
     A closed path goes around if its turns do not add up to 0. A piece without such a path can be unrolled: its nodes
     have whole numbers (places) whose differences are the turns of the edges.
@@ -276,7 +293,9 @@ def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
     above, place, winds = list(range(pieces)), [0] * pieces, [False] * pieces
 
     def root_of(one: int) -> tuple[int, int]:
-        """Return the root of a part in the tree of parts that are joined already, and its place relative to that."""
+        """Return the root of a part in the tree of parts that are joined already, and the part's place relative to that
+        root.
+        """
         way = []
         while above[one] != one:
             way.append(one)

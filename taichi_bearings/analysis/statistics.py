@@ -78,14 +78,19 @@ class Census:
 
 
 def mean_interval(values: np.ndarray) -> Estimate:
-    """Return the mean of numbers (samples,) with its interval, which has no width where all are equal."""
+    """Return the mean of numbers and its 95 % confidence interval; the interval has no width if all numbers are equal,
+    and its ends are not-a-number for fewer than LEAST_SAMPLES numbers.
+
+    values : (samples,).
+    """
     return ratio_interval(values, np.ones(len(values)))
 
 
 def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
-    """Return the mean of the numerator over the mean of the denominator, with its interval.
+    """Return the mean of the numerator over the mean of the denominator, with its 95 % confidence interval. The ends of
+    the interval are not-a-number for fewer than LEAST_SAMPLES samples.
 
-    numerator, denominator : (samples,) numbers of the same samples, in the same order; all denominators of one sign.
+    numerator, denominator : (samples,) numbers of the same samples, in the same order; all denominators have one sign.
     """
     above, below = (np.asarray(values, dtype=float) for values in (numerator, denominator))
     number = len(above)
@@ -141,18 +146,24 @@ def _bootstrap(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
 
 
 def independent(values: np.ndarray, disorder: np.ndarray) -> np.ndarray:
-    """Return one number for each disorder: the mean of its samples. values, disorder : (samples,)."""
+    """Return one number for each disorder (set of coefficients): the mean of the samples that share it.
+
+    values : (samples,), numbers of the samples.
+    disorder : (samples,), equal for samples with the same coefficients.
+    """
     _, which, number = np.unique(disorder, return_inverse=True, return_counts=True)
     return values if len(number) == len(values) else np.bincount(which, values) / number
 
 
 def groups(columns: Mapping[str, np.ndarray], keys: Sequence[str]) -> dict[tuple[Any, ...], np.ndarray]:
-    """Return the rows of a table in groups of equal values in some of its columns.
+    """Return the rows of a table in groups of equal values in some of its columns: the numbers of the rows of each
+    group, rising, by the tuple of these values.
 
-    columns : arrays of equal lengths by name. keys : names of the columns to group by.
-    returns : numbers of the rows of each group, rising, by the tuple of the values of the keys. Values are the same if
-        they are equal to the last bit; not-a-number is one value, None. Groups come in the order of their values:
-        numbers rise, texts too, numbers within texts (8x8 before 10x10) by size.
+    columns : arrays of equal lengths by name.
+    keys : names of the columns to group by.
+
+    Values are the same if they are equal to the last bit; not-a-number counts as one value, None. Groups are in the
+    order of their values: numbers rise, texts too, numbers within texts (8x8 before 10x10) by size.
     """
     rows: dict[tuple[Any, ...], list[int]] = {}
     listed = [[_plain(value) for value in columns[key].tolist()] for key in keys]

@@ -49,13 +49,13 @@ MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "sp
 class TorqueFlow:
     """The torque that drives a sample, and the power that it brings into the network of contacts.
 
-    total : (components C,), torque that drives the top plane, or the second of two bodies, and holds the other one,
-        force * length, by spin component; with fewer or more than two bodies that of each, (bodies, C). The torque on
-        each sphere is counted with the sign of its sublattice.
-    power : (bodies,), power that each body spends, energy/time; from certifying forces of the Coulomb law it is a lower
-        bound.
-    slipless_share : fraction of the power between two bodies that slipless contacts carry; 0 without power, None where
-        the two bodies are not in bearing states.
+    total : (components C,), force * length: torque that drives the top plane, or the second of two bodies, by spin
+        component; the other body is held against it. With fewer or more than two bodies (bodies, C), that on each.
+        Torques on neighbours count with opposite signs.
+    power : (bodies,), power that each body spends, energy/time. If the forces are those that prove the lower bound of
+        the Coulomb law, it is a lower bound too.
+    slipless_share : share of the power between two bodies that slipless contacts carry; 0 without power, None where the
+        two bodies are not in bearing states.
     """
 
     total: np.ndarray
@@ -115,7 +115,9 @@ class Structure:
         return by_threshold(self.slip, self.found, self.threshold)
 
     def by_threshold(self, threshold: float) -> "Structure":
-        """Return the structure of this sample if contacts count as slipless up to a slip speed, length/time."""
+        """Return the structure of this sample in which all contacts whose slip speed is at most `threshold`,
+        length/time, count as slipless.
+        """
         return replace(self, threshold=threshold)
 
     def contacts_in(self, which: ContactState) -> int:
@@ -134,12 +136,14 @@ class Structure:
 
     @property
     def states_proven(self) -> bool:
-        """Whether the state of every contact is proven to be that of every minimum."""
+        """True if the state of every contact is proven: to hold at every state of least power."""
         return self.threshold is None and bool(self.answer.states_proven[0])
 
     @property
     def minimum_is_unique(self) -> bool | None:
-        """Whether all minima have the same slips: True or False where that is proven, else None."""
+        """True if all states of least power are proven to have the same slips, False if they are proven not to; None if
+        neither is.
+        """
         return self.answer.minimum_is_unique[0] if self.threshold is None else None
 
     @property
@@ -154,7 +158,7 @@ class Structure:
 
     @property
     def fastest(self) -> float:
-        """The largest imposed R omega, length/time; for a lattice measured from its bottom plane."""
+        """The largest imposed radius * spin, length/time; for a lattice measured from its bottom plane."""
         return float(np.linalg.norm(self.scene.driven_speed, axis=1).max(initial=0.0))
 
     def shown_spin(self, spin: np.ndarray) -> np.ndarray:
@@ -179,8 +183,8 @@ class Structure:
 
     @property
     def snapshots(self) -> np.ndarray:
-        """Laboratory spins (S, spheres *N) or (S, *N, 3) at the S snapshots of a dynamics, 1/time; asked for only where
-        there are some.
+        """(S, spheres *N) or (S, *N, 3), laboratory spins at the S snapshots of a dynamics, 1/time. The run must have
+        snapshots.
         """
         assert self.answer.snapshots is not None
         return np.asarray(self.answer.snapshots.spin[:, 0])
@@ -209,7 +213,9 @@ class Structure:
 
     @cached_property
     def interface(self) -> Interface | None:
-        """The lightest interface of two rigid domains; None where there are no two bearing states."""
+        """The lightest interface between two rigid domains, a minimum cut: each domain rotates with one of two driven
+        bodies. None if there are not two driven bodies in bearing states, at which no contact slips.
+        """
         with stage("finding the minimum cut"):
             return find_interface(self.scene)
 
@@ -245,10 +251,10 @@ class Structure:
 
     @cached_property
     def rigid_domains(self) -> RigidDomains:
-        """The rigid domains: spheres with the same spin, up to the signs of the sublattices.
+        """The rigid domains: sets of spheres that have the same spin, up to signs by which neighbours differ.
 
         On a lattice they are the spheres whose spins slipless contacts force to be equal. In a packing they are the
-        spheres of one connected piece of slipless contacts that have the same s R omega.
+        spheres of one connected piece of slipless contacts that have the same sign * radius * spin.
         """
         with stage("finding rigid domains"):
             if self.whole.lattice is not None:
@@ -372,10 +378,11 @@ class Structure:
 
 
 def structure_of(answer: Solution, number: int = 0, threshold: float | None = None) -> Structure:
-    """Return the structure of one sample of an answer.
+    """Return what the contacts of one sample of an answer form: network, domains, cut, bottlenecks.
 
-    number : of the sample, from 0. threshold : slip speed, length/time, up to which contacts count as slipless; None to
-        take the states of the answer.
+    answer : the solution of one or several samples.
+    number : number of the sample, from 0.
+    threshold : slip speed, length/time, up to which contacts count as slipless; None to take the states of the answer.
     """
     one = answer.sample(number)
     power, lower_bound = float(one.power[0]), float(one.lower_bound[0])
@@ -384,15 +391,15 @@ def structure_of(answer: Solution, number: int = 0, threshold: float | None = No
 
 
 def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the number (C,) of states of self-stress of a lattice, for each spin component: independent forces on
+    """Return the number (C,) of states of self-stress of a lattice in each of C spin components: independent forces on
     slipless contacts that balance by themselves.
 
-    network : of the slipless contacts. spin_axes : numbers of the C components.
+    network : the slipless contacts.
+    spin_axes : numbers of the C components.
 
-    These states are the loops of slipless contacts around which torque of a component can circulate. Let the forces of
-    slipping contacts and the total torque be given. Then each connected piece has one unknown for each slipless
-    contact, and one equation of balance for each node, one of which follows from the others. So the sum over the
-    components is the number of free parameters of the forces while no slipless contact is at its friction limit.
+    Such a state is a loop of slipless contacts around which torque can circulate; contacts along the axis of a
+    component carry none of its torque. In each connected piece one force is unknown for each slipless contact, and all
+    nodes but one give an equation of balance. Therefore the number is contacts - (nodes - pieces).
     """
     states = []
     for component in spin_axes:

@@ -104,8 +104,8 @@ def smallest_odd_loop(network: Network) -> int | None:
 
 
 def slipless_number(network: Network, free: np.ndarray) -> tuple[int | None, str]:
-    """Return the number of independent slipless motions (spins at which no contact slips), None if it stays open, and
-    words for how it was found.
+    """Return the number of independent slipless motions (spins at which no contact slips), None if it cannot be
+    decided, and words for how it was found.
 
     network : the spheres and contacts of a sample.
     free : (spheres N,), mask of the spheres that may rotate; the others are at rest.
@@ -115,12 +115,12 @@ def slipless_number(network: Network, free: np.ndarray) -> tuple[int | None, str
 
 
 def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[int]) -> int | None:
-    """Return the number of states of self-stress: independent contact forces that balance on all free spheres by
-    themselves.
+    """Return the number of states of self-stress, independent forces on some contacts that balance on all free spheres
+    by themselves; None where rounding leaves the number undecided.
 
     network : the spheres and contacts of a sample.
-    contact : (n,), numbers of the contacts that bear forces. components : numbers of the spin components in which
-        torques are balanced. None where rounding leaves the number open.
+    contact : (n,), numbers of the contacts that bear forces.
+    components : numbers of the spin components in which torques are balanced.
     """
     free = np.zeros(network.spheres, dtype=bool)
     free[network.contact[:, contact]] = True
@@ -133,12 +133,12 @@ def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[i
 def _motions(
     network: Network, free: np.ndarray, contact: np.ndarray, components: Sequence[int]
 ) -> tuple[sparse.csr_array, int | None, str]:
-    """Return the matrix that turns spins into slips, the number of slipless motions (None if it stays open), and words
-    for how it was found.
+    """Return three things: the matrix that turns spins into slips; the number of slipless motions (spins at which none
+    of some contacts slips), None if it cannot be decided; and words for how it was found.
 
     network : the spheres and contacts of a sample.
-    free : (spheres N,), mask of the spheres that may rotate. contact : (n,), numbers of the contacts that must not
-    slip.
+    free : (spheres N,), mask of the spheres that may rotate.
+    contact : (n,), numbers of the contacts that must not slip.
     components : numbers of the spin components that may be other than 0.
     """
     # the motions are the kernel of the operator: by singular values if it is small, else by sparse elimination

@@ -40,9 +40,14 @@ PROBLEM_NAMES = {"cbf": "problem.cbf", "fclib": "problem.hdf5"}
 
 def export_problem(run: str | Path, form: str, out: str | Path | None, force: bool = False, replica: int = 0) -> Json:
     """Write the minimisation problem of one sample of a run as a file for other solvers, and return what the file
-    holds.
+    holds, by name.
 
-    run, out, force, replica : as for :func:`taichi_bearings.export.vtkhdf.export`. form : "cbf" or "fclib".
+    run : a run directory or its run.h5.
+    form : "cbf" or "fclib".
+    out : the file; an earlier one is replaced only with `force`. None for problem.cbf or problem.hdf5 in the run
+        directory, where an earlier one is replaced.
+    force : True to replace a file `out`.
+    replica : number of the sample, from 0.
 
     Raises InputError for a problem that the format cannot express.
     """
@@ -77,11 +82,12 @@ def write_problem(bearing: Bearing, form: str, path: Path) -> Json:
 def cbf(system: ContactSystem, bearing: Bearing) -> str:
     """Return the minimisation problem as text in the conic benchmark format.
 
-    The unknowns are u (radius * spin), and for each contact t >= |slip| for friction and s >= |slip|^2 for viscosity: a
-    cone (t, slip), and a rotated cone (s, 1/2, slip).
+    The unknowns are u (radius * spin of free spheres), and for each contact t >= |slip| for friction and s >= |slip|^2
+    for viscosity: a cone (t, slip), and a rotated cone (s, 1/2, slip). Components of slips that are 0 whatever the
+    spins are left out, and so are contacts without other components.
 
-    system : matrix and constant part of the slips. bearing : what is solved. Components of slips that are 0 whatever
-        the spins are left out, and so are contacts without other components.
+    system : matrix and constant part of the slips.
+    bearing : the lattice or packing that is to be solved.
     """
     law, (d, count), unknowns = bearing.law, system.offset.shape, system.unknowns
     live = (np.diff(system.operator.indptr) > 0).reshape(d, count) | (system.offset != 0)
@@ -116,7 +122,9 @@ def write_fclib(file: h5py.File, system: ContactSystem, bearing: Bearing) -> Non
     """Write the minimisation problem in the layout of fclib_write_local. The local frame of a contact is its normal,
     then its tangents.
 
-    file : the opened file. system : matrix and constant part of the slips.
+    file : the opened file.
+    system : matrix and constant part of the slips.
+    bearing : the lattice or packing that is to be solved.
     """
     d, count = system.offset.shape
     by_contact = np.arange((d + 1) * count).reshape(d + 1, count).T.ravel()  # all components of a contact together

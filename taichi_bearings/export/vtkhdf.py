@@ -80,13 +80,15 @@ class Geometry:
 def export(
     run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
 ) -> Json:
-    """Write one sample of a run for ParaView, and return what the file holds.
+    """Write one sample of a run for ParaView, and return what the file holds, by name.
 
     run : a run directory or its run.h5.
-    out : the file; an earlier one is replaced only with `force`. By default it is run.vtkhdf in the run directory, and
-        an earlier one is replaced.
+    out : the file; an earlier one is replaced only with `force`. None for run.vtkhdf in the run directory, where an
+        earlier one is replaced.
+    force : True to replace a file `out`.
     replica : number of the sample, from 0.
-    analyse : True to compute the structure of the sample; otherwise the file has of it what the run file holds.
+    analyse : True to compute the structure of the sample (domains, network, cut); False to write of it only what the
+        run file holds.
 
     Raises InputError or FileError before anything is computed.
     """
@@ -185,9 +187,12 @@ def _put_column(
 ) -> None:
     """Write a column of point or cell data, and for each time step where its rows begin.
 
-    root : the group /VTKHDF. steps : the group of the time steps, or None. group : "PointData" or "CellData". name,
-    column : of the data.
-    before : (steps, rows, ...) values at the snapshots; None if they do not change.
+    root : the group /VTKHDF.
+    steps : the group of the time steps; None if there is only one state.
+    group : "PointData" or "CellData".
+    name : name of the data set.
+    column : its values in the final state, with unit and description.
+    before : (steps - 1, rows, ...), values at the snapshots before that; None if they are the same at all steps.
     """
     rows = column.values if before is None else np.concatenate([*before, column.values])
     text = column.description + (IN_SNAPSHOTS.get(name, "") if before is not None else "")
@@ -199,7 +204,7 @@ def _put_column(
 
 
 def _store(group: h5py.Group, name: str, values: np.ndarray, units: str, description: str) -> None:
-    """Write a compressed array of a type that VTK knows, with unit and description."""
+    """Write an array as a compressed data set of a type that VTK knows, with its unit and a description."""
     known = values.astype(np.uint8) if values.dtype == bool else values
     packed = {"compression": "gzip", "shuffle": True} if known.size else {}
     put(group, name, known, units, description, **packed)

@@ -29,7 +29,7 @@ def block_size() -> int:
 
 
 def number_type() -> np.dtype:
-    """Return the type of every number that kernels work on, by the precision of the runtime."""
+    """Return the type of every number that kernels work on: double or single, as the precision of the runtime says."""
     return np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
 
 
@@ -50,7 +50,9 @@ def on_device(values: np.ndarray, kind: str = "") -> Any:
 
 
 def one_block() -> Any:
-    """Return the array that kernels get in the place of blocks on a GPU, where they write site by site."""
+    """Return a small array that kernels get on a GPU in place of the view of the fields by blocks, which only CPUs
+    use.
+    """
     from taichi_bearings.compiler import ti
 
     return ti.Vector.ndarray(1, getattr(ti, runtime.current().precision), 1)
@@ -70,8 +72,8 @@ class Fields:
     first.
 
     A field has a name and C components; each component is a row of numbers. A spec lists names and components. Kernels
-    know the rows of the fields when they are compiled, the length of the rows when they are called: no shape, number of
-    replicas or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
+    know the rows of the fields when they are compiled, and the length of the rows when they are called. So no shape,
+    number of samples or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
 
     values : what kernels take: all rows one after the other.
     blocks : on a CPU the same memory in blocks of sites, which kernels write as a whole; on a GPU nothing of use.
@@ -124,7 +126,11 @@ class Fields:
         return values, None
 
     def part(self, number: int) -> "Fields":
-        """Return the fields of copy number `number` of a network in `Lists`, in the same memory."""
+        """Return the fields of one of several samples of a network that stand one after the other in `Lists`; they are
+        parts of the same memory.
+
+        number : of the sample.
+        """
         found = copy(self)
         found._place = {
             name: (first, components, rows._replace(margin=number * (rows.length // self.layout.copies)))
@@ -177,7 +183,9 @@ class Fields:
 
 
 def team_size(layout: "Layout | Lists", components: int) -> int:
-    """Return how many threads pay for kernels that keep `components` numbers for each site of a layout; 0 on a GPU."""
+    """Return how many threads make kernels faster that work on `components` numbers for each site of a layout; 0 on a
+    GPU.
+    """
     running = runtime.current()
     if running.is_gpu:
         return 0

@@ -78,7 +78,7 @@ class Lists:
 
     @property
     def numbers_row(self) -> int:
-        """Length of a row of constants that each copy has one of, a block apart."""
+        """Length of a row of constants: each sample has one number in it, a block apart."""
         return self.block * self.copies
 
     @property

@@ -24,10 +24,12 @@ OF_BINS = {  # columns of a bin beside its edges
 def write_table(path: Path, histograms: Histograms, by: str | None = None) -> None:
     """Write histograms of the power of contacts as CSV, with the columns power_low, power_high and count.
 
-    path : of the file. histograms : by the value of the parameter `by` in which they differ; {None: histogram} for one.
+    path : path of the file.
+    histograms : by the value of the parameter in which they differ; {None: histogram} for a single one.
+    by : name of that parameter, the last column; None for a single histogram.
 
     The header says how many contacts are in no bin. Where several samples are pooled, the columns standard_error,
-    density and density_error follow. Several histograms stand below each other, with `by` as the last column.
+    density and density_error follow. Several histograms stand below each other.
     """
     notes = []
     for value, found in histograms.items():
@@ -52,8 +54,10 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
     """Write histograms of the power of contacts as HDF5: data sets edges, count, standard_error, density and
     density_error; the rest as attributes.
 
-    histograms, by : as for :func:`write_table`. With several histograms all data sets but the edges have a leading
-        axis, and the data set `value` has the parameter `by` of each.
+    path : path of the file.
+    histograms : by the value of the parameter in which they differ; {None: histogram} for a single one.
+    by : name of that parameter; None for a single histogram. With a name all data sets but the edges have a leading
+        axis, and the data set `value` has the value of each histogram.
     """
     parts = list(histograms.values())
 

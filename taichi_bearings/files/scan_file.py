@@ -156,6 +156,7 @@ class StoredScan:
         table, counts = self.table, self.histograms
 
         def refuse(words: str) -> NoReturn:
+            """Raise FileError with these words on what is wrong."""
             raise FileError(f"{self.path} is damaged or was changed: {words}")
 
         laws, shape = "|".join(map(re.escape, LAWS)), r"\d{1,9}(x\d{1,9}){1,2}"
@@ -180,6 +181,7 @@ class StoredScan:
 
     @property
     def samples(self) -> int:
+        """Number of samples: rows of the table."""
         return len(self.histograms.count)
 
     @property

@@ -51,11 +51,11 @@ def _names_a_column(name: str) -> bool:
 
 
 def is_sample(sample: Any) -> bool:
-    """Return True if a record read from a journal has the form that a solve leaves: key, scalars and bins of the right
-    types and sizes.
+    """Return True if a record read from a journal has the form that a solve leaves: key, scalars and bins (numbers of
+    slipping contacts by bin of power) of the right types and sizes.
 
-    So no bin number can ask for much memory, and no lower bound lies above what it bounds by more than rounding. Raises
-    ValueError for a text that is no Unicode.
+    Then no number of a bin can ask for much memory, and no lower bound lies above what it bounds by more than rounding.
+    Raises ValueError for a text that is no Unicode.
     """
     if not _has_key(sample):
         return False
@@ -141,7 +141,9 @@ class Journal:
         self._length += len(lines)
 
     def __enter__(self) -> "Journal":
+        """Return the journal itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the file."""
         self._file.close()

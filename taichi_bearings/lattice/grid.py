@@ -120,18 +120,19 @@ class Lattice:
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
-        """For each axis, the slice of an array (E,) over all contacts that holds those along it."""
+        """For each axis, the slice of an array over all contacts that has the contacts along this axis."""
         ends = np.cumsum([math.prod(self.contact_shape(axis)) for axis in range(self.dimension)]).tolist()
         return tuple(slice(begin, end) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
 
     @property
     def all_contacts(self) -> int:
-        """E, the number of contacts, those between driven spheres included."""
+        """Number of contacts, those between driven spheres included."""
         return int(self.spans[-1].stop)
 
     def by_axis(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return values (..., E) on all E contacts as a tuple of views, one for each axis: (..., *contacts) in the
-        shape of the contacts along it. In `values` contacts along x come first, then those along y (then z)."""
+        shape of the contacts along it. In `values` contacts along x come first, then those along y (then z).
+        """
         head = values.shape[:-1]
         return tuple(values[..., span].reshape(*head, *self.contact_shape(a)) for a, span in enumerate(self.spans))
 
@@ -143,7 +144,7 @@ class Lattice:
 
     @cached_property
     def axis(self) -> np.ndarray:
-        """(E,) axis along which each contact lies. Letters: E contacts."""
+        """(E contacts,) axis along which each contact lies."""
         return np.repeat(np.arange(self.dimension), [span.stop - span.start for span in self.spans])
 
     def along(self, axis: int) -> tuple[Index, Index]:
@@ -159,15 +160,14 @@ class Lattice:
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """(2, E) lower and upper sphere of each contact, as numbers in C order. Letters: E contacts."""
+        """(2, E contacts) lower and upper sphere of each contact, as numbers in C order."""
         sphere = np.arange(self.sites).reshape(self.shape)
         pairs = [[sphere[end] for end in self.along(axis)] for axis in range(self.dimension)]
         return np.stack([self.flat(end) for end in zip(*pairs, strict=True)])
 
     @cached_property
     def column(self) -> np.ndarray:
-        """(E,) number, in C order, of the sphere of the top plane above the upper end of each contact. Letters: E
-        contacts."""
+        """(E contacts,) number, in C order, of the sphere of the top plane above the upper end of each contact."""
         return self.ends[1] // self.shape[-1]
 
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
@@ -181,8 +181,11 @@ class Lattice:
         return values[:, None] if self.dimension == 2 else np.moveaxis(values, 1 + component, 1)
 
     def across(self, component: int) -> "Lattice":
-        """Return the lattice of one plane of spheres across the axis `component`: contacts in it couple the spin
-        component along that axis. A square lattice itself."""
+        """Return the lattice of one plane of spheres across an axis, whose contacts couple the spin component along
+        this axis. For a square lattice it is the lattice itself.
+
+        component : number of the axis.
+        """
         axes = [axis for axis in range(self.dimension) if axis != component]
         closed = tuple(number for number, axis in enumerate(axes) if axis in self.periodic)
         return Lattice(tuple(self.shape[axis] for axis in axes), self.radius, closed)
@@ -197,30 +200,35 @@ class Lattice:
 
     @cached_property
     def parity(self) -> np.ndarray:
-        """s = +1 or -1 by sublattice, shape N: neighbours differ, and in a bearing state all s * spin are equal."""
+        """Sign s = +1 or -1 of each sphere, in the shape of the lattice: neighbours differ. In a bearing state, in
+        which no contact slips, s * spin is the same for all.
+        """
         return 1 - 2 * (np.indices(self.shape).sum(axis=0) % 2)
 
     @cached_property
     def lower_parity(self) -> np.ndarray:
-        """(E,) s = +1 or -1 of the lower sphere of each contact. Letters: E contacts."""
+        """(E contacts,) s = +1 or -1 of the lower sphere of each contact."""
         return self.parity.ravel()[self.ends[0]]
 
     @cached_property
     def driven(self) -> np.ndarray:
-        """Number of the driven body that each sphere belongs to, shape N: 0 bottom, 1 top, -1 none."""
+        """Number of the driven body that each sphere belongs to, in the shape of the lattice: 0 bottom, 1 top, -1
+        none.
+        """
         body = np.full(self.shape, -1)
         body[..., 0], body[..., -1] = 0, 1
         return body
 
     @cached_property
     def is_driven(self) -> np.ndarray:
-        """True for spheres whose spin is imposed, shape N."""
+        """True for spheres whose spin is imposed, in the shape of the lattice."""
         return self.driven >= 0
 
     @cached_property
     def between_driven(self) -> np.ndarray:
-        """(E,) True for the contacts that join two driven spheres: they never slip and are left out of every sum.
-        Letters: E contacts."""
+        """(E contacts,) True for the contacts that join two driven spheres: they never slip and are left out of every
+        sum.
+        """
         return self.is_driven.ravel()[self.ends].all(axis=0)
 
     @cached_property
@@ -241,16 +249,15 @@ def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the friction on the upper sphere of each contact in the laboratory frame, from forces along the spin
-    difference.
+    """Return the friction on the upper sphere of each contact in the laboratory, (R samples, E contacts, 3); in 2D (R,
+    E), its component along z x n, which is upwards at contacts along x and to the left at contacts along y. The force
+    on the lower sphere is the opposite one.
 
-    force : (C, R, E), f, the force of each of R samples and E contacts by spin component. The friction is -s f x n,
-        with n the direction of the contact and s = +1 or -1 the sign of its lower sphere: it opposes the slip of paper
-        Eq. 2, s R Delta Omega x n.
+    force : (C, R, E), f, the contact force by spin component, along the difference of staggered spins. The friction is
+        -s f x n, with n the direction of the contact and s = +1 or -1 the sign of its lower sphere: it opposes the slip
+        of paper Eq. 2, s R Delta Omega x n.
     lattice : of the contacts.
     spin_axes : axes of the C spin components.
-    returns : (R, E, 3); in 2D (R, E), the component along z x n, which is upwards at contacts along x and to the left
-        at contacts along y. The force on the lower sphere is the opposite one.
     """
     if lattice.dimension == 2:
         return -lattice.lower_parity * force[0]
@@ -261,8 +268,11 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
 
 
 def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, ...]:
-    """Return friction (..., E, 3), in 2D (..., E), on all E contacts of a lattice as one array for each axis: (...,
-    *contacts, 3) or (..., *contacts)."""
+    """Return friction on all E contacts of a lattice as one array for each axis: (..., *contacts, 3), in 2D (...,
+    *contacts).
+
+    friction : (..., E, 3), in 2D (..., E).
+    """
     if lattice.dimension == 2:
         return lattice.by_axis(friction)
     parts = zip(*map(lattice.by_axis, np.moveaxis(friction, -1, 0)), strict=True)
@@ -270,13 +280,13 @@ def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray
 
 
 def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the forces f (C, R, E) along the difference of staggered spins, from friction in the laboratory frame. The
-    friction is -s f x n, with n the direction of a contact and s = +1 or -1 the sign of its lower sphere.
+    """Return contact forces f (C components, R samples, E contacts) along the difference of staggered spins, whose
+    signs alternate between neighbours, from friction in the laboratory. The friction is -s f x n, with n the direction
+    of a contact and s = +1 or -1 the sign of its lower sphere.
 
     friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact.
-    spin_axes : the C spin components that are wanted.
-
-    Letters: R samples, E contacts.
+    lattice : of the contacts.
+    spin_axes : numbers of the C spin components of the result.
     """
     if lattice.dimension == 2:
         return -lattice.lower_parity * friction[None]

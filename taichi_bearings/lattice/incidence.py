@@ -14,25 +14,23 @@ from taichi_bearings.lattice.grid import Lattice, tangential
 
 
 def difference(field: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
-    """Return the value at the upper sphere less that at the lower one, for each contact along `axis`, shaped (...,
+    """Return, for each contact along an axis, the value at its upper sphere less that at its lower one, (...,
     *contacts).
 
-    field : (..., *N), its last axes are those of the lattice.
-
-    Letters: N the shape of the lattice.
+    field : (..., *N), whose last axes are those of the lattice of shape N.
+    axis : number of the axis.
     """
     low, high = lattice.along(axis)
     return np.asarray(field[high] - field[low])
 
 
 def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) -> None:
-    """Add forces of the contacts along `axis` to their lower spheres and subtract them from the upper ones: minus the
-    transpose of :func:`difference`.
+    """Add forces of the contacts along an axis to their lower spheres, and subtract them from the upper ones, in place:
+    minus the transpose of :func:`difference`.
 
-    total : (*N) or more axes before, changed in place.
-    force : shaped as the contacts along the axis.
-
-    Letters: N the shape of the lattice.
+    total : (*N), or with more axes before, N the shape of the lattice; changed.
+    force : in the shape of the contacts along the axis.
+    axis : number of the axis.
     """
     low, high = lattice.along(axis)
     total[low] += force
@@ -40,14 +38,11 @@ def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) 
 
 
 def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the difference of the staggered spins across every contact, (C, R, E), without its component along the
-    contact. The slip speed is the radius times the length of this vector, the root of the sum of the squares of its C
-    components (paper Eq. 2).
+    """Return the difference of the staggered spins across every contact, (C components, R samples, E contacts), without
+    its component along the contact. The slip speed is the radius times the length of this vector (paper Eq. 2).
 
-    staggered : (C, R, *N), spins by component, sample and sphere.
+    staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, 1/time.
     spin_axes : axes of the C components.
-
-    Letters: R samples, N the shape of the lattice, E contacts.
     """
     found = np.zeros((*staggered.shape[: staggered.ndim - lattice.dimension], lattice.all_contacts))
     for axis, across in enumerate(lattice.by_axis(found)):
@@ -58,12 +53,11 @@ def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tupl
 
 
 def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
+    """Return the sum of the contact forces on each sphere, (C components, R samples, *N spheres): its torque over the
+    radius, with the sign of its sublattice.
 
-    force : (C, R, E), forces along the spin difference of the contact.
+    force : (C, R, E contacts), forces along the spin difference of the contact.
     spin_axes : axes of the C spin components.
-
-    Letters: R samples, N the shape of the lattice, E contacts.
     """
     total = np.zeros((*force.shape[:-1], *lattice.shape))
     for axis, vectors in enumerate(lattice.by_axis(force)):
@@ -73,13 +67,11 @@ def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> 
 
 
 def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return for each sphere and spin component the sum of the coefficients of the contacts that it makes slip, (C, R,
-    *N).
+    """Return for each sphere and spin component the sum of the coefficients of the contacts that this component makes
+    slip, (C components, R samples, *N spheres).
 
-    coefficient : (R, E), such as the friction of each contact.
+    coefficient : (R, E contacts), such as the friction of each contact.
     spin_axes : axes of the C spin components.
-
-    Letters: R samples, N the shape of the lattice, E contacts.
     """
     total = np.zeros((len(spin_axes), len(coefficient), *lattice.shape))
     for axis, values in enumerate(lattice.by_axis(coefficient)):

@@ -52,7 +52,7 @@ class Layout:
 
     @cached_property
     def lattice(self) -> Lattice:
-        """One of the lattices."""
+        """The lattice of one sample, with its shape and periodic axes; all samples have the same."""
         return Lattice(self.shape, periodic=self.periodic)
 
     @property
@@ -77,8 +77,9 @@ class Layout:
 
     @property
     def length(self) -> int:
-        """Number of sites of a row with its margins, and some more: rows of just that length do not compete for the
-        same few places of the processor's cache, 32 blocks of 16 numbers apart."""
+        """Number of sites in a row, its margins and some unused ones included. It is chosen so that rows do not compete
+        for the same few places of the processor's cache, 32 blocks of 16 numbers apart.
+        """
         blocks = self.blocks + 2 * (self.margin // self.block)
         return (blocks + (5 - blocks) % 32) * self.block
 
@@ -91,24 +92,29 @@ class Layout:
         return self.length, self.margin, self.blocks, stride_x, stride_y, self.sites // self.replicas
 
     def parts(self, spec: object) -> list[tuple[Any, Rows]]:
-        """Return pairs of fields and the place of their rows in memory. Here all fields have the shape (C, R, *N), so
-        there is one pair.
+        """Return pairs of a spec of fields and the place of their rows in memory. On a lattice all fields have the
+        shape (C components, R samples, *N spheres), so there is one pair.
 
         spec : names of the fields, each with its number of components C.
-
-        Letters: R samples, N the shape of the lattice.
         """
         return [(spec, Rows(self.length, self.margin, (self.replicas, *self.shape)))]
 
     def at_lower_sphere(self, contacts: np.ndarray) -> np.ndarray:
-        """Return values by contact (R, E) as (D, R, *N), D axes: each contact at its lower sphere, 0 where there is
-        none. Letters: R samples, N the shape of the lattice, E contacts."""
+        """Return values on contacts as an array over the spheres, (D axes, R samples, *N spheres): for each axis, each
+        value stands at the lower sphere of its contact, and 0 where there is none.
+
+        contacts : (R, E contacts), the values.
+        """
         full = np.zeros((len(self.shape), self.replicas, *self.shape))
         for axis, values in enumerate(self.lattice.by_axis(contacts)):
             self.from_lower_sphere(full[axis], axis)[...] = values
         return full
 
     def from_lower_sphere(self, full: np.ndarray, axis: int) -> np.ndarray:
-        """Return the part (..., R, *contacts) of values (..., R, *N) at lower spheres that belongs to contacts along an
-        axis. Letters: R samples, N the shape of the lattice."""
+        """Return the part (..., R samples, *contacts) that belongs to contacts along an axis, of values (..., R, *N
+        spheres) that stand at the lower sphere of each contact.
+
+        full : the values.
+        axis : number of the axis.
+        """
         return np.asarray(full[(Ellipsis,) + tuple(map(slice, self.lattice.contact_shape(axis)))])

@@ -37,18 +37,19 @@ PALE = np.array([0.93, 0.93, 0.93, 1.0])  # colour of discs that only carry cont
 class Sheet:
     """N discs and E contacts as they lie on paper. Lengths are those of the bearing.
 
-    sphere : (N,) number of each disc in the bearing.
-    place, radius : (N, 2) and (N,), centres and radii. rim : (N,) width of the outline of each disc, points.
-    depth : (N,) distance towards the reader.
-    ends : (2, E) the two discs of each contact.
-    way : (2, E, 2) vectors from each of the two discs to the middle of the contact; over a periodic side both lead
+    sphere : (N,), number of each disc in the bearing.
+    place, radius : (N, 2) and (N,), centres and radii.
+    rim : (N,), width of the outline of each disc, points.
+    depth : (N,), distance towards the reader.
+    ends : (2, E), the two discs of each contact.
+    way : (2, E, 2), vectors from each of the two discs to the middle of the contact; over a periodic side both lead
         outwards.
-    wall : (E,) half the length of a line across the contact.
-    contact : (E,) number of each contact in the bearing.
-    corners : (2, 2) lowest and highest point of the picture.
+    wall : (E,), half the length of a line across the contact.
+    contact : (E,), number of each contact in the bearing.
+    corners : (2, 2), lowest and highest point of the picture.
     pitch : distance between the centres of two neighbouring discs.
-    grid : number of discs along each axis of a plane of a lattice; empty for anything else. rows : numbers of its
-        driven rows.
+    grid : number of discs along each axis of a plane of a lattice; empty for anything else.
+    rows : numbers of the driven rows of that plane.
     """
 
     sphere: np.ndarray
@@ -69,7 +70,9 @@ class Sheet:
     def of_lattice(cls, lattice: Lattice, plane: tuple[int, int] | None = None, view: View = VIEW) -> "Sheet":
         """Return the picture of a flat lattice, of a plane of a cubic one, or of all of a cubic one.
 
-        plane : (axis, index) of the plane, or None. view : from where all of a cubic lattice is seen.
+        lattice : the lattice.
+        plane : (axis, index) of the plane; None for the whole lattice.
+        view : from where all of a cubic lattice is seen.
         """
         across, index = plane or (-1, 0)
         center = np.argwhere(np.ones(lattice.shape, dtype=bool))
@@ -111,8 +114,8 @@ class Sheet:
         return not np.ptp(self.depth)
 
     def site(self, width: float, height: float = np.inf) -> float:
-        """Return the distance between the centres of two neighbouring discs in points, if the picture fits into so many
-        inches.
+        """Return the distance on paper between the centres of two neighbouring discs, in points, for a picture that
+        fits into `width` and `height`, inches.
         """
         return 72 * float((np.array([width, height]) / np.diff(self.corners, axis=0)[0]).min()) * self.pitch
 
@@ -173,10 +176,12 @@ class Sheet:
         return np.stack([first, np.concatenate([stop, start[1, over]])], axis=1), twice
 
     def draw(self, axes: Axes, chosen: np.ndarray, across: bool = False, **look: Any) -> None:
-        """Draw the lines of :meth:`lines` for some contacts.
+        """Draw some contacts as lines.
 
-        axes : of matplotlib. chosen, across : as for :meth:`lines`. look : arguments of LineCollection; arrays have an
-            entry for each contact of the bearing.
+        axes : axes of matplotlib.
+        chosen : mask over all contacts of the bearing.
+        across : False for lines from centre to centre, True for lines between the two discs at right angles to that.
+        look : arguments of matplotlib's LineCollection; arrays have an entry for each contact of the bearing.
         """
         lines, which = self.lines(chosen, across)
         which = self.contact[which]
@@ -185,8 +190,10 @@ class Sheet:
 
 
 def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Return places (..., 2) on paper and depths (...), towards the reader, of points (..., 2 or 3). view : from where
-    they are seen.
+    """Return places (..., 2) on paper, and depths (...) towards the reader, of points.
+
+    points : (..., 2), which stay as they are with depth 0, or (..., 3).
+    view : from where points in 3D are seen.
     """
     if points.shape[-1] == 2:
         return points.astype(float), np.zeros(points.shape[:-1])
@@ -233,10 +240,11 @@ def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarra
 def draw_speed_bar(
     figure: Figure, axes: Axes | list[Axes], spin_top: float, spin_bottom: float, **look: object
 ) -> None:
-    """Draw the colour bar for spheres that are coloured by :func:`speed_of`. look : arguments of matplotlib's
-    colorbar.
+    """Draw the colour bar for spheres coloured by |spin| over the larger of the two imposed spins.
 
-    figure, axes : where it is drawn. spin_top, spin_bottom : the imposed spins, 1/time.
+    figure, axes : where it is drawn.
+    spin_top, spin_bottom : the imposed spins, 1/time.
+    look : arguments of matplotlib's colorbar.
     """
     label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
     colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
@@ -245,8 +253,11 @@ def draw_speed_bar(
 def colour_bar(figure: Figure, axes: Axes | list[Axes], label: str, norm: Normalize, colours: str, **look: Any) -> None:
     """Draw a bar that says what the colours of a map mean.
 
-    label : of the bar. norm : scale of the values. colours : name of the colour map. look : arguments of matplotlib's
-        colorbar.
+    figure, axes : where it is drawn.
+    label : label of the bar.
+    norm : scale of the values.
+    colours : name of the colour map.
+    look : arguments of matplotlib's colorbar.
     """
     bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
     if isinstance(norm, LogNorm):
@@ -322,7 +333,12 @@ def frame_block(axes: "Axes3D", shape: tuple[int, ...], view: View = VIEW) -> No
 
 
 def limit_block(axes: "Axes3D", shape: tuple[int, ...], view: View) -> None:
-    """Set the limits of a picture of a whole cubic lattice, without axes."""
+    """Set the limits of a picture so that it holds a whole cubic lattice, and remove the axes.
+
+    axes : where the lattice is drawn.
+    shape : numbers of spheres (nx, ny, nz).
+    view : from where it is seen.
+    """
     corners = view.seen(box_edges((-0.5,) * 3, np.array(shape) - 0.5)).reshape(-1, 3)
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     margin = 0.02 * (high - low).max()
@@ -331,9 +347,13 @@ def limit_block(axes: "Axes3D", shape: tuple[int, ...], view: View) -> None:
 
 
 def paint_spheres(axes: "Axes3D", centre: np.ndarray, colour: np.ndarray, radius: float = 0.5) -> None:
-    """Draw shaded spheres as one image, later ones in front. centre : (n, 2) as seen. colour : (n, 4).
+    """Draw shaded spheres as one image; later ones cover earlier ones.
 
-    axes : where they are drawn. radius : of all spheres."""
+    axes : where they are drawn.
+    centre : (n, 2), centres on paper.
+    colour : (n, 4), colours.
+    radius : radius of all spheres.
+    """
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     # a picture of 1000 pixels along the longer side, with room for spheres at the edge
     pixel = max(x1 - x0, y1 - y0) / 1000

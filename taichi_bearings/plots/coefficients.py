@@ -50,10 +50,13 @@ def draw_coefficients(structure: Structure, page: Page) -> Figure:
 
 
 def _panels(page: Page, sheets: int, coefficients: int, height: float) -> tuple[Figure, list[list[Axes]], float]:
-    """Return a figure, its axes for each coefficient and picture, and the width of each in inches.
+    """Return a figure, its axes as a list for each coefficient with one for each picture, and the width of a picture in
+    inches.
 
-    sheets : number of pictures of one coefficient; two coefficients have a column each. height : of a picture, as a
-    share of its width.
+    page : how the figure is printed.
+    sheets : number of pictures of one coefficient.
+    coefficients : 1, or 2 for a column each.
+    height : height of a picture, as a share of its width.
     """
     if coefficients == 1:
         figure, axes, width = panels(page, sheets, (height, 0.75), widest="single")
@@ -65,7 +68,12 @@ def _panels(page: Page, sheets: int, coefficients: int, height: float) -> tuple[
 
 
 def _sheet(place: Network, plane: tuple[int, int] | None, page: Page) -> Sheet:
-    """Return how discs and contacts lie on paper. plane : (axis, index) of a cut through a cubic lattice, else None."""
+    """Return how discs and contacts lie on paper.
+
+    place : spheres and contacts.
+    plane : (axis, index) of a cut through a cubic lattice; None for anything else.
+    page : how the figure is printed; it may say from where a packing is seen.
+    """
     if place.lattice is None:
         return Sheet.of_network(place, page.view or VIEW)
     return Sheet.of_lattice(place.lattice, plane)

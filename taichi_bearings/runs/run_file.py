@@ -274,12 +274,11 @@ class _Sets:
 
 
 def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
-    """Return the solution in an opened run.h5, with an axis of samples.
+    """Return the solution in an opened run.h5, with an axis of samples; its status is that of the first sample that is
+    not certified, if there is one.
 
     path, attributes : path and attributes of the file `file`.
     settings : settings of the run.
-
-    The status is that of the first sample that is not certified, if there is one.
     """
     is_lattice = "packing" not in file
     scene, arrays, of_contacts, sites, vector = (_lattice_in if is_lattice else _packings_in)(

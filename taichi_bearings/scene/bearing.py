@@ -41,9 +41,9 @@ class Bearing(ABC):
     law : the contact law, one for all contacts.
     seeds : (R,), from which the disorder of each sample is drawn.
     normal_force : force, one number for all contacts or (contacts E,).
-    drawn : the distributions that the coefficients are known to be drawn from with these seeds, by the name of the
+    drawn : the distributions from which the coefficients are known to be drawn with these seeds, by the name of the
         option of `bearings run`; empty if that is not known.
-    schematic : True where centres are for drawings alone, and need not agree with radii and contacts.
+    schematic : True if centres are for drawings alone, and need not agree with radii and contacts.
 
     A subclass defines the abstract properties and methods, and says in which arrays users give coefficients and spins.
     """
@@ -168,11 +168,11 @@ class Bearing(ABC):
 
     @cached_property
     def smallest_jump(self) -> float:
-        """Smallest, over the components in `minimum_spin_axes`, of the largest size of the imposed spins in that
-        component.
+        """For each component in `minimum_spin_axes` take the largest size of the imposed spins in it; this is the
+        smallest of these sizes.
 
-        Spins are in the form that solvers store. The result is 0 if top and bottom agree in a component, and where
-        :meth:`box` knows no bounds.
+        Spins are in the form that solvers store: on lattices 1/time, measured from the bottom. It is 0 if top and
+        bottom agree in a component, and if :meth:`box` knows no bounds.
         """
         return float(np.abs(self.box(self.minimum_spin_axes)).max(axis=0).min())
 
@@ -207,8 +207,8 @@ class Bearing(ABC):
 
     @cached_read_only
     def is_cut_off(self) -> np.ndarray:
-        """(samples R,) mask: True where present contacts do not connect bottom and top, so that no contact has to slip.
-        False otherwise, and where it is not known.
+        """(samples R,) mask: True if contacts with positive coefficients do not connect bottom and top, so that no
+        contact has to slip; False otherwise, and if it is not known.
         """
         return self.driving.cut_off(self.coefficient > 0)
 
@@ -277,10 +277,10 @@ class Bearing(ABC):
         return self.driving.impose(staggered, spin_axes)
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return bounds (2, C), lower and upper: some minimum has all carried spins, the form in which solvers compute,
-        between them.
+        """Return bounds (2, C), lower and upper, between which some minimum has all its spins, in the form in which
+        solvers store them. Both bounds are 0 if none are known.
 
-        Both bounds are 0 where none are known. spin_axes : numbers of the C components.
+        spin_axes : numbers of the C components.
         """
         found = self.driving.box(spin_axes)
         return np.zeros((2, len(spin_axes))) if found is None else found
@@ -403,7 +403,7 @@ class Bearing(ABC):
 
     @cached_read_only
     def idle(self) -> np.ndarray:
-        """(samples R, contacts E) mask of the contacts that never count: absent ones, and those between two driven
+        """(samples R, contacts E) mask of the contacts that take no part: absent ones, and those between two driven
         spheres.
         """
         absent = np.all([values == 0 for values in self._coefficients], axis=0)

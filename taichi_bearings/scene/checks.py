@@ -175,8 +175,8 @@ def sizes(name: str, values: ArrayLike, count: int, what: str, may_vanish: bool 
 
 
 def pressing(values: ArrayLike, contacts: int) -> np.ndarray:
-    """Return the normal forces (contacts E,), force, checked and with 0 in place of negative ones, of which a warning
-    tells: contacts with a negative force pull and bear no friction.
+    """Return the normal forces (contacts E,), force, checked, with 0 in place of negative ones. A warning tells of
+    these: such contacts pull and bear no friction.
 
     values : as the user gave them, (E,), or one number for all contacts.
     contacts : their number E.
@@ -200,10 +200,11 @@ def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
 
 
 def misfit(size: float, reach: float) -> str:
-    """Return the words for what is wrong with a contact whose spheres do not touch: their distance, and by how much
+    """Return words for what is wrong with a contact whose spheres do not touch: how far apart they are, or by how much
     they overlap.
 
-    size : distance of its centres, length. reach : sum of its radii, length.
+    size : distance of its centres, length.
+    reach : sum of its radii, length.
     """
     apart = f"are {size:.6g} apart and their radii add up to {reach:.6g}"
     if size > reach:

@@ -19,7 +19,10 @@ def _power_law(
     rng: np.random.Generator, shape: tuple[int, ...], low: float, high: float, exponent: float
 ) -> np.ndarray:
     """Return random numbers x from `low` to `high` with a density proportional to x^exponent, by inverting its
-    cumulative distribution. rng : generator of random numbers. shape : that of the array returned.
+    cumulative distribution.
+
+    rng : generator of random numbers.
+    shape : of the array that is returned.
     """
     level = rng.uniform(0.0, 1.0, shape)
     if abs(exponent + 1) < 1e-12:
@@ -29,9 +32,11 @@ def _power_law(
 
 
 def _bimodal(rng: np.random.Generator, shape: tuple[int, ...], low: float, high: float, fraction: float) -> np.ndarray:
-    """Return random numbers that are `high` with probability `fraction`, else `low`. shape : that of the array.
+    """Return random numbers that are `high` with probability `fraction`, else `low`.
 
-    rng : generator of random numbers."""
+    rng : generator of random numbers.
+    shape : of the array that is returned.
+    """
     return np.where(rng.uniform(0.0, 1.0, shape) < fraction, high, low)
 
 

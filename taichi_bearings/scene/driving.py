@@ -53,16 +53,16 @@ class Driving:
     """Spins that are imposed on driven spheres one by one, and the form in which solvers store spins. An instance never
     changes.
 
-    That form is called *carried*: x = s l omega - x0 for each component of the spin omega. In this class x is the
-    surface speed R omega, so l is the radius R, s = 1 and x0 = 0. The subclass for lattices has other s, l and x0.
+    Solvers store x = s l omega - x0 for each component of a spin omega. In this class x is the surface speed of the
+    sphere: l is its radius, s = 1 and x0 = 0. The subclass for lattices has other s, l and x0.
 
     In methods `spin_axes` are numbers of spin components, 0 to 2, and a Pair is a number in twice the precision: the
     nearest double, and what its rounding leaves out.
     """
 
-    driven_contacts_slip = True  # whether contacts between driven spheres may slip
-    slips_are_unique = False  # whether a contact that slips at every minimum has the same slip at all of them
-    samples_step_together = False  # whether methods step all samples as one, with one count of iterations
+    driven_contacts_slip = True  # contacts between driven spheres may slip
+    slips_are_unique = False  # True if a contact that slips at every minimum has the same slip at all of them
+    samples_step_together = False  # True if methods step all samples as one, with one count of iterations
 
     def __init__(self, network: "Network", spin: np.ndarray, contact: np.ndarray) -> None:
         """Store what is imposed on a network.
@@ -76,8 +76,8 @@ class Driving:
 
     @property
     def sign(self) -> np.ndarray | None:
-        """(spheres *N) factor s, +1 or -1, of each sphere in the carried spins s l omega - x0; None where s is 1 for
-        all.
+        """(spheres *N) factor s, +1 or -1, of each sphere in the numbers s l omega - x0 that solvers store for spins
+        omega; None if s is 1 for all, as here.
         """
         return None
 
@@ -88,8 +88,8 @@ class Driving:
 
     @property
     def length(self) -> np.ndarray | None:
-        """(spheres *N) factor l of each sphere in the carried spins s l omega - x0, here the radius; None where l is 1
-        for all.
+        """(spheres *N) factor l of each sphere in the numbers s l omega - x0 that solvers store for spins omega, here
+        the radius; None if l is 1 for all.
         """
         return self.network.radius
 
@@ -120,18 +120,18 @@ class Driving:
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
         """Return the imposed surface speeds R omega of all driven spheres, length/time, in twice the precision: a list
-        with one pair, since `places` has one index.
+        with one pair, for the one index in `places`. The pair has the doubles, (components C, n) for n driven spheres,
+        and what their rounding leaves out, here 0.
 
-        The pair has the doubles, (components C, n) for n driven spheres, and what their rounding leaves out: 0 here.
-        spin_axes : not used; here all C components are solved for. The subclass for lattices picks the ones it names.
+        spin_axes : not used; all C components are returned here. On lattices it picks the components.
         """
         u = self.speed[self.network.is_driven].T
         return [(u, np.zeros_like(u))]
 
     def origin(self, spin_axes: tuple[int, ...]) -> Pair | None:
         """Return the offset x0 of the numbers s l omega - x0 that solvers store for spins omega: None, as it is 0 here.
+        On lattices it is the state of the bottom, in twice the precision, (C, 1, spheres *N) or with axes of length 1.
 
-        The subclass for lattices returns it in twice the precision, (C, 1, spheres *N) or with axes of length 1.
         spin_axes : numbers of the C components; not used here.
         """
         return None
@@ -208,10 +208,10 @@ class Driving:
         return None
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (samples R,), True where present contacts are known to join no spheres of different imposed
-        spins, so that nothing need slip. That is not looked into here: all are False.
+        """Return a mask (samples R,), True if contacts are known to join no spheres of different imposed spins, so that
+        no contact has to slip. That is not looked into here: all are False.
 
-        present : (R, contacts E) mask of the present contacts; only its length R is used here.
+        present : (R, contacts E) mask of the contacts with positive coefficients; only its length R is used here.
         """
         return np.zeros(len(present), dtype=bool)
 
@@ -227,15 +227,15 @@ class Driving:
         return carried
 
     def carried(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return laboratory spins omega in the form that solvers store: s l omega - x0, (components C, samples R,
-        spheres *N). The axis of the components comes first here. Driven spheres get their imposed values.
+        """Return spins omega in the form that solvers store, s l omega - x0, (components C, samples R, spheres *N).
+        Driven spheres get their imposed values.
 
-        spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
+        * On a lattice it is the sign s = +1 or -1, which alternates between neighbours, times the spin, less the same
+          of the bottom, 1/time.
+        * In a packing it is the radius times the spin, length/time.
+
+        spin : spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
         spin_axes : numbers of the C components that the result has.
-
-        The factors are attributes: s is `sign`, (*N), +1 or -1, on lattices alternating between neighbours; l is
-        `length`, (*N), of packings the radius, so that the result is a surface speed, length/time; of lattices 1, so
-        that it is a spin, 1/time; x0 is `origin`, of lattices the staggered spins (s omega) of the bottom, else 0.
         """
         of_discs = spin.ndim == 1 + len(self.shape)
         parts = spin[..., None] if of_discs else spin if len(spin_axes) == 3 else spin[..., list(spin_axes)]
@@ -248,15 +248,16 @@ class Driving:
         return self.impose(found, spin_axes)
 
     def laboratory(self, carried: np.ndarray, rest: np.ndarray | None, spin_axes: tuple[int, ...]) -> Pair:
-        """Return laboratory spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time, and an array of
-        what their rounding leaves out.
+        """Return spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time, and an array of what their
+        rounding leaves out, from the numbers that solvers store.
 
-        carried : spins as solvers store them, (components C, R, *N): on lattices times the sign of the sublattice, less
-            those of the bottom, 1/time; in packings times the radius, length/time.
+        carried : spins as solvers store them, (components C, R, *N): on lattices times a sign that alternates between
+            neighbours, less those of the bottom, 1/time; in packings times the radius, length/time.
         rest : (C, R, *N), small numbers to add to these, or None for nothing; not used on driven spheres, whose imposed
             spins are known in twice the precision.
         spin_axes : numbers of the C components.
         """
+        # all components as they are stored: those that were solved for, others, and the imposed ones
         every = self.every
         high = np.empty((len(every), carried.shape[1], *self.shape))
         low = np.zeros_like(high)
@@ -269,6 +270,7 @@ class Driving:
                 low[slot] = rest[spin_axes.index(component)]
         for place, (coarse, fine) in zip(self.places, self.imposed(every), strict=True):
             low[place] = np.where(coarse[:, None] != 0, fine[:, None], low[place])
+        # back to laboratory spins: plus the state of the bottom, times the sign, over the radius
         origin, pair = self.origin(every), (high, low)
         pair = pair if origin is None else add(pair, origin)
         if self.sign is not None:
@@ -284,8 +286,8 @@ class Driving:
         """Return the spins (components C, 1, spheres *N) of least power if all contacts in `contact` had the same
         viscosity, as solvers store them: here times the radius, length/time.
 
-        They solve a linear least-squares problem by conjugate gradients: the factors of its matrix would take much
-        memory, and none runs on a GPU.
+        They solve a linear least-squares problem. It is solved by conjugate gradients, as the factors of its matrix
+        would take much memory.
         """
         from scipy.sparse.linalg import cg
 
@@ -355,9 +357,9 @@ class Planes(Driving):
     """Bearing states A + C x that are imposed on the top and the bottom plane of a lattice.
 
     In a bearing state the spin of a sphere at position x is A + C x times the sign of its sublattice, +1 or -1 in turn;
-    no contact slips then. Solvers store the spin times this sign less the state of the bottom plane: the bottom is then
-    at rest, and the top has the difference of the two states. A Pair is a number in twice the precision: the nearest
-    double, and what its rounding leaves out.
+    no contact slips then. Solvers store the spin times this sign, less the state of the bottom plane. In this form the
+    bottom is at rest, and the top has the difference of the two states. A Pair is a number in twice the precision: the
+    nearest double, and what its rounding leaves out.
     """
 
     driven_contacts_slip = False
@@ -479,11 +481,11 @@ class Planes(Driving):
         return self.bottom_state(spin_axes)
 
     def unsolved_component(self, component: int) -> np.ndarray:
-        """Return spins for a component that is not solved for: staggered ones, relative to those of the bottom plane,
-        1/time. They rise linearly with the height from 0 at the bottom to the imposed spin of the top; the shape is
-        that of the lattice, or broadcasts to it.
+        """Return spins for a component that is not solved for, in the form that solvers store: they rise linearly with
+        the height from 0 at the bottom to the imposed spin of the top, 1/time. In a component that `minimum_spin_axes`
+        leaves out no contact slips by them. The shape is that of the lattice, or broadcasts to it.
 
-        No contact slips by them in a component that `minimum_spin_axes` leaves out. component : its number.
+        component : its number.
         """
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
 
@@ -531,8 +533,8 @@ class Planes(Driving):
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The imposed spins of top and bottom, 1/time: as given where both turn about one axis, with their signs; else
-        the largest size of the spin vector on each of the two planes.
+        """The imposed spins of top and bottom, 1/time: as given, with their signs, if both turn about one axis;
+        otherwise the largest size of the spin vector on each of the two planes.
         """
         if self.given is not None:
             return self.given
@@ -563,21 +565,20 @@ class Planes(Driving):
         return self.fastest
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return bounds (2, C), lower and upper, 1/time: some minimum has all spins between them (shown in
-        docs/equations.md, 4).
+        """Return bounds (2, C), lower and upper, 1/time, between which some minimum has all its spins (shown in
+        docs/equations.md, 4), in the form that solvers store: times the sign of the sublattice, less the state of the
+        bottom. They are the smallest and largest of the imposed values: 0 at the bottom, and those of the top.
 
-        Spins are in the form in which solvers compute: times the sign of the sublattice, less the state of the bottom.
-        The bounds are the smallest and largest of 0, the value of the bottom, and the values of the top.
         spin_axes : numbers of the C components.
         """
         top = self.imposed_on_top(spin_axes)[0].reshape(len(spin_axes), -1)
         return np.stack([top.min(axis=1, initial=0.0), top.max(axis=1, initial=0.0)])
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (samples R,), True where no chain of contacts joins bottom and top in any spin component that
-        has to be solved for. In a component only those contacts count that slip by it: all but those along its axis.
+        """Return a mask (samples R,), True if in no spin component that has to be solved for a chain of contacts joins
+        bottom and top. A chain consists of contacts that slip by this component: all but those along its axis.
 
-        present : (R, contacts E) mask of the present contacts.
+        present : (R, contacts E) mask of the contacts with positive coefficients.
         """
         if present.all():
             return np.zeros(len(present), dtype=bool)
@@ -597,10 +598,10 @@ class Planes(Driving):
         return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])
 
     def _of_layers(self, state: BearingState, spin_axes: tuple[int, ...], shape: tuple[int, ...]) -> Pair:
-        """Return an imposed bearing state A + C x at spheres of the lattice, 1/time, in twice the precision: two arrays
-        (components, *shape), one of doubles and one of what their rounding leaves out.
+        """Return an imposed bearing state A + rate * x at spheres of the lattice, 1/time, in twice the precision: two
+        arrays (components, *shape), one of doubles and one of what their rounding leaves out.
 
-        state : the vector A and the number C.
+        state : the vector A and the rate.
         spin_axes : numbers of the components of the result.
         shape : number of layers along each axis, counted from the first one. If the axis of the height is left out, the
             values are those of the top plane.
@@ -615,8 +616,9 @@ class Planes(Driving):
 
     @cached_property
     def _all_on_top(self) -> Pair:
-        """State of the top less that of the bottom at each sphere of the top plane, (components C, *plane), 1/time, in
-        twice the precision, for all C spin components of the lattice.
+        """Imposed state of the top less that of the bottom at each sphere of the top plane, (components C, *plane),
+        1/time, in twice the precision, for all C spin components of the lattice, also those that need not be solved
+        for.
         """
         return self._of_layers(self.difference, self.lattice.all_spin_axes, self.lattice.shape[:-1])
 
@@ -632,9 +634,8 @@ class Planes(Driving):
 
     def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
         """Return the imposed spins of the top plane divided by `unit`, (C, nx, ny), in 2D (C, nx), in twice the
-        precision.
+        precision. They are times the sign of the sublattice, less the state of the bottom.
 
-        They are in the form in which solvers compute: times the sign of the sublattice, less the state of the bottom.
         spin_axes : numbers of the C components.
         """
         if self.in_units is not None:
@@ -644,9 +645,9 @@ class Planes(Driving):
 
     def bottom_state(self, spin_axes: tuple[int, ...]) -> Pair:
         """Return the state of the bottom plane, continued to all spheres, (C, 1, spheres *N), 1/time, in twice the
-        precision.
+        precision. If it is the same everywhere the axes *N have length 1.
 
-        Axes *N have length 1 where the state is the same everywhere. spin_axes : numbers of the C components.
+        spin_axes : numbers of the C components.
         """
         varies = bool(self.bottom.rate[0][0])
         high, low = self._of_layers(

@@ -82,15 +82,18 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
 class _Contacts:
     """Contacts of a packing, and how far they agree with the centres of their spheres.
 
-    center : (spheres N, dimensions D), length. contact : (contacts E, 2), numbers of the first and second sphere.
+    center : (spheres N, dimensions D), length.
+    contact : (contacts E, 2), numbers of the first and second sphere.
     radius : (N,), length.
-    given : normals (E, D) of the user, or None. normal : these, or else `along`.
-    vector : (E, D), length, from the centre of the first to that of the second sphere. size : (E,), its length.
+    given : normals (E, D) of the user, or None.
+    normal : these, or else `along`.
+    vector : (E, D), length, from the centre of the first to that of the second sphere.
+    size : (E,), its length.
     along : (E, D), its direction.
     reach : (E,), length, sum of the two radii.
     off : (E,), distance between the unit vectors `along` and `normal`.
-    touches : (E,) mask, True where `size` is the sum of the radii but for a small gap or overlap.
-    is_direct : (E,) mask, True where the spheres touch and the normal is along the centres, so that no periodic side is
+    touches : (E,) mask, True if `size` is the sum of the radii but for a small gap or overlap.
+    is_direct : (E,) mask, True if the spheres touch and the normal is along the centres, so that no periodic side is
         crossed.
     """
 
@@ -213,13 +216,14 @@ class _Contacts:
 
 
 def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.ndarray, int | None]:
-    """Return periods (k, dimensions D), length, of which all shifts are sums, and None; or, if there are none, the
-    number of a shift that is not a sum.
-
-    shift : (X, D), length, shifts of the contacts across periodic sides. slack : (X,), length, by which each may miss
-        such a sum. least : the shortest length that a period may have.
+    """Return periods (k, dimensions D), length, of which all shifts are sums, and None; or, if there are no such
+    periods, those found and the number of a shift that is not a sum.
 
     The shortest shift that is no sum becomes a further period, until there are more than D.
+
+    shift : (X, D), length, shifts of the X contacts across periodic sides.
+    slack : (X,), length, by which each may miss such a sum.
+    least : the shortest length that a period may have.
     """
     periods, own = np.zeros((0, shift.shape[1])), 0
     order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")

@@ -78,22 +78,22 @@ def _state(center: np.ndarray, signed_speeds: np.ndarray, own: np.ndarray) -> np
 class Interface:
     """The lightest interface between two rigid domains of one sample: a minimum cut.
 
-    If every sphere turns with the bottom or with the top (in a packing with the first or the second driven body),
-    all slip would be at the interface of the two domains, and the lightest interface would dissipate least. In
-    2D with Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
+    If every sphere turned with the bottom or with the top (in a packing with the first or the second driven body), all
+    slip would be at the interface of the two domains, and the lightest interface would dissipate least. In 2D with
+    Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
     (docs/equations.md, 5). The objective is what the stationary state minimises: the power, or the dissipation
     potential of a law whose power is no multiple of that.
 
     power : energy/time, that the two rigid domains dissipate.
     contacts : (contacts E,) mask of the contacts that slip between them.
     above : mask over the spheres, in the shape of the lattice or (spheres N,): those that turn with the top or second
-    body.
+        body.
     between : mask of the same shape: spheres that may be on the other side of another interface that is equally light,
         or so nearly that rounding hides the difference. If there are none, every other interface is proven heavier.
     lower_bound : energy/time, proven, of lattices alone: no two rigid domains have a smaller objective.
-    next_power : objective, energy/time, of the lightest other interface of which both domains are in one piece; NaN
-        where it is not known, as in 3D and in packings.
-    spins : of packings alone: u of the two rigid domains, (N, components C), length/time.
+    next_power : objective, energy/time, of the lightest other interface of which both domains are in one piece; NaN if
+        it is not known, as in 3D and in packings.
+    spins : of packings alone: radius * spin of the two rigid domains, (N, components C), length/time.
     """
 
     power: float

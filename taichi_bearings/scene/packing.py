@@ -158,7 +158,7 @@ class Packing(Bearing):
         return normal
 
     def _put(self, name: str, value: object) -> None:
-        """Set a field of this frozen object while it is made."""
+        """Set a field of this object. It is frozen, so that this is done only while it is made."""
         object.__setattr__(self, name, value)
 
     def _take_coefficients(self) -> None:
@@ -292,9 +292,8 @@ class Packing(Bearing):
         return (shape * mass if inertia is None else inertia / mean**2) * (radius / mean) ** self.dimension
 
     def as_stepped(self, spins: np.ndarray, at_rest: np.ndarray) -> "Packing":
-        """Return a copy with only those contacts that can slip, for methods that step all contacts.
-
-        Contacts that are absent or between driven spheres are left out.
+        """Return a copy with only those contacts that can slip, for methods that make steps. Contacts that are absent
+        or between driven spheres are left out.
 
         spins : radius * spin at the start, (components C, 1, spheres N), length/time; its largest size is the unit of
             speeds if imposed spins do not differ.
@@ -378,8 +377,8 @@ class Packing(Bearing):
         return self._with(**some, seed=seeds[0], seeds=seeds)
 
     def _with(self, **changes: object) -> "Packing":
-        """Return a copy in which some fields have other values, by name; these are not checked. Both share the
-        network.
+        """Return a copy in which some fields have other values, given by name; these are not checked. Both objects
+        share the network.
         """
         other = object.__new__(type(self))
         vars(other).update({item.name: getattr(self, item.name) for item in fields(self)} | changes)

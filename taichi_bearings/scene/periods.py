@@ -15,8 +15,9 @@ MOST_SIDE = 1e15  # the largest bound of a box, length
 class Box:
     """A parallelepiped that holds spheres, of which some pairs of opposite sides may be periodic.
 
-    origin : (3,), length, the corner from which the edges start. edges : (3, 3), length, one edge vector in each row.
-    periodic : for each edge, whether it is a period; None where the file does not say.
+    origin : (3,), length, the corner from which the edges start.
+    edges : (3, 3), length, one edge vector in each row.
+    periodic : for each edge True if it is a period; None if the file does not say.
     """
 
     origin: np.ndarray

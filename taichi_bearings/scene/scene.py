@@ -286,7 +286,7 @@ class Scene(Bearing):
 
     @property
     def closed(self) -> str:
-        """The periodic sides, as the end of a list in words; empty if there are none."""
+        """The words ", periodic along x and y", with the periodic axes, which end a list; empty if there are none."""
         return f", periodic along {' and '.join(self.periodic)}" if self.periodic else ""
 
     @cached_property

@@ -97,10 +97,10 @@ class Energy:
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Spins of a dynamics at S times.
+    """Spins of a dynamics at S simulated times.
 
     time : (snapshots S,), simulated time.
-    spin : laboratory spins, (S, samples R, spheres *N) of discs or (S, R, *N, 3) of spheres, 1/time.
+    spin : spins, (S, samples R, spheres *N) of discs or (S, R, *N, 3) of spheres, 1/time.
     """
 
     time: np.ndarray
@@ -113,11 +113,13 @@ class Progress:
     contacts, C spin components, d slip components, *N the shape of arrays over the spheres.
 
     iteration : iterations so far.
-    staggered : spins (components C, R, spheres *N) in the form that solvers store: staggered spins, 1/time, on
-        lattices, radius * spin, length/time, in other packings. spin_axes : numbers of their components.
-    rest : (C, R, *N), small numbers to add to them, from a method that knows its spins beyond rounding, else None.
+    staggered : spins (components C, R, spheres *N) in the form that solvers store: on lattices with signs that
+        alternate between neighbours, less that of the bottom, 1/time; in packings radius * spin, length/time.
+    spin_axes : numbers of their components.
+    rest : (C, R, *N), small numbers to add to them, from a method that knows its spins beyond rounding; else None.
     force : contact forces (slip components d, R, contacts E), along the spin differences of the contacts.
-    objective : (R,), energy/time, at these spins. lower_bound : (R,), energy/time, on the minimum of the objective.
+    objective : (R,), energy/time, what is minimised, at these spins.
+    lower_bound : (R,), energy/time, proven for the minimum of the objective.
     proof : forces, shaped as `force`, from which lower_bound follows; None if it follows from `force` itself.
     time : simulated time of a dynamics, else None.
     energy : energy balance, of a dynamics that has one.
@@ -128,17 +130,17 @@ class Progress:
     exhausted : True if further iterations bring the method no closer in its precision.
     halted : True if a dynamics cannot make another step.
     state : contact states (R, E) that the method has established, else None; TIED is then a guess of the method.
-    slip : slip speeds (R, E), length/time, where they are more precise than those of the spins, else None.
+    slip : slip speeds (R, E), length/time, if they are more precise than those of the spins, else None.
     settled : (R,) mask of the samples whose states are final.
     states_believed : (R,) mask of the samples whose states the method takes for those of every minimum; the proof is
         made elsewhere.
     settles_more : True if further iterations would settle more contact states, whatever the gap.
-    findings : other results of the method, by name, (R,) each. columns : numbers of this check for the history, by
-        name, (R,) each.
+    findings : other results of the method, by name, (R,) each.
+    columns : numbers of this check for the history, by name, (R,) each.
     falls_to : gap down to which each further stretch of time reduces the gap by at least the same factor; 0 if not
         known.
-    gap_of_path : the largest relative gap of all samples on the central path, where nothing is proven on the way: no
-        proof, but it tells how far they are; else None.
+    gap_of_path : the largest relative gap of all samples on the central path of the interior-point method, if nothing
+        is proven on the way: no proof, but it tells how far they are; else None.
     falls_as : exponent k, if the gap falls about as iteration^-k, else 0.
     ended : (R,), iteration at which each sample was done, of a method that steps them one by one, else None.
     """
@@ -333,10 +335,12 @@ class Solution:
         return replace(self, **changes)
 
     def _history_of(self, number: int) -> dict[str, np.ndarray]:
-        """Return the columns of the history of one replica, up to the row at which it had ended.
+        """Return the columns of the history of one sample, up to the row at which it had ended.
 
-        number : number of the replica. Replicas that are solved together have rows at the same iterations; the last
-        row that is returned gets the iteration at which this replica itself ended.
+        Samples that are solved together have rows at the same iterations. The last row that is returned gets the
+        iteration at which this sample itself ended.
+
+        number : of the sample.
         """
         found = {
             name: v if v.ndim == 1 else v[:, number] if name in OF_ALL else v[:, number : number + 1]
@@ -387,10 +391,11 @@ class Solution:
         )
 
     def with_sample(self, number: int, one: "Solution", last: "Solution") -> "Solution":
-        """Return a copy with another answer for one replica.
+        """Return a copy with another answer for one sample.
 
-        number : number of the replica. one : its new answer. last : the answer of the search that was made last, from
-        which seconds, status and interruption are taken.
+        number : of the sample.
+        one : its new answer.
+        last : the answer of the search that was made last, from which seconds, status and interruption are taken.
         """
         spent = self.seconds + last.seconds
         ended: dict[str, Any] = {"seconds": spent, "status": last.status, "interrupted": last.interrupted}

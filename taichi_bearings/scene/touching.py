@@ -14,16 +14,15 @@ SEARCHED_AT_ONCE = 50_000  # spheres whose neighbours are looked for together; e
 def near_pairs(
     places: np.ndarray, sizes: np.ndarray, center: np.ndarray, radius: np.ndarray, factor: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield pairs of a sphere of a first set and one of a second set that are near each other.
-
-    Each piece that is yielded has the numbers of the first spheres, (pairs,), and of the second ones, (pairs,).
+    """Yield pairs of a sphere of a first set and one of a second set that are near each other, piece by piece: two
+    arrays (pairs,), the numbers of the first and of the second spheres.
 
     places, sizes : centres (A, dimensions D) and radii (A,) of the first set, length.
     center, radius : centres (B, D) and radii (B,) of the second set, length.
     factor : two spheres are near if their centres are no farther apart than this factor times the sum of their radii.
 
-    The second set is divided into octaves: radii that differ by less than a factor of 2. Each is searched no farther
-    than its own largest radius demands. So small spheres around a large one are not all looked at because some other
+    The second set is divided into octaves: radii that differ by less than a factor of 2. Each octave is searched no
+    farther than its own largest radius demands. So the neighbourhood of a large sphere does not grow because some other
     sphere is large, too.
     """
     if not len(center):

@@ -73,10 +73,11 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
 
 
 def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
-    """Return spins (snapshots S, spheres N, 3) of S snapshots without rotations that no contact resists
-    (:meth:`Structure.shown_spin`).
+    """Return spins as the page shows them: for a lattice of spheres without rotations of whole layers about the height,
+    which no contact resists; else unchanged.
 
-    drawn : the sample. spins : (snapshots S, N, 3).
+    drawn : the sample that is shown.
+    spins : (snapshots S, spheres N, 3), 1/time; the result has the same shape.
     """
     if not drawn.is_lattice or drawn.network.dimension == 2:
         return spins
@@ -132,8 +133,8 @@ def facts_of(drawn: PointsAndLines) -> Json:
 
 
 def _of_lattice(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
-    """Return four things that the page says of a lattice: entries of its facts by name; the largest imposed spin,
-    1/time; the power in its natural unit, in words; and the bound, in words.
+    """Return four things that the page says of a lattice: facts by name; the largest imposed spin, 1/time; the power in
+    its natural unit, in words; and the proven bound in words.
 
     drawn : spheres and contacts as points and lines, with the answer they belong to.
     """
@@ -159,8 +160,8 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
 
 
 def _of_packing(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
-    """Return four things that the page says of a packing: entries of its facts by name; the largest imposed radius *
-    spin over the median radius, 1/time; an empty text; and the bound, in words.
+    """Return four things that the page says of a packing: facts by name; the largest imposed surface speed over the
+    median radius, 1/time; a text that only lattices have, here ""; and the proven bound in words.
 
     drawn : spheres and contacts as points and lines, with the answer they belong to.
     """
@@ -198,9 +199,11 @@ def _median(radius: np.ndarray) -> float:
 
 
 def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> Json:
-    """Return the ends of the colour scales, by name. `spin_max` : end of the scale of spins, 1/time. `beyond` : True if
-    a drawn spin exceeds it. `bottleneck_share`, `busiest_share` : betweenness of contacts, the least of the BOTTLENECKS
-    largest ones and the largest; 0 where none is known.
+    """Return the ends of the colour scales, by name.
+
+    `spin_max` is the end of the scale of spins, 1/time. `beyond` is True if a drawn spin exceeds it. `bottleneck_share`
+    and `busiest_share` are betweennesses of contacts (shares of the shortest paths from bottom to top): the least of
+    the BOTTLENECKS largest ones, and the largest; 0 where none is known.
 
     drawn : the spheres and contacts that are shown.
     fastest : the largest imposed spin, of a sphere of median size, 1/time.
@@ -218,8 +221,10 @@ def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> Json:
 
 
 def _snapshots(moments: Moments | None) -> Json:
-    """Return the times of the snapshots that the page shows, and words for those left out, by name. moments : the
-    snapshots; None without.
+    """Return by name the times of the snapshots that the page shows, words on those left out, and the slip speed up to
+    which contacts count as slipless in them.
+
+    moments : the snapshots; None if there are none.
     """
     if moments is None:
         return {"times": [], "left_out": "", "snapshot_threshold": 0.0}

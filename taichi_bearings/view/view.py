@@ -29,14 +29,16 @@ NUMBER_TYPES = {"float32": "f4", "int32": "i4", "uint8": "u1"}  # types of array
 def view(
     run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
 ) -> Json:
-    """Write one sample of a run as an interactive HTML page, and return facts about the page.
+    """Write one sample of a run as an interactive HTML page. Return by name the path of the file, its size in bytes,
+    the number of snapshots, and whether the page shows the structure.
 
     run : a run directory or its run.h5.
-    out : the file; an earlier one is replaced only with `force`. By default it is view.html in the run directory, and
-        an earlier one is replaced.
+    out : the file; an earlier one is replaced only with `force`. None for view.html in the run directory, where an
+        earlier one is replaced.
+    force : True to replace a file `out`.
     replica : number of the sample, from 0.
-    analyse : True to compute the structure of the sample; otherwise the page shows of it what the run file holds.
-    returns : the file, its size, the number of snapshots, and whether it shows the structure, by name.
+    analyse : True to compute the structure of the sample (domains, network, cut); False to show of it only what the run
+        file holds.
 
     Raises InputError or FileError before anything is computed.
     """
@@ -73,7 +75,10 @@ def page_of(facts: Mapping[str, object], arrays: Mapping[str, np.ndarray]) -> st
 
 
 def _text(name: str) -> str:
-    """Return the text of a file, such as a script, from which the page is made. name : of the file."""
+    """Return the content of one of the files from which the page is made, such as a script.
+
+    name : name of the file.
+    """
     return (files("taichi_bearings.view") / "page" / name).read_text(encoding="utf-8")
 
 

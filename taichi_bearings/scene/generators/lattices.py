@@ -164,12 +164,14 @@ def _of_bond(
     vector: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the contacts (contacts E, 2) that one bond of a cell makes in all cells, and the unit vector (dimensions
-    D,) of all of them.
+    D,) of all of them. A bond joins two spheres whose centres are one diameter apart.
 
-    grid : (cells, dimensions D), positions of all cells, in whole numbers. cells : number of cells along each axis.
-    closed : numbers of the periodic axes. each : number of spheres in a cell. first, second : numbers within their
-        cells of the two spheres of the bond. step : (D,), whole cells from that of the first to that of the second
-        sphere.
+    grid : (cells, dimensions D), positions of all cells, in whole numbers.
+    cells : number of cells along each axis.
+    closed : numbers of the periodic axes.
+    each : number of spheres in a cell.
+    first, second : numbers within their cells of the two spheres of the bond.
+    step : (D,), whole cells from that of the first to that of the second sphere.
     vector : (D,), unit vector from the first to the second sphere.
     """
     there = grid + step

@@ -80,8 +80,10 @@ def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
 
 
 def _folded(discs: np.ndarray, a: float) -> np.ndarray:
-    """Return discs (spheres N, 4) moved into half a period, x from 0 to a, by reflections in x = 0 and x = a. The first
-    column is x.
+    """Return discs (spheres N, 4) moved into half a period, x from 0 to a, by reflections in x = 0 and x = a.
+
+    discs : (N, 4), columns x, y, radius and sense of turning.
+    a : half the period, in heights of the strip.
     """
     x = np.mod(discs[:, 0], 2 * a)
     return np.column_stack([np.where(x > a, 2 * a - x, x), discs[:, 1:]])

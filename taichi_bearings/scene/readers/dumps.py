@@ -26,10 +26,13 @@ FLAGS = {0: "", 3: "", 5: "abc origin", 6: "xy xz yz"}  # words before the three
 class Frame:
     """One timestep of a dump, a text file of LAMMPS.
 
-    path : of the file. step : number of the timestep. names : of all columns. box : None where the dump has none.
-    table : (rows, columns), the columns that were asked for. line : number of the line of the file before the first
-        row.
-    is_rounded : True where whole numbers are printed like 1e+06, so that they may have lost digits.
+    path : of the file.
+    step : number of the timestep.
+    names : of all columns.
+    box : the box; None if the dump has none.
+    table : (rows, columns), the columns that were asked for.
+    line : number of the line of the file before the first row.
+    is_rounded : True if whole numbers are printed like 1e+06, so that they may have lost digits.
     """
 
     path: Path
@@ -47,9 +50,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class Frames:
-    """Where the timesteps of a dump begin.
+    """The timesteps in a dump, a text file of LAMMPS, and where they begin.
 
-    path : of the file. starts : pairs of a timestep and the number of lines before it, in the order of the file.
+    path : of the file.
+    starts : pairs of a timestep and the number of lines before it, in the order of the file.
     cut : the error for what is missing at the end of the file; None if nothing is.
     """
 
@@ -83,7 +87,9 @@ class Frames:
         return cls(path, starts, cut)
 
     def of_step(self, step: int) -> list[int]:
-        """Return the numbers of lines before a timestep, which may be in the file several times, the last one first."""
+        """Return the numbers of lines before a timestep. A timestep may be in the file several times; the last one
+        comes first.
+        """
         return [line for own, line in reversed(self.starts) if own == step]
 
 

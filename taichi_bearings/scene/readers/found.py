@@ -34,10 +34,11 @@ class Sides:
     direction: Any = (1.0, 1.0, 0.0)
 
     def spins(self, driven: np.ndarray, dimension: int) -> np.ndarray:
-        """Return the imposed spins, (spheres N, 3) of spheres or (N,) of discs, 1/time.
+        """Return the imposed spins, (spheres N, 3) of spheres or (N,) of discs, 1/time. Raises InputError for a body
+        that is neither bottom nor top.
 
-        driven : (N,) number of the body of each sphere, -1 for free ones. dimension : 2 or 3. Raises InputError for a
-            body that is neither bottom nor top.
+        driven : (N,), number of the body of each sphere, -1 for free ones.
+        dimension : 2 or 3.
         """
         if (beyond := driven >= SIDES).any():
             own = int(np.argmax(beyond))
@@ -56,17 +57,18 @@ class Sides:
 def from_centers(
     center: Any, radius: Any, tolerance: float, given: dict[str, Any], sides: Sides, periodic: Any = None
 ) -> dict[str, np.ndarray]:
-    """Return the arrays of a packing, by name, whose spheres touch where |d - R_i - R_j| <= tolerance (R_i + R_j).
+    """Return the arrays of a packing, by name, whose spheres touch where |d - R_i - R_j| <= tolerance (R_i + R_j), with
+    the distance d of two centres.
 
-    Here d is the distance of two centres.
-
-    center : (spheres N, dimensions D), length. radius : (N,) or one for all, length. tolerance : relative gap or
-    overlap of spheres that touch. given : `driven`, (N,), or `spin`, if they are known; without `driven`, spheres
-    within `tolerance` radii of the lowest and of the highest one along the last axis are driven. sides : their spins,
-    unless `spin` is given.
+    center : (spheres N, dimensions D), length.
+    radius : (N,) or one for all, length.
+    tolerance : relative gap or overlap of spheres that touch.
+    given : `driven`, (N,), or `spin`, if they are known; without `driven`, spheres within `tolerance` radii of the
+        lowest and of the highest one along the last axis are driven.
+    sides : their spins, unless `spin` is given.
     periodic : (D,), lengths of the periodic sides, 0 or None along other axes.
 
-    Raises InputError for spheres that overlap by more, and where nothing touches or it is not clear what is driven.
+    Raises InputError for spheres that overlap by more, and if nothing touches or it is not clear what is driven.
     """
     center = places(center)
     count, dimension = center.shape
