@@ -55,8 +55,10 @@ def command(run: Path, as_json: bool, **asked: Any) -> None:
 
 
 def describe(report: dict[str, Any], times: str) -> str:
-    """Return the structure of a run in words, section by section. report : the object of `--json`. times : a sentence
-    on where the time went.
+    """Return the structure of a run in words, section by section.
+
+    report : the object of `--json`.
+    times : a sentence on where the time went.
     """
     from taichi_bearings.quantities import COLUMNS, STRUCTURE
     from taichi_bearings.words import counted, listed

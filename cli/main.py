@@ -125,7 +125,9 @@ def main() -> None:
 
 def _interrupted(sentence: str) -> int:
     """Print that a command was interrupted, and return the exit code. If the process is the command's own, it ends
-    here at once, without waiting for its threads. sentence : what is printed.
+    here at once, without waiting for its threads.
+
+    sentence : what is printed.
     """
     interrupts.ignored()
     leaving.end_now(sentence)

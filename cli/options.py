@@ -20,7 +20,7 @@ class Text(click.types.StringParamType):
     """The type of a text option; the shell completes it to one of the names or, without names, to a file."""
 
     def __init__(self, *names: str) -> None:
-        """names : values to which the shell completes what is typed; without names it completes to a file."""
+        """Take the words to which the shell completes what is typed; without any it completes to a file."""
         self.names = names
 
     def shell_complete(self, context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -145,7 +145,11 @@ def _laws_of_methods() -> list[str]:
 
 
 def _click_option(key: str, item: Option, text: str) -> click.Option:
-    """Return one setting as an option of the command line. key : its name with underscores. text : its help."""
+    """Return one setting as an option of the command line.
+
+    key : its name with underscores.
+    text : its help.
+    """
     name = key.replace("_", "-")
     if item.kind is TRUTH:
         return click.Option([f"--{name}/--no-{name}", key], default=None, help=text)
@@ -155,21 +159,27 @@ def _click_option(key: str, item: Option, text: str) -> click.Option:
 
 
 def options_in(table: Mapping[str, Option]) -> list[click.Parameter]:
-    """Return the settings of a table as options of the command line; their values stay texts. table : by name with
-    underscores.
+    """Return some settings as options of the command line, whose values stay texts.
+
+    table : settings by name, with underscores.
     """
     return [_click_option(key, item, item.help) for key, item in table.items()]
 
 
 def _shown(default: object) -> str:
-    """Return a default value as the help shows it; "" for None."""
+    """Return a default value of an option as the help shows it; "" for None."""
     if isinstance(default, bool):
         return "on" if default else "off"
     return "" if default is None else ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
 def answer(report: Mapping[str, Any], as_json: bool, words: Callable[[], str]) -> None:
-    """Print what a command has found: the report as one JSON object, or the text that `words` returns."""
+    """Print what a command has found: one JSON object, or a text.
+
+    report : what was found, by name.
+    as_json : True for the JSON object.
+    words : function that returns the text.
+    """
     click.echo(json.dumps(report, allow_nan=False) if as_json else words() + replica_shown(report))
 
 
@@ -210,7 +220,9 @@ def out_options(
 ) -> Callable[[Any], Any]:
     """Return a decorator that adds the options --out and --force to a command.
 
-    out, force : help texts. metavar : name of the value of --out. kind : type of that value.
+    out, force : help texts.
+    metavar : name of the value of --out.
+    kind : type of that value.
     """
 
     def with_options(command: Any) -> Any:

@@ -128,10 +128,12 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
 def _plot_run(kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: Any) -> None:
     """Draw a figure of a run, write it, and print its path.
 
-    kind : one of PLOT_KINDS but "scan". run : directory of the run, or its run.h5. replica : which sample, counted from
-        0.
+    kind : one of PLOT_KINDS but "scan".
+    run : directory of the run, or its run.h5.
+    replica : which sample, counted from 0.
     time : simulated time of the snapshot to draw, None for the end.
-    out : path of the figure, None for one in the run directory. force : replace an existing file.
+    out : path of the figure, None for one in the run directory.
+    force : replace an existing file.
     page : size, resolution, planes and view of the figure, a :class:`taichi_bearings.plots.page.Page`.
     """
     from taichi_bearings.files.whole_file import refuse_ending

@@ -20,7 +20,10 @@ Display = partial(progress.Display, STARTED)  # its times begin with the process
 
 def in_lines(text: str, err: bool = False) -> str:
     """Return a report as it is to be printed: for a terminal long lines are broken between words, with the next lines
-    indented; else it is unchanged. err : it is printed on stderr.
+    indented; else it is unchanged.
+
+    text : the report.
+    err : True if it is printed on stderr.
     """
     stream = sys.stderr if err else sys.stdout  # None where it is closed
     if stream is None or not stream.isatty():
@@ -49,7 +52,10 @@ class ScanDisplay(TerminalLine):
             self.is_logged = stat.S_ISREG(os.fstat(sys.stderr.fileno()).st_mode)
 
     def __call__(self, progress: Any) -> None:
-        """Take note of how far the scan is now."""
+        """Take note of how far the scan is now, and write a line if the log is due for one.
+
+        progress : a `ScanProgress`: numbers of samples, rate, time left.
+        """
         self.progress = progress
         if self.is_logged and time.monotonic() - self.last_line >= HEARTBEAT:
             self.last_line = time.monotonic()

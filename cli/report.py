@@ -11,7 +11,10 @@ from taichi_bearings.words import driving_words, listed, sized
 
 
 def solved(report: Mapping[str, Any]) -> str:
-    """Return in words what was solved by which method, such as ``10x10 coulomb, planar-cut``. report : of a run."""
+    """Return in words what was solved by which method, such as ``10x10 coulomb, planar-cut``.
+
+    report : report of a run.
+    """
     return f"{sized(report)} {report['law']}, {report['method']}{driving_words(report)}"
 
 
@@ -21,11 +24,11 @@ def ends(report: Mapping[str, Any]) -> str:
 
 
 def lines_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
-    """Return a line of text for each of these quantities that a report has.
+    """Return a line of text for each of some quantities that a report has. For several samples a line has mean, least
+    and largest value, or how many samples something is true of.
 
-    rows : entries of the table of quantities, each with a name and a text.
-    report : of one sample or of several; then a line has mean, least and largest value, or how many samples something
-        is true of.
+    rows : quantities, each with a name and a text.
+    report : object of `--json`, of one sample or of several.
     """
     several = isinstance(report.get("seed"), list)
     found = ((row.text, report[row.name]) for row in rows if row.name in report)
@@ -33,9 +36,10 @@ def lines_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
 
 
 def _of_several(text: str, value: Any) -> list[str]:
-    """Return a line on a quantity of several samples, as a list; an empty one if their values are lists or tables.
+    """Return a line on a quantity of several samples, in a list; an empty list if their values are lists or tables.
 
-    text : what the quantity is. value : for each sample its value, or None.
+    text : what the quantity is.
+    value : for each sample its value, or None.
     """
     found = listed(value)
     values = [one for one in found if one is not None]
@@ -49,8 +53,10 @@ def _of_several(text: str, value: Any) -> list[str]:
 
 
 def _of_one(text: str, value: Any) -> list[str]:
-    """Return lines on a quantity of one sample: a number, a list, or a table (a list of dictionaries); none if there
-    is no value. text : what the quantity is.
+    """Return lines on a quantity of one sample; none if there is no value.
+
+    text : what the quantity is.
+    value : a number, a list, or a table (a list of dictionaries).
     """
     if value is None or value == []:
         return []
@@ -62,8 +68,9 @@ def _of_one(text: str, value: Any) -> list[str]:
 
 
 def _shown(value: Any, digits: int = 6) -> str:
-    """Return a value as a text; entries of a dictionary that are 0 are left out. digits : significant digits of a
-    number that is not whole.
+    """Return a value as a text; entries of a dictionary that are 0 are left out.
+
+    digits : significant digits of a number that is not whole.
     """
     if isinstance(value, dict):
         return ", ".join(f"{name} {_shown(entry)}" for name, entry in value.items() if entry)

@@ -82,7 +82,9 @@ def command(
 
 
 def describe(report: dict[str, Any], times: str) -> str:
-    """Return all claims with their verdicts, and the files written, in words. report : the object of `--json`.
+    """Return all claims with their verdicts, and the files written, in words.
+
+    report : the object of `--json`.
     times : a sentence on where the time went.
     """
     lines = list[str]()

@@ -102,7 +102,10 @@ def command(
 
 
 def _how_to_go_on(folder: Path) -> str:
-    """Return a line on how an interrupted run can be continued, or what it lacks. folder : the run directory."""
+    """Return a line on how an interrupted run can be continued, or what it lacks.
+
+    folder : the run directory.
+    """
     from taichi_bearings.runs.run_directory import CHECKPOINT_NAME
 
     if (folder / CHECKPOINT_NAME).is_file():
@@ -129,8 +132,9 @@ def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], a
 
 
 def describe_cost(report: dict[str, Any]) -> str:
-    """Return in words what a run would take. report : object of `--dry-run --json`; its `seconds` is None where the
-    time cannot be known before.
+    """Return in words what a run would take.
+
+    report : object of `--dry-run --json`; its `seconds` is None where the time cannot be known before.
     """
     step, steps, seconds = report["seconds_per_step"], report["steps"], report["seconds"]
     words = (
@@ -147,7 +151,8 @@ def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
     """Return a list of sentences that warn of a --seed from which nothing is drawn; empty if there is nothing to warn
     of.
 
-    settings : of the run. given : the options that the user gave, by name.
+    settings : settings of the run.
+    given : the options that the user gave, by name.
     """
     if "seed" not in given or not settings.is_packing:
         return []
@@ -162,7 +167,8 @@ def _task(
     """Return a function that solves what the command line asks for, and the directory that it asks for, None if it
     names none.
 
-    scene : path of the scene file or run directory. out, force : values of --out and --force.
+    scene : path of the scene file or run directory.
+    out, force : values of --out and --force.
     resumed : value of --resume, the run to go on with.
     given : the other options that the user gave, by name.
     """
@@ -209,7 +215,8 @@ def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None
 def describe(summary: dict[str, Any], times: str) -> str:
     """Return a short report of a run in words, some lines.
 
-    summary : the object of `--json`. times : a sentence on where the time went.
+    summary : the object of `--json`.
+    times : a sentence on where the time went.
     """
     drawn, is_packing, seeds = summary["coefficients"] is None, summary["shape"] is None, listed(summary["seed"])
     driven = f", {summary['driven_spheres']:,} of them driven" if is_packing else ""
@@ -239,8 +246,8 @@ def _of_a_sample(
 ) -> str:
     """Return a line on one sample: power, proven gap, how many contacts slip, and how many of these states are proven.
 
-    summary : of the run. The other arguments are the sample's columns in the order of OF_A_SAMPLE; None where a number
-        is not finite or not known.
+    summary : summary of the run. The other arguments are the sample's columns in the order of OF_A_SAMPLE; None where a
+        number is not finite or not known.
     proof : "proven", None, or words that say why the lower bound is not proven.
     others : numbers of contacts: tied, undecided, with unproven state, and all.
     """

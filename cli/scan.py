@@ -119,7 +119,10 @@ def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> i
 
 
 def _without_folder(scan: Path) -> InputError:
-    """Return the error for --part or --merge without a folder. scan : the path that the user gave."""
+    """Return the error for --part or --merge without a folder.
+
+    scan : the path that the user gave.
+    """
     if scan.suffix != ".toml" and not scan.exists():  # the name of a folder, mistyped
         return InputError(
             f"there is no {scan}; --part and --merge need the folder of a scan, or its file and --out DIR"
@@ -128,7 +131,10 @@ def _without_folder(scan: Path) -> InputError:
 
 
 def describe_estimate(expected: dict[str, Any]) -> str:
-    """Return in words what a scan would do. expected : the object of `--dry-run --json`."""
+    """Return in words what a scan would do.
+
+    expected : the object of `--dry-run --json`.
+    """
     lines = [f"{counted(expected['samples'], 'sample')} over {', '.join(expected['scanned']) or 'nothing'}"]
     if expected["missing"] < expected["samples"]:
         lines[0] += f", of which {expected['missing']:,} are missing"
@@ -141,7 +147,10 @@ def describe_estimate(expected: dict[str, Any]) -> str:
 
 
 def describe(report: dict[str, Any]) -> str:
-    """Return the report of a scan in words, some lines. report : the object of `--json`."""
+    """Return the report of a scan in words, some lines.
+
+    report : the object of `--json`.
+    """
     done, failed, missing, lacking = (report[name] for name in ("done", "failed", "missing", "lacking"))
     again, incomplete = f"bearings scan {report['scan']}", report.get("incomplete_parts", [])
     now = f"{report['solved_now']:,} of them now, " if report["solved_now"] < done else ""

@@ -41,8 +41,10 @@ def command(context: click.Context, run: Path, as_json: bool) -> None:
 
 
 def describe(report: dict[str, Any], times: str = "") -> str:
-    """Return the verdict on a run in words, some lines. report : the object of `--json`. times : a sentence on where
-    the time went.
+    """Return the verdict on a run in words, some lines.
+
+    report : the object of `--json`.
+    times : a sentence on where the time went.
     """
     law = LAWS[report["law"]]
     shape = "x".join(map(str, report["shape"])) if report["shape"] else f"packing of {report['spheres']:,} spheres,"

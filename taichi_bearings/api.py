@@ -183,7 +183,7 @@ def solve_many(
 
 def _refuse_of_script(law: type, method: str) -> None:
     """Raise InputError for a law or a method that worker processes cannot import: one that is defined in the running
-    script, or in a module whose own code calls solve_many while it is imported.
+    script, or in a module that calls solve_many while it is imported.
 
     law : class of the contact law.
     method : name of the method.
@@ -275,11 +275,13 @@ def load(path: str | Path) -> Result:
 def _job(
     scene: Scene | Packing, method: str | MethodOptions, options: Mapping[str, object], start: str | np.ndarray
 ) -> runs.Job:
-    """Return the job that solves a scene or a packing, with the settings of `bearings run`.
+    """Return the job that solves a scene or a packing, with the settings that `bearings run` has. Initial spins that
+    are an array are kept in the job, beside the settings.
 
-    method, start : as in :func:`solve`.
-    options : its other arguments by name, `tolerance` included. Initial spins that are an array are kept in the job,
-        beside the settings.
+    scene : what is solved.
+    method : name of a method, or a method with its options.
+    options : other arguments of :func:`solve` by name, `tolerance` included.
+    start : initial spins, their name, or the path of a file.
 
     Raises InputError for arguments that are not allowed.
     """
@@ -303,11 +305,13 @@ def _job(
 
 
 def _asked(method: str | MethodOptions, options: Mapping[str, object], start: str | np.ndarray) -> Json:
-    """Return the settings of a run that the arguments of :func:`solve` amount to, by key, without those of the scene.
+    """Return the settings of a run, by key, that arguments of :func:`solve` amount to, without those of the scene.
+
+    method : name of a method, or a method with its options.
+    options : other arguments by name, `tolerance` included.
+    start : initial spins, their name, or the path of a file.
 
     Raises InputError for an option that does not exist.
-
-    method, options, start : as :func:`solve` takes them.
     """
     for name in options:
         if name not in ("tolerance", *OPTIONS):

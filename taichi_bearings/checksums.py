@@ -67,7 +67,7 @@ def seal(group: h5py.Group) -> None:
 def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
     """Yield the names of what was changed since it was written, in an open file or a group of it.
 
-    path : of the file, for the error.
+    path : path of the file, for the error.
     group : the file, or a group of it.
 
     Raises FileError where the table of checksums is unreadable. What is missing altogether is noticed by whoever reads
@@ -83,11 +83,14 @@ def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
 
 @contextlib.contextmanager
 def open_checked(path: Path, kind: str = "an HDF5 file", changed: list[str] | None = None) -> Iterator[h5py.File]:
-    """Open a file for reading as `open_hdf5` does, and check its checksums.
+    """Open an HDF5 file for reading as a context, and check its checksums.
 
-    kind : what it is read as, for errors.
-    changed : a list that takes the names of what was changed; without it a change raises FileError, as does a layout of
-        another version.
+    path : path of the file.
+    kind : what it is read as, in words, for errors.
+    changed : a list that gets the names of what was changed after the file was written; None to raise FileError for a
+        change.
+
+    Raises FileError for a layout of another version.
     """
     with open_hdf5(path, kind) as file:
         found = file.attrs.get("schema_version", LAYOUT)

@@ -117,8 +117,10 @@ def _warn_of_cache(place: Path) -> None:
 
 
 def _is_private(status: os.stat_result) -> bool:
-    """Return True for what nobody but this user can write; a group may if it has the user's name, as on many
-    systems.
+    """Return True for a file or folder into which nobody but this user can write. Its group may, if the group has the
+    user's name and no other member, as on many systems.
+
+    status : file status, as `stat` returns it.
     """
     if not hasattr(os, "getuid"):
         return True
@@ -192,8 +194,8 @@ def _lines_found_quickly() -> Iterator[None]:
 
 
 def _read_functions_once(reader: Any) -> None:
-    """Have Taichi read each function of a kernel from its file once, which halves the time that every process takes to
-    read its kernels.
+    """Have Taichi read each function that kernels call from its file only once. That halves the time that every process
+    takes to read its kernels.
 
     reader : the module of Taichi that reads kernels.
 

@@ -122,9 +122,10 @@ _begun: list[Original] = []  # the process that `begun_early` has started, until
 
 @contextlib.contextmanager
 def begun_early() -> Iterator[None]:
-    """Context at whose begin the process starts that is copied to make workers, so that it loads the program while this
-    process does. The first call of :func:`take_original` inside the block returns it; if there is no such call, it is
-    ended with the block."""
+    """Context that starts, at its begin, the process of which worker processes are later made as copies, so that it
+    loads the program in parallel to this process. `take_original` inside the block returns it; if that is not called,
+    the process is ended with the block.
+    """
     original = Original()
     original.begin()
     _begun.append(original)
@@ -137,11 +138,10 @@ def begun_early() -> Iterator[None]:
 
 
 def take_original() -> Original:
-    """Return the process that :func:`begun_early` has started, if no caller has taken it yet; otherwise a new one that
-    is not started.
+    """Return the process that `begun_early` has started, if no caller has taken it yet; otherwise a new one that is not
+    started. The caller has to end it.
 
-    An `Original` is a process that has loaded the program and does nothing else: worker processes are copies of it. The
-    caller has to end it.
+    Such a process, an `Original`, has loaded the program and does nothing else; worker processes are copies of it.
     """
     return _begun.pop() if _begun else Original()
 

@@ -21,10 +21,11 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a divided graph.
+    """One part of a divided graph: nodes that separate the parts below it, or what is left of a region that is not
+    divided.
 
     nodes : numbers of its own nodes. Their neighbours are in the part itself, in parts above it, or in parts below it.
-    children : numbers of the parts that it separates, all smaller than its own.
+    children : numbers of the parts that it separates, all smaller than its own number.
     """
 
     nodes: np.ndarray
@@ -41,11 +42,11 @@ def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, le
     """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
 
     graph : (n, n), symmetric; an entry joins two nodes.
-    place : (d, n) coordinates of the nodes.
-    leaf : a region of no more nodes is not divided.
+    place : (d, n), coordinates of the nodes.
+    leaf : largest number of nodes of a region that is not divided.
 
-    The same graph at the same places is divided once: methods and proofs of one network, and of samples that share it,
-    ask for it again and again.
+    Recent results are kept: methods and proofs of one network, and of samples that share it, ask for the same division
+    again and again.
     """
     if graph.shape[0] > MOST_KEPT_NODES:
         return _divided(graph, place, leaf)
@@ -63,15 +64,15 @@ def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, le
 
 
 def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
-    """Return a division of a new graph that follows from that of another one, as a list of parts, children before
-    parents. A part is a set of nodes that separates the parts below it, or what is left of a region.
+    """Return a division of a new graph that follows from that of another graph: a list of parts, children before
+    parents. A part is a set of nodes that separates the parts below it, or what is left of a region. No separator is
+    looked for, so this takes far less time than a new division.
 
     parts : the parts of the other, divided graph.
     node : (n,), the node of the divided graph to which each node of the new graph belongs. Nodes of the new graph may
         be joined only if they belong to one node of the divided graph, or to two that are joined.
-    leaf : parts of no more nodes, with all below them, become one part. Parts without any node are left out.
-
-    No separator is looked for, so this takes far less time than a division of the new graph.
+    leaf : a part that with all parts below it has no more nodes becomes one part with them. Parts without any node are
+        left out.
     """
     size = sum(len(part.nodes) for part in parts)
     owner, parent = np.empty(size, dtype=np.intp), np.full(len(parts), -1)
@@ -101,8 +102,13 @@ def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
 
 
 def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
-    """Return the parts of a graph, children before parents; the arguments are those of :func:`dissected`. Nothing is
-    kept."""
+    """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
+    Unlike `dissected` it keeps no result for the next call.
+
+    graph : (n, n), symmetric; an entry joins two nodes.
+    place : (d, n), coordinates of the nodes.
+    leaf : largest number of nodes of a region that is not divided.
+    """
     count = graph.shape[0]
     second = np.repeat(np.arange(count), np.diff(graph.indptr))
     once = graph.indices > second

@@ -34,10 +34,10 @@ NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # what a file system 
 
 @contextlib.contextmanager
 def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
-    """Open a file for reading, as a context.
+    """Open an HDF5 file for reading, as a context.
 
-    path : a regular file.
-    kind : what it is read as, for errors.
+    path : path of a regular file.
+    kind : what it is read as, in words, for errors.
 
     Raises FileError for a file that leads out of itself or claims more than it can hold, and for whatever a damaged one
     makes HDF5 and NumPy raise inside the block.
@@ -97,7 +97,7 @@ def file_at(path: Path) -> h5py.File:
 def reason_against(file: h5py.File, size: int) -> str:
     """Return in words why an open file must not be read; "" if it can be.
 
-    size : of the file in bytes.
+    size : size of the file in bytes.
     """
     try:
         return _strange(file, size)
@@ -132,7 +132,7 @@ def _strange(file: h5py.File, size: int) -> str:
 def _strange_attribute(name: str, item: h5py.HLObject) -> str:
     """Return in words which attribute of a group or data set is neither a number nor a text; "" if all are.
 
-    name : of the item, for the sentence.
+    name : name of the item, for the sentence.
     """
     plain = (*PLAIN, h5py.Reference, h5py.RegionReference)  # as of scales, which are never followed
     for key in list(item.attrs):
@@ -148,7 +148,7 @@ def _strange_data(name: str, item: h5py.Dataset) -> str:
     """Return in words why a data set is no array of numbers or texts in this file; "" if it is one, plain or packed by
     a known filter.
 
-    name : of the data set, for the sentence.
+    name : name of the data set, for the sentence.
     """
     if item.is_virtual or item.external:
         return f"{name} in it lies in other files, which are not read"

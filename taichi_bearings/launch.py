@@ -14,11 +14,12 @@ from taichi_bearings.compiler import ti
 def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
     """Return a function without arguments that calls ``kernel(*arguments)``, quickly.
 
-    arguments : arrays, of which it sees the numbers that they hold at the call, all with one index in the kernel; and
-        whole numbers.
+    kernel : a kernel of Taichi.
+    arguments : arrays that the kernel reads with one index, of which it sees the numbers that they hold at the call;
+        and whole numbers.
 
-    Taichi inspects all arguments at every start, which takes 0.1 ms, in which a pass over the contacts of a small
-    sample could be done. Its findings are kept here, through its inner functions. Where the compiler has others, the
+    Taichi inspects all arguments at every start, which takes 0.1 ms: as long as a pass over the contacts of a small
+    sample. Its findings are kept here, through its inner functions. Where the compiler has other inner functions, the
     kernel is started in the ordinary way, and a warning says that small samples take longer.
     """
     runtime.current()  # starts it

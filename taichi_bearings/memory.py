@@ -50,7 +50,7 @@ def told_bytes(file: str, name: str, unknown: float = math.nan) -> float:
     """Return a number of bytes that Linux tells.
 
     file : "/proc/meminfo", on the machine, or "/proc/self/status", on this process.
-    name : of the number there, such as "MemAvailable" or "VmHWM", the most memory that the process has had.
+    name : name of the number there, such as "MemAvailable" or "VmHWM", the most memory that the process has had.
     unknown : returned where the system does not tell.
     """
     with suppress(OSError, StopIteration, ValueError):

@@ -115,9 +115,11 @@ def _truth(value: object) -> bool:
 
 
 def bounded(convert: Reader, low: float, high: float = math.inf, open_low: bool = False) -> Reader:
-    """Return a function that reads a number by `convert`; ValueError if it is not from low to high.
+    """Return a function that reads a number and raises ValueError if it is not from `low` to `high`.
 
-    open_low : low itself is not allowed.
+    convert : function that reads the number.
+    low, high : the limits, which are allowed themselves.
+    open_low : True if `low` itself is not allowed.
     """
 
     def read(value: Any) -> Any:
@@ -144,8 +146,11 @@ def _text(value: object) -> str:
 
 
 def finite_number(name: str, value: object) -> float:
-    """Return a real number of Python or NumPy as a float; InputError for anything else, truth values and infinities
-    too.
+    """Return a real number of Python or NumPy as a float; raise InputError for anything else, truth values and
+    infinities too.
+
+    name : name of the argument, for the message.
+    value : what was given.
     """
     try:
         number = plain(value)
@@ -206,14 +211,15 @@ class Option:
     """An option that can be given for a run, a method or a law.
 
     default : value if it is not given; None where it is left to whatever uses the option.
-    kind, help : how it is read, and a sentence on what it means.
-    unit : "1" for a pure number.
+    kind : how the value is read, and which values are allowed.
+    help : a sentence on what it means.
+    unit : unit of the value; "1" for a pure number.
     methods, laws : functions that return True for a method, or law, that uses it; None if all do.
-    dimensions : of the lattices that use it.
+    dimensions : dimensions of the lattices that use it.
     of_solving : True if it says how a system is solved, not which system.
     not_scanned : why a scan cannot vary it, since it changes no result; "" if it can.
     unset : True if descriptions of a run have None in place of the default, as if the option were not given.
-    rare : True if few need it, so that `--help` leaves it to `--help-all`.
+    rare : True if few people need it, so that only `--help-all` shows it.
     """
 
     default: Any
@@ -237,8 +243,10 @@ class Option:
 def option(default: Any, kind: Kind, help: str, **facts: Any) -> Any:
     """Return a field of a dataclass that is an :class:`Option`.
 
-    default, kind, help : see there.
-    facts : its further attributes by name.
+    default : value of the option if it is not given.
+    kind : how the value is read, and which values are allowed.
+    help : a sentence on what the option means.
+    facts : further attributes of the Option, by name.
     """
     return field(default=default, metadata={"option": Option(default, kind, help, **facts)})
 

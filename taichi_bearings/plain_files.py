@@ -44,8 +44,11 @@ def writing(what: object, inside: bool = False) -> Iterator[None]:
 
 
 def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
-    """Open a regular file, unbuffered if it is for writing; OSError if there is none, FileError if it is something
-    else.
+    """Open a regular file, unbuffered if it is for writing. Raise OSError if there is none, FileError if something else
+    has this name.
+
+    path : path of the file.
+    flags : flags of `os.open`.
     """
     strange = FileError(f"{path} is not a regular file")
     try:
@@ -191,11 +194,11 @@ def remove_leftover(path: Path) -> None:
 
 @contextlib.contextmanager
 def locked(path: Path, what: str) -> Iterator[bool]:
-    """Hold a lock file inside the block; FileError if another process holds it.
+    """Hold a lock file inside the block; raise FileError if another process holds it. The value of the block is True,
+    or False where the file system has no locks.
 
-    The value of the block is False where the file system has no locks.
-
-    what : named in the error.
+    path : path of the lock file, which is made and removed again.
+    what : what the lock protects, named in the error.
     """
     refuse_link_out(path)
     while True:

@@ -146,7 +146,10 @@ class Display:
         self._since = now
 
     def hear(self, stage: Stage) -> None:
-        """Note when a stage reports how far it is."""
+        """Note when a stage reports how far it is.
+
+        stage : the stage of work, with its report.
+        """
         if stage.report is not None:
             stage.done.append((time.perf_counter() - stage.began, share_of(stage.report)[0]))
 
@@ -183,9 +186,9 @@ def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
 
 
 def standing(report: Any) -> str:
-    """Return in words where a solve stands.
+    """Return in words where a solve stands: iterations, simulated time, power and gap.
 
-    report : a solvers.drive.Report.
+    report : what the solve says at a check, a solvers.drive.Report.
     """
     progress = report.progress
     words = [counted(progress.iteration, "iteration")]
@@ -194,17 +197,23 @@ def standing(report: Any) -> str:
 
 
 def gap_of(report: Any) -> float:
-    """Return the largest gap of all samples; where nothing is proven on the way, that of the central path."""
+    """Return the largest relative gap of all samples; where nothing is proven on the way, the gap that the central path
+    of the interior-point method implies.
+
+    report : what the solve says of where it stands.
+    """
     on_path = report.progress.gap_of_path
     return float(np.max(report.gap)) if on_path is None else on_path
 
 
 def forecast(stage: Stage) -> tuple[float, str]:
-    """Return the seconds that were left when a stage last reported, infinite if unknown, and in words what that time
-    leads to.
+    """Return the seconds that were left when a stage of work last reported, infinite if unknown, and words on what that
+    time leads to, such as " to gap 1e-08".
 
-    The pace is that of the last two thirds of the stage's time, as kernels may be compiled in the first third. Work
-    that reports nothing has the time that was expected of it.
+    stage : the stage of work.
+
+    The pace is that of the last two thirds of the stage's time, as kernels may be compiled in the first third. For work
+    that reports nothing it is the time that was expected.
     """
     seconds, report = (stage.done[-1][0] if stage.done else 0.0), stage.report
     left = seconds_left([point for point in stage.done if point[0] >= seconds / WINDOW])  # the first part may compile
@@ -219,7 +228,8 @@ def share_of(report: Any) -> tuple[float, str]:
     """Return which share of a solve is done, and in words what ends it. The share is not-a-number where it says nothing
     of the time.
 
-    report : a `Step` or a solvers.drive.Report.
+    report : what a solve says of where it stands: `progress` (iteration, time, gap) and `stop`, its limits and
+        tolerance.
     """
     gap = gap_of(report)
     progress, stop = report.progress, report.stop

@@ -79,16 +79,18 @@ class Quantity:
 
 
 def _fact(name: str) -> Callable[[Answer], object]:
-    """Return a function of an answer that gives a number that describes what was solved, None where there is none.
+    """Return a function of an answer that gives a number that describes what was solved; None where there is no such
+    number.
 
-    name : of the number in `Bearing.facts`.
+    name : name of the number among the facts of the scene, such as "spin_top".
     """
     return lambda answer: answer.solution.scene.facts.get(name)
 
 
 def _of_unique_slips(of: Callable[[Answer], object]) -> Callable[[Answer], object]:
-    """Return a function of an answer that calls `of` where the slips of the minimum are unique; elsewhere, in packings,
-    it gives no value."""
+    """Return a function of an answer that calls `of` where the slips of the minimum are unique, as on lattices;
+    elsewhere, in packings, it returns None.
+    """
     return lambda answer: of(answer) if answer.solution.scene.driving.slips_are_unique else None
 
 
@@ -134,8 +136,11 @@ def _normalised(answer: Answer) -> np.ndarray | None:
 
 
 def _at_end(column: str) -> Callable[[Answer], object]:
-    """Return a function of an answer that returns the last value in a column of the history; None if there is no such
-    column."""
+    """Return a function of an answer that gives the last value in a column of the history; None if there is no such
+    column.
+
+    column : name of the column.
+    """
 
     def found(answer: Answer) -> object:
         """Return the last value."""

@@ -65,7 +65,8 @@ def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
 def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None = None) -> Iterator[Item]:
     """Yield the items one after another; progress shows which of how many is under way.
 
-    name : of an item, in the singular.
+    items : the items.
+    name : what an item is, in the singular.
     work : function that returns the work of an item, in any unit, where that is roughly known; `alike` where all take
         the same; None where it is unknown.
     """
@@ -82,5 +83,5 @@ def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None 
 
 
 def alike(_: object) -> float:
-    """Return the work of each of many items that take about the same time."""
+    """Return 1, as the work of each of many items that take about the same time."""
     return 1.0

@@ -32,7 +32,9 @@ class CutOff(FileError):
     def __init__(self, path: Path, line: int, why: str) -> None:
         """Make the message.
 
-        why : where and how the file is cut off.
+        path : path of the file.
+        line : number of the line where it ends.
+        why : where and how it is cut off.
         """
         self.line = line
         super().__init__(f"{path} is cut off: {why}")

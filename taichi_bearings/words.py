@@ -51,8 +51,10 @@ def meant(word: object, known: Iterable[str]) -> str:
 def html_table(title: str, rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
     """Return a title, such as a `repr`, and a table as HTML for notebooks.
 
-    rows : the values of each row. head : titles of the columns. Without a head, rows are a name and a value, and rows
-        whose value is no number, text or tuple are left out.
+    title : the title.
+    rows : values of each row. Without a head these are a name and a value, and rows whose value is no number, text or
+        tuple are left out.
+    head : titles of the columns.
 
     >>> html_table("<Scene>", [("law", "<b>")])
     '<p>Scene</p><table><tr><th>law</th><td>&lt;b&gt;</td></tr></table>'
@@ -106,8 +108,9 @@ def driving_words(values: Mapping[str, object]) -> str:
 
 
 def sized(values: Mapping[str, Any]) -> str:
-    """Return the size of what was solved, in words. values : options of the run by name, of which shape or spheres are
-    used.
+    """Return the size of what was solved, in words.
+
+    values : options of the run by name, of which shape or spheres are used.
 
     >>> sized({"shape": [10, 10]}), sized({"shape": None, "spheres": 256})
     ('10x10', '256 spheres,')

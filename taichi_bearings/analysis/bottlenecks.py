@@ -157,8 +157,8 @@ class Bottlenecks:
 def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
     """Return the number (links,) of the biconnected block of each link: any two links of a block lie on a common cycle.
 
-    low, high : (links,), the two nodes of each link. bodies : number of nodes. Links between the same two nodes are in
-        one block.
+    low, high : (links,), the two nodes of each link.
+    bodies : number of nodes. Links between the same two nodes are in one block.
     """
     graph = rustworkx.PyGraph(multigraph=False)
     graph.add_nodes_from(range(bodies))

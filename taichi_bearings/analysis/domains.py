@@ -148,8 +148,9 @@ class RigidDomains:
         return dict(zip(self.locks, np.bincount(self.kind, minlength=len(self.locks)).tolist(), strict=True))
 
     def spheres_of_kind(self, counted: np.ndarray) -> dict[str, int]:
-        """Return the number of spheres in domains of each kind, by name. counted : mask of the spheres that count, in
-        the shape of the lattice or (spheres,).
+        """Return the number of spheres in domains of each kind, by name.
+
+        counted : mask of the spheres that count, in the shape of the lattice or (spheres,).
         """
         each = np.bincount(self.kind[self.domain[counted]], minlength=len(self.locks))
         return dict(zip(self.locks, each.tolist(), strict=True))
@@ -158,8 +159,9 @@ class RigidDomains:
 def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:
     """Return the rigid domains of a sample of a lattice: spheres whose spins slipless contacts force to be equal.
 
-    network : its slipless contacts. staggered : (C, spheres *N), spins with opposite signs for neighbours, measured
-        from the bottom, 1/time. spin_axes : numbers of the C components.
+    network : its slipless contacts.
+    staggered : (C, spheres *N), spins with opposite signs for neighbours, measured from the bottom, 1/time.
+    spin_axes : numbers of the C components.
     """
     top = staggered[..., -1].reshape(len(spin_axes), -1)
     uneven = bool((top != top[:, :1]).any())
@@ -208,10 +210,12 @@ def domains_of_packing(
 
 
 def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
-    """Return labels (spheres,) that are equal for spheres of one piece whose values, sorted, have no gap above `near`
-    between them.
+    """Return labels (spheres,) of groups of spheres. Two spheres of one connected piece are in one group if, of all
+    values in the piece between theirs, no two successive ones differ by more than `near`.
 
-    piece : (spheres,), number of the connected piece of each sphere. values : (spheres,).
+    piece : (spheres,), number of the connected piece of each sphere.
+    values : (spheres,), the values that are compared.
+    near : largest gap between successive values of a group.
     """
     order = np.lexsort([values, piece])
     new = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > near)
@@ -222,7 +226,7 @@ def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
 
 def refined(labels: np.ndarray) -> np.ndarray:
     """Return labels (spheres,) that are equal for two spheres if all their labels in `labels` are equal; 0 is the
-    largest class.
+    largest group.
 
     labels : (components C, spheres).
     """
@@ -235,7 +239,8 @@ def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tup
     """Return two arrays (spheres,): the number of the domain of each sphere in one spin component, and the driven
     planes to which that domain is locked, as `Lock`.
 
-    network : the slipless contacts. component : number of the component.
+    network : the slipless contacts.
+    component : number of the component.
     uneven : True if the imposed spins vary along a driven plane. Each layer across the component's axis then counts as
         having a bottom and a top body of its own.
     """

@@ -39,26 +39,30 @@ class SampleCounts:
         return 10.0 ** ((self.first + np.arange(bins + 1 if bins else 0)) / self.bins_per_decade)
 
     def of(self, samples: np.ndarray) -> "SampleCounts":
-        """Return the counts of some of the samples, in the same bins. samples : their numbers."""
+        """Return the counts of some of the samples, in the same bins.
+
+        samples : their numbers.
+        """
         return replace(self, count=self.count[samples], contacts=self.contacts[samples])
 
 
 @dataclass(frozen=True)
 class PowerHistogram:
-    """Distribution of power over the slipping contacts of all samples.
+    """Distribution of power over the slipping contacts of all samples, in B bins.
 
-    edges : (B + 1,) power in `units`, evenly spaced in the logarithm.
-    count : (bins B,) slipping contacts in each bin. standard_error : (B,) of the count.
-    density, density_error : (B,) share of the slipping contacts per decade of power, and its standard error.
-    slipless, tied, undecided : numbers of contacts in these states, which are in no bin.
+    edges : (B + 1,), powers where bins begin and end, evenly spaced in the logarithm.
+    count : (bins B,), number of slipping contacts in each bin.
+    standard_error : (B,), standard error of the count.
+    density, density_error : (B,), share of the slipping contacts per decade of power, and its standard error.
+    slipless, tied, undecided : numbers of contacts in these states, which are in no bin. Tied contacts slip at some
+        minima only.
     slip_threshold : largest slip speed, length/time, up to which contacts counted as slipless in one of the runs.
     samples : number of samples that are pooled.
-    units : unit of the power.
+    units : unit of the power, as a text.
     left_out : for each reason, how many other samples were left out.
 
-    With several samples the errors are those of sums, or of ratios of sums, over independent samples. So contacts of
-    one sample may depend on each other; samples of one disorder count as one. With a single sample they are those of
-    contacts that slip independently (Poisson).
+    With several samples the errors are those of sums, or of ratios of sums, over independent samples; samples with the
+    same coefficients count as one. With a single sample they are those of contacts that slip independently (Poisson).
     """
 
     edges: np.ndarray
@@ -113,8 +117,9 @@ MOST_POWER_BINS = 100_000  # no spread of floating-point numbers needs more
 def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> SampleCounts:
     """Return counts in coarser bins and other units, made from counts in fine bins alone.
 
-    fine : the counts of S samples. bins_per_decade : of the new bins; it must divide that of `fine`, which callers
-        check. unit : (S,), the new unit of power in each sample.
+    fine : the counts of S samples.
+    bins_per_decade : bins per decade of the new bins; it must divide that of `fine`, which callers check.
+    unit : (S,), the new unit of power in each sample.
 
     Each sample is shifted by a whole number of fine bins, so a power may be off by half a fine bin; where the unit is 1
     nothing is shifted.
@@ -199,7 +204,9 @@ def pool(
 
 
 def _by_disorder(count: np.ndarray, disorder: np.ndarray) -> np.ndarray:
-    """Return counts (disorders, bins B), those of samples of one disorder added up. count : (samples S, B).
+    """Return counts (disorders, bins B) in which the samples with the same coefficients, one disorder, are added up.
+
+    count : (samples S, B), counts of the samples.
     disorder : (S,), number of the disorder of each sample.
     """
     values, which = np.unique(disorder, return_inverse=True)

@@ -108,7 +108,10 @@ class SliplessNetwork:
         return np.unique(self.body[~self.free.ravel()])
 
     def touched_of(self, body: int) -> np.ndarray:
-        """Return the numbers of the spheres of a driven body that have a slipless contact. body : node of the body."""
+        """Return the numbers of the spheres of a driven body that have a slipless contact.
+
+        body : node of the body.
+        """
         return np.flatnonzero(self.touched.ravel() & (self.body == body))
 
     def graph(self, chosen: np.ndarray | None = None) -> csr_array:
@@ -156,8 +159,9 @@ class SliplessNetwork:
         return np.asarray(several[self.component])
 
     def _share(self, chosen: np.ndarray) -> Any:
-        """Return the share of the free spheres that a mask selects; None without free spheres. chosen : the mask, in
-        the shape of the lattice or (spheres,).
+        """Return the share of the free spheres that a mask selects; None without free spheres.
+
+        chosen : the mask, in the shape of the lattice or (spheres,).
         """
         return float(chosen[self.free].mean()) if self.free.any() else None
 

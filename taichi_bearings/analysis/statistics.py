@@ -44,7 +44,8 @@ class Estimate:
 class Census:
     """Numbers of samples that were used and that were not.
 
-    used : how many were. left_out : for each reason, in words that follow a number ("failed"), how many were left out.
+    used : how many were.
+    left_out : for each reason, in words that follow a number ("failed"), how many were left out.
     """
 
     used: int

@@ -121,7 +121,10 @@ class Structure:
         return replace(self, threshold=threshold)
 
     def contacts_in(self, which: ContactState) -> int:
-        """Return the number of contacts in a state. which : the state."""
+        """Return the number of contacts in a state.
+
+        which : the state.
+        """
         return int((self.state == which).sum())
 
     @property
@@ -190,14 +193,16 @@ class Structure:
         return np.asarray(self.answer.snapshots.spin[:, 0])
 
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
-        """Return the slip speeds (contacts E,), length/time, of all contacts at other laboratory spins. spin : in the
-        shape of the attribute `spin`.
+        """Return the slip speeds (contacts E,), length/time, of all contacts at other laboratory spins.
+
+        spin : in the shape of the attribute `spin`.
         """
         return self.whole.slips(self.speeds(spin))
 
     def speeds(self, spin: np.ndarray) -> np.ndarray:
-        """Return radius * spin of all spheres, (spheres N, components C), length/time. spin : laboratory spins, in the
-        shape of the attribute `spin`.
+        """Return radius * spin of all spheres, (spheres N, components C), length/time.
+
+        spin : laboratory spins, in the shape of the attribute `spin`.
         """
         return np.asarray(spin.reshape(self.whole.spheres, -1) * self.whole.radius[:, None])
 

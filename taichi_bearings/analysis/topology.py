@@ -24,16 +24,18 @@ RANK = 1e-9  # singular values below this fraction of the largest one count as 0
 
 @dataclass(frozen=True)
 class Topology:
-    """The numbers that describe the topology of a network.
+    """Numbers that describe the topology of a network of contacts.
 
     spheres, contacts, driven, bodies : numbers of spheres, contacts, driven spheres and driven bodies.
-    parts : connected parts. floating : parts of several spheres with no driven one. rattlers : free spheres without
-    contact. free_dangling : free spheres with one contact.
-    bipartite : no loop has an odd number of contacts, so that all neighbours can rotate against each other.
+    parts : number of connected parts.
+    floating : number of parts of several spheres with no driven one.
+    rattlers : number of free spheres without contact.
+    free_dangling : number of free spheres with one contact.
+    bipartite : True if no loop has an odd number of contacts, so that all neighbours can rotate against each other.
     smallest_odd_loop : number of contacts in the smallest odd loop; None if there is none, or if the network is too
-    large to search.
-    free_motions, all_motions : number of independent slipless motions of the free spheres with the driven ones at rest,
-    and of all spheres; None where the network is too large, or where rounding leaves the number open.
+        large to search.
+    free_motions, all_motions : number of independent motions without slip, of the free spheres with the driven ones at
+        rest, and of all spheres; None where the network is too large, or where rounding leaves the number open.
     decided_by : how the number of motions was found, in words.
     """
 

@@ -124,7 +124,8 @@ def write_vtkhdf(
     """Write a VTKHDF file, in full or not at all.
 
     path : where it is written.
-    geometry : points and lines. spheres, contacts : columns by name.
+    geometry : points and lines.
+    spheres, contacts : columns by name.
     attributes : further facts, written on the group /VTKHDF; VTK ignores them.
     moments, end : snapshots of a dynamics, and the simulated time of its end; None for other methods.
     """
@@ -153,7 +154,9 @@ def write_vtkhdf(
 def _write_geometry(root: h5py.Group, geometry: Geometry) -> None:
     """Write the points, and the contacts as lines between them.
 
-    root : group of the file that holds the data. geometry : points and lines."""
+    root : group of the file that holds the data.
+    geometry : points and lines.
+    """
     _store(root, "Points", geometry.place, "length", "centres of the spheres")
     root["NumberOfPoints"] = [len(geometry.place)]
     for name in TOPOLOGIES:
@@ -168,7 +171,9 @@ def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
     """Write the times of the snapshots and of the end, for all of which points and lines are the same, and return the
     group of these steps.
 
-    root : the group /VTKHDF. moments : the snapshots. end : simulated time of the last step.
+    root : the group /VTKHDF.
+    moments : the snapshots.
+    end : simulated time of the last step.
     """
     steps = root.create_group("Steps")
     number = len(moments.time) + 1

@@ -129,7 +129,7 @@ class Fields:
         """Return the fields of one of several samples of a network that stand one after the other in `Lists`; they are
         parts of the same memory.
 
-        number : of the sample.
+        number : number of the sample.
         """
         found = copy(self)
         found._place = {

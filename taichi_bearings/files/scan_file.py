@@ -61,7 +61,7 @@ def column(values: Sequence[Any], units: str, description: str) -> Finding:
     """Return a column of the table of a scan.
 
     values : one for each sample: texts, truth values, whole numbers or other numbers; None where a sample has none.
-    units, description : of the column.
+    units, description : units and description of the column.
 
     Truth values of which some are None stay as they are, in an array of objects, for :func:`write_scan`.
     """
@@ -139,8 +139,9 @@ def write_scan(
 class StoredScan:
     """A scan as read from its file; every array has one entry for each sample, in the order of scan.csv.
 
-    path : of its scan.h5. attributes : of the root of the file. scanned : names of the columns that were varied, in
-        order.
+    path : path of its scan.h5.
+    attributes : attributes of the root of the file.
+    scanned : names of the columns that were varied, in order.
     table : columns by name; texts are arrays of str.
     histograms : numbers of contacts by power.
     """

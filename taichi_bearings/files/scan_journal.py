@@ -30,7 +30,10 @@ MOST_SCALARS = 300  # most values of a sample; a solve with its structure has so
 
 
 def _line(text: bytes) -> bytes:
-    """Return the line of the journal for one sample. text : the sample in JSON."""
+    """Return the line of the journal for one sample.
+
+    text : the sample in JSON.
+    """
     return (RECORD_HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
 
@@ -79,8 +82,9 @@ def is_sample(sample: Any) -> bool:
 def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str, Json]:
     """Return the records of samples in a journal by their keys; of several lines with one key the last counts.
 
-    path : of the journal. fits : function that says whether a record has the right form. Lines that are damaged, or
-        have another form, are named in a warning and left out.
+    path : path of the journal.
+    fits : function that says whether a record has the right form. Lines that are damaged, or have another form, are
+        named in a warning and left out.
     """
     samples: dict[str, Json] = {}
     for number, line in enumerate(read_lines(path), start=1):

@@ -28,8 +28,9 @@ def make_folder(path: Path) -> None:
 
 
 def refuse_ending(out: Path | None, *endings: str) -> None:
-    """Raise InputError if the name of a file asked for has an ending other than `endings`. out : the name; None if none
-    is asked for.
+    """Raise InputError if the name of a file asked for has an ending other than `endings`.
+
+    out : the name; None if none is asked for.
     """
     if out is not None and out.suffix not in endings:
         names = " or ".join(filter(None, (", ".join(endings[:-1]), endings[-1])))
@@ -75,7 +76,8 @@ def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mappin
     """Write an HDF5 file with checksums, in full or not at all, replacing an earlier one; raise WriteError if that
     fails.
 
-    fill : function that puts the content into the opened file. attributes : of the file.
+    fill : function that puts the content into the opened file.
+    attributes : attributes of the file.
     """
 
     with _new_hdf5(path) as file:
@@ -105,8 +107,9 @@ def layout_of(kind: str) -> Json:
 def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterator[h5py.File]:
     """Yield an opened HDF5 file whose checksums are right.
 
-    kind : "run", "scan" or "checkpoint". changed : a list that gets the names of data sets and attributes that were
-        changed after the file was written; None to raise FileError for that.
+    kind : "run", "scan" or "checkpoint".
+    changed : a list that gets the names of data sets and attributes that were changed after the file was written; None
+        to raise FileError for that.
 
     Raises FileError if the file cannot be read, is of another kind or version, or was changed; and in place of an
     InputError inside the block, since the content is then impossible.
@@ -128,7 +131,8 @@ def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterat
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
     """Replace one group of an HDF5 file, in one move; everything else in the file stays.
 
-    name : of the group. fill : function that puts the content into the empty group.
+    name : name of the group.
+    fill : function that puts the content into the empty group.
     """
 
     with _new_hdf5(path) as whole:
@@ -163,15 +167,18 @@ class Finding:
 def put(group: h5py.Group, name: str, values: object, unit: str, text: str, **packing: object) -> None:
     """Write a data set into a group, with its unit and a description.
 
-    name, values : of the data set. unit, text : attributes `units` and `description`. packing : arguments of h5py on
-        compression.
+    name, values : name and values of the data set.
+    unit, text : attributes `units` and `description`.
+    packing : arguments of h5py on compression.
     """
     stored = group.create_dataset(name, data=values, **packing)
     stored.attrs["units"], stored.attrs["description"] = unit, text
 
 
 def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
-    """Write attributes of a group or a file. values : by name.
+    """Write attributes of a group or a file.
+
+    values : by name.
 
     None becomes an empty text, and not-a-number within a list of numbers. Bytes of a text that are not UTF-8, as in
     names of files, are escaped.

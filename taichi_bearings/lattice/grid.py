@@ -34,7 +34,7 @@ class Lattice:
     """A square lattice ``(nx, ny)`` of discs or a cubic one ``(nx, ny, nz)`` of spheres that touch their neighbours.
 
     shape : number of spheres along each axis, height last.
-    radius : of the spheres, length; half the lattice spacing.
+    radius : radius of the spheres, length; half the lattice spacing.
     periodic : axes, 0 for x and 1 for y, that close on themselves: the last sphere along them touches the first. Not
         the height, and even in length: an odd ring of spheres cannot turn without slip.
     """
@@ -256,7 +256,7 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
     force : (C, R, E), f, the contact force by spin component, along the difference of staggered spins. The friction is
         -s f x n, with n the direction of the contact and s = +1 or -1 the sign of its lower sphere: it opposes the slip
         of paper Eq. 2, s R Delta Omega x n.
-    lattice : of the contacts.
+    lattice : lattice of the contacts.
     spin_axes : axes of the C spin components.
     """
     if lattice.dimension == 2:
@@ -285,7 +285,7 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
     of a contact and s = +1 or -1 the sign of its lower sphere.
 
     friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact.
-    lattice : of the contacts.
+    lattice : lattice of the contacts.
     spin_axes : numbers of the C spin components of the result.
     """
     if lattice.dimension == 2:

@@ -40,7 +40,7 @@ class Layout:
     """Flat layout of several lattices of one shape in memory, one after another.
 
     replicas : number of lattices (samples).
-    shape : of each, height last.
+    shape : shape of each, height last.
     block : number of sites, the places of spheres, that a kernel works on together.
     periodic : axes that close on themselves.
     """

@@ -92,8 +92,9 @@ class Sheet:
 
     @classmethod
     def of_network(cls, network: Network, view: View = VIEW) -> "Sheet":
-        """Return the picture of all spheres and contacts of a network; driven spheres have an outline. view : from
-        where it is seen.
+        """Return the picture of all spheres and contacts of a network; driven spheres have an outline.
+
+        view : from where it is seen.
         """
         radius, ends = network.radius, network.contact
         (place, depth), (normal, _) = _seen(network.center, view), _seen(network.normal, view)
@@ -127,7 +128,10 @@ class Sheet:
             side.set_visible(False)
 
     def paint(self, axes: Axes, colour: np.ndarray) -> None:
-        """Draw the discs on axes of matplotlib, from the back to the front. colour : (discs N, 4), or (4,) for all."""
+        """Draw the discs on axes of matplotlib, from the back to the front.
+
+        colour : (discs N, 4), or (4,) for all.
+        """
         edge = "0.75" if not self.is_flat and colour.shape == (4,) else "black"  # pale ones only carry contacts
         colour = np.broadcast_to(colour, (len(self.place), 4))
         self.frame(axes)
@@ -206,7 +210,8 @@ def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, 
     axes, the discs on paper, the distance between two discs in points, and arguments that place a colour bar where it
     fits.
 
-    network : spheres and contacts. page : how the figure is printed.
+    network : spheres and contacts.
+    page : how the figure is printed.
     """
     lattice = network.lattice
     sheet = Sheet.of_network(network, page.view or VIEW) if lattice is None else Sheet.of_lattice(lattice)
@@ -276,10 +281,12 @@ def name_cut(axes: Axes, axis: int, index: int, before: str = "", after: str = "
 
 
 def paint_block(axes: "Axes3D", colour: np.ndarray, view: View = VIEW) -> None:
-    """Draw a cubic lattice as a block of spheres seen from outside, the driven planes in boxes. colour : (nx, ny, nz,
-    4) of its spheres.
+    """Draw a cubic lattice as a block of spheres seen from outside, the driven planes in boxes.
 
-    axes : where it is drawn. view : from where it is seen.
+    colour : (nx, ny, nz, 4) of its spheres.
+
+    axes : where it is drawn.
+    view : from where it is seen.
     """
     outside = np.zeros(colour.shape[:3], dtype=bool)
     for axis in range(3):
@@ -295,7 +302,10 @@ def paint_block(axes: "Axes3D", colour: np.ndarray, view: View = VIEW) -> None:
 
 
 def box_edges(low: Any, high: Any) -> np.ndarray:
-    """Return the twelve edges (12, 2, 3) of an upright box. low, high : its lowest and highest corner."""
+    """Return the twelve edges (12, 2, 3) of an upright box.
+
+    low, high : its lowest and highest corner.
+    """
     corners = np.array([[(low, high)[n >> a & 1][a] for a in range(3)] for n in range(8)], dtype=float)
     return corners[[(n, n | 1 << axis) for n, axis in EDGES]]
 
@@ -315,8 +325,10 @@ def are_near(view: View, lid: bool) -> np.ndarray:
 
 
 def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and the highest corner, (3,) each, of the box around the spheres of one layer. shape : of the
-    lattice. z : number of the layer.
+    """Return the lowest and the highest corner, (3,) each, of the box around the spheres of one layer.
+
+    shape : numbers of spheres (nx, ny, nz) of the lattice.
+    z : number of the layer.
     """
     return np.array([-0.5, -0.5, z - 0.5]), np.array([shape[0] - 0.5, shape[1] - 0.5, z + 0.5])
 
@@ -324,7 +336,8 @@ def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
 def frame_block(axes: "Axes3D", shape: tuple[int, ...], view: View = VIEW) -> None:
     """Draw boxes around the driven planes of a cubic lattice, and set the limits of the picture.
 
-    shape : numbers of spheres (nx, ny, nz). view : from where it is seen, from outside.
+    shape : numbers of spheres (nx, ny, nz).
+    view : from where it is seen, from outside.
     """
     for z in (0, shape[2] - 1):
         edges = view.seen(box_edges(*plane_box(shape, z)))[..., :2]

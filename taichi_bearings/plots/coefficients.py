@@ -93,8 +93,10 @@ def _draw(axes: Axes, sheet: Sheet, values: np.ndarray, norm: Normalize, site: f
     """Draw the contacts of one picture as lines: across the contact, or between centres where spheres lie behind each
     other. Return True if there are too many for lines, so that each disc has the mean of its contacts instead.
 
-    axes : of matplotlib. values : (contacts E,) coefficients of all contacts of the bearing, 0 where absent.
-    norm : scale of the colours. site : distance of two discs in points.
+    axes : axes of matplotlib.
+    values : (contacts E,) coefficients of all contacts of the bearing, 0 where absent.
+    norm : scale of the colours.
+    site : distance of two discs in points.
     """
     shown = values[sheet.contact]
     if (shown > 0).sum() > bearing.MOST_LINES and sheet.is_flat:
@@ -119,7 +121,10 @@ def _label(quantity: Quantity) -> str:
 
 
 def _in_words(quantity: Quantity, present: np.ndarray) -> str:
-    """Return in words the least, largest and mean coefficient. present : (n,) coefficients that are not 0."""
+    """Return in words the least, largest and mean coefficient.
+
+    present : (n,) coefficients that are not 0.
+    """
     if not len(present):
         return f"no contact has {quantity.name}"
     low, high, mean = (short(float(value)) for value in (present.min(), present.max(), present.mean()))

@@ -31,9 +31,13 @@ LEAST_RATIO = 30.0  # an axis is logarithmic if its last iteration, or time, is 
 
 @style.in_our_style
 def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
-    """Draw power and lower bound during the solve, and below them their relative gap, of every sample.
+    """Draw power and proven lower bound against iterations (or simulated time, for a dynamics), and below them their
+    relative gap, for every sample.
 
-    They are drawn against iterations, or time for a dynamics. Raises InputError for a method without steps.
+    answer : the solution of one or several samples.
+    page : size and resolution of the figure.
+
+    Raises InputError for a method without steps.
     """
     courses = courses_of(answer)
     if not courses:
@@ -86,10 +90,13 @@ def _steps(solution: Solution) -> int:
 
 @style.in_our_style
 def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
-    """Draw the energy balance of a dynamics of one sample against time, and below it the relative error of the balance.
+    """Draw the energy balance of a dynamics against time, and below it the relative error of the balance.
 
-    Drawn are the work put in, the energy dissipated, and kinetic and spring energy. If one is negative at times the
-    axis is linear around 0 and logarithmic beyond. Raises InputError if the run has no energy balance.
+    solution : the solution of one sample.
+    page : size and resolution of the figure.
+
+    Drawn are the work put in, the energy dissipated, and kinetic and spring energy. If one of them is negative at
+    times, the axis is linear around 0 and logarithmic beyond. Raises InputError if the run has no energy balance.
     """
     history, scene = solution.history, solution.scene
     if "energy_residual" not in history:
@@ -119,7 +126,11 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
 
 
 def _scale(axes: Axes, energy: np.ndarray) -> None:
-    """Make the vertical axis logarithmic; if some energy is negative, linear around 0 and logarithmic beyond."""
+    """Make the vertical axis logarithmic or, if some energies are negative, linear around 0 and logarithmic beyond.
+
+    axes : axes of matplotlib.
+    energy : (n,), all energies that are drawn.
+    """
     size = np.abs(energy[energy != 0])
     if not len(size):
         return
@@ -147,6 +158,9 @@ MATHEMATICS = {  # symbols of the units of histograms
 def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
     """Draw the number of slipping contacts against their power, both logarithmic, with standard errors. Empty bins are
     left out.
+
+    histogram : what is drawn.
+    page : size and resolution of the figure.
     """
     figure = style.plain_figure(page.inches("single"), 2.2, page.dpi)
     axes = figure.add_subplot()
@@ -173,8 +187,9 @@ def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Pag
     """Draw the share of slipping contacts per decade of their power, one curve for each histogram, with bands of one
     standard error.
 
+    histograms : what is drawn, by the value of a parameter.
+    by : name of the parameter.
     page : size and resolution of the figure.
-    histograms : by the value of a parameter. by : name of the parameter.
     """
     rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
     width = page.inches("double") if page.width is not None or len(histograms) > 8 else 5.0
@@ -206,7 +221,9 @@ def _label(histogram: PowerHistogram) -> str:
 
 
 def _outside(histogram: PowerHistogram) -> str:
-    """Return in words how many contacts are in no bin, since they do not slip or are not proven to."""
+    """Return in words how many contacts are in no bin: those that are slipless, tied (slip at some minima only) or
+    undecided.
+    """
     return ", ".join([f"{histogram.slipless:,} slipless", *other_contacts(histogram.tied, histogram.undecided)])
 
 
@@ -219,8 +236,9 @@ BESIDE = 0.5  # share of the distance between two named ticks over which the poi
 class Curve:
     """A curve of P points with error bars.
 
-    label : for the legend. x, y : (points P,) the points. low, high : (P,) ends of the bars; not-a-number where there
-        are none.
+    label : name of the curve in the legend.
+    x, y : (points P,), the points.
+    low, high : (P,), y at the ends of the bars; not-a-number where there are none.
     """
 
     label: str
@@ -234,8 +252,11 @@ class Curve:
 class Look:
     """Words and axes of a figure of a scan.
 
-    x_label, y_label : of the axes. title : above the figure. legend : title of the legend.
-    log : logarithmic axes: "", "x", "y" or "xy". ticks : names at x = 0, 1, ... if x has no numbers.
+    x_label, y_label : names of the axes.
+    title : words above the figure.
+    legend : title of the legend.
+    log : which axes are logarithmic: "", "x", "y" or "xy".
+    ticks : names of the places x = 0, 1, ..., if the quantity along x has names in place of numbers.
     """
 
     x_label: str

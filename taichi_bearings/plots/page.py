@@ -22,7 +22,8 @@ BELOW: dict[str, Any] = {"location": "bottom", "aspect": 30}  # a colour bar bel
 class View:
     """From where a lattice is seen, without perspective; angles in degrees.
 
-    elevation : above the xy plane. azimuth : from x towards y.
+    elevation : angle above the xy plane.
+    azimuth : angle from x towards y.
     """
 
     elevation: float = 22.0
@@ -74,6 +75,7 @@ class Page:
 
     def inches(self, column: str) -> float:
         """Return the width of the figure in inches: that of a column of a journal, unless another width was chosen.
+
         column : "single" or "double".
         """
         return (JOURNAL_WIDTHS[column] if self.width is None else self.width) / INCH
@@ -107,7 +109,9 @@ def read_plane(text: str) -> tuple[int, int]:
 
 
 def read_view(text: str) -> View:
-    """Return the view of an elevation and azimuth such as 22,-55; InputError if the text names none."""
+    """Return the view that a text such as 22,-55 names, elevation and azimuth in degrees; raise InputError if it names
+    none.
+    """
     try:
         elevation, azimuth = text.split(",")
         return View(_within(elevation, -90, 90), _within(azimuth, -360, 360))
@@ -126,12 +130,19 @@ def _within(text: str, low: float, high: float) -> float:
 
 
 def middle_planes(shape: tuple[int, ...]) -> Planes:
-    """Return the planes across y and x through the middle of a cubic lattice."""
+    """Return the two planes across y and across x through the middle of a cubic lattice, each as (axis, index).
+
+    shape : numbers of spheres (nx, ny, nz).
+    """
     return (1, shape[1] // 2), (0, shape[0] // 2)
 
 
 def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
-    """Raise InputError for a plane that the lattice does not have, or for too many planes."""
+    """Raise InputError for a plane that the lattice does not have, or for more than MOST_PLANES planes.
+
+    planes : (axis, index) of each.
+    shape : numbers of spheres along the axes of the lattice.
+    """
     if len(planes) > MOST_PLANES:
         raise InputError(f"plane is given {len(planes)} times; a figure shows at most {MOST_PLANES}")
     for axis, index in planes:
@@ -146,8 +157,10 @@ def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
 
 
 def columns_on(page: Page, number: int, least: float = BROAD) -> int:
-    """Return how many panels fit beside each other on a page of two columns.
+    """Return how many panels fit beside each other on a page of two columns, at least 1.
 
-    number : of panels, which is the most. least : width that a panel needs, inches.
+    page : how the figure is printed.
+    number : number of panels there are, the most that is returned.
+    least : width that a panel needs, inches.
     """
     return max(1, min(number, int(page.inches("double") / least)))

@@ -38,11 +38,14 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     """Draw how fast spheres rotate as colours, and slipping contacts as black lines; a cubic lattice from outside and
     in cuts.
 
+    structure : the sample.
+    page : how the figure is printed.
+    title : words above the figure; "" for size, law and seed.
+    note : words on what black lines mean; "" for the number of slipping contacts.
+
     The colour is |spin| over the larger imposed spin; in a packing radius * |spin| over the largest imposed one. Where
     nearly all of many contacts slip, or spheres lie behind each other, slipping contacts are not drawn but counted in
-    the title. Rotations of whole layers that no contact resists are left out (`Structure.shown_spin`).
-
-    structure : the sample. title : words above the figure; by default size, law and seed. note : what black lines mean.
+    the title. Rotations of whole layers of a lattice that no contact resists are left out.
     """
     slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
@@ -75,8 +78,11 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
 def _paint(axes: Axes, sheet: Sheet, colour: np.ndarray, slips: np.ndarray, site: float) -> None:
     """Draw the discs of one picture and the slipping contacts between them.
 
-    axes : of matplotlib. sheet : N discs and their contacts on paper. colour : (N, 4) of the discs. slips : (contacts
-        E,) mask of the slipping ones of all contacts. site : distance of two discs in points.
+    axes : axes of matplotlib.
+    sheet : N discs and their contacts on paper.
+    colour : (N, 4), colours of the discs.
+    slips : (contacts E,) mask of the slipping ones of all contacts.
+    site : distance of two discs in points.
     """
     sheet.paint(axes, colour)
     sheet.box_driven(axes)
@@ -86,7 +92,10 @@ def _paint(axes: Axes, sheet: Sheet, colour: np.ndarray, slips: np.ndarray, site
 def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: Page) -> Figure:
     """Draw a cubic lattice as a block of spheres from outside, and planes through it with the slipping contacts.
 
-    colour : (nx, ny, nz, 4) of all spheres. slips : (contacts E,) mask of slipping contacts.
+    lattice : the lattice.
+    colour : (nx, ny, nz, 4), colours of all spheres.
+    slips : (contacts E,) mask of slipping contacts.
+    page : how the figure is printed, and which planes are cut.
     """
     shape = lattice.shape
     planes = page.planes or middle_planes(shape)
@@ -131,8 +140,10 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
 
 
 def _power_scale(power: np.ndarray) -> LogNorm:
-    """Return the logarithmic scale of colours for powers of contacts, from their quantile FAINT_SHARE to the largest
+    """Return the logarithmic scale of colours for powers of contacts: from their quantile FAINT_SHARE to the largest
     one.
+
+    power : (n,), of which only numbers above 0 count.
     """
     slipping = power[power > 0]
     if not len(slipping):
@@ -143,7 +154,10 @@ def _power_scale(power: np.ndarray) -> LogNorm:
 def _draw_lines(axes: Axes, sheet: Sheet, power: np.ndarray, site: float) -> LogNorm:
     """Draw slipping contacts as lines coloured by their power, and return the scale of colours.
 
-    sheet : discs and contacts on paper. power : (contacts E,) of all contacts. site : distance of two discs in points.
+    axes : axes of matplotlib.
+    sheet : discs and contacts on paper.
+    power : (contacts E,), power of all contacts, 0 where they do not slip.
+    site : distance of two discs in points.
 
     In a flat picture a line lies across the contact, where the two surfaces slip past each other; where spheres lie
     behind each other it joins the centres.
@@ -155,10 +169,13 @@ def _draw_lines(axes: Axes, sheet: Sheet, power: np.ndarray, site: float) -> Log
 
 
 def _draw_cuts(lattice: Lattice, power: np.ndarray, page: Page, symbol: str) -> Figure:
-    """Draw planes of a cubic lattice with the power of their contacts, and the power within each layer and to the next
-    one.
+    """Draw planes of a cubic lattice with the power of their contacts, and beside them the power within each layer and
+    from each layer to the next.
 
-    power : (contacts E,) of all contacts. symbol : of the unit of power.
+    lattice : the lattice.
+    power : (contacts E,), power of all contacts, 0 where they do not slip.
+    page : how the figure is printed, and which planes are cut.
+    symbol : symbol of the unit of power, "" for none.
     """
     shape = lattice.shape
     planes, nz = page.planes or middle_planes(shape), shape[-1]

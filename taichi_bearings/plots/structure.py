@@ -107,9 +107,11 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
 def _paint(axes: Axes, sheet: Sheet, colour: np.ndarray, structure: Structure, width: float) -> None:
     """Draw the spheres of a picture, coloured by rigid domain, with lines between discs of two domains.
 
+    axes : axes of matplotlib.
+    sheet : N discs and their contacts on paper.
+    colour : colours of all spheres of the sample, in the shape of the lattice or (spheres,), and 4.
     structure : what the contacts of the sample form, with the domain of each sphere.
-    axes : of matplotlib. sheet : N discs and their contacts on paper. colour : (N, 4) of the discs. width : of the
-        picture in inches.
+    width : width of the picture in inches.
     """
     domains = structure.rigid_domains
     site, (first, second) = sheet.site(width), domains.domain.ravel()[structure.network.whole.contact]
@@ -216,8 +218,10 @@ def _draw_network_of_packing(structure: Structure, page: Page) -> Figure:
 
 
 def contact_colours(network: SliplessNetwork) -> np.ndarray:
-    """Return the colour (contacts E, 4) of each slipless contact: grey; where no path joins bottom and top, blue if
-    joined to the bottom and red if joined to the top.
+    """Return the colour (edges, 4) of each slipless contact: grey; where no path joins bottom and top, blue if it is
+    joined to the bottom and red if it is joined to the top.
+
+    network : the slipless contacts.
     """
     colour = np.tile(to_rgba(GREY), (network.ends.shape[1], 1))
     if not network.spans:
@@ -229,8 +233,11 @@ def contact_colours(network: SliplessNetwork) -> np.ndarray:
 
 
 def behind(lattice: Lattice, view: View) -> np.ndarray:
-    """Return a mask (contacts E,) of the contacts that lie within the sides of a cubic lattice farthest from the
-    reader. view : from where it is seen.
+    """Return a mask (contacts E,) of the contacts that lie within those sides of a cubic lattice that are farthest from
+    the reader.
+
+    lattice : the lattice.
+    view : from where it is seen.
     """
     far = np.array([0 if view.faces(axis) else n - 1 for axis, n in enumerate(lattice.shape)])
     on_side = np.argwhere(np.ones(lattice.shape, dtype=bool)) == far
@@ -239,10 +246,13 @@ def behind(lattice: Lattice, view: View) -> np.ndarray:
 
 
 def _draw_contacts(axes: Axes, network: SliplessNetwork, view: View, width: float) -> str:
-    """Draw the contacts that do not slip and, in green, the shortest path over them from the bottom to the top; return
+    """Draw the contacts that do not slip and, in green, the shortest path over them from the bottom to the top. Return
     words that say which contacts are drawn, "" for all.
 
-    network : the spheres and these contacts. width : of the picture in inches. view : from where the lattice is seen.
+    axes : axes of matplotlib.
+    network : the spheres and these contacts.
+    view : from where the lattice is seen.
+    width : width of the picture in inches.
     """
     lattice, chosen, words = network.lattice, network.slipless, ""
     sheet = Sheet.of_lattice(lattice, view=view)

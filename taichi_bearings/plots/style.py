@@ -79,7 +79,11 @@ DOUBLE, SINGLE = PAGE.inches("double"), PAGE.inches("single")
 
 
 def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
-    """Return an empty figure, laid out so that nothing overlaps. width, height : inches on paper."""
+    """Return an empty figure, laid out so that nothing overlaps.
+
+    width, height : inches on paper.
+    dpi : dots an inch.
+    """
     figure = NotebookFigure(figsize=(width, height), dpi=dpi, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03)  # type: ignore[union-attr, call-arg]
     return figure
@@ -90,7 +94,8 @@ def panels(
 ) -> tuple[Figure, list[Any], float]:
     """Return a figure of panels in rows, their axes, and the width of each panel in inches.
 
-    page : how the figure is printed. number : of panels.
+    page : how the figure is printed.
+    number : number of panels.
     row : height of a row, as a share of the width of a panel and as inches to add.
     more : inches to add to the height of the figure.
     least : width that a panel needs, inches.
@@ -109,8 +114,10 @@ def panels(
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
-    """Return an empty figure with known margins, which need no layout, so that it is drawn faster.
-    width, height : inches.
+    """Return an empty figure with known margins, which needs no layout and is drawn faster.
+
+    width, height : inches on paper.
+    dpi : dots an inch.
     """
     figure = NotebookFigure(figsize=(width, height), dpi=dpi)
     figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.08 / height)
@@ -172,7 +179,7 @@ def label_in_plain_text(*axes: Axis) -> None:
 
 
 def shades(number: int) -> list[Any]:
-    """Return so many colours for curves that have an order, from dark to light."""
+    """Return `number` colours for curves that have an order, from dark to light."""
     return [colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
 
 
@@ -182,7 +189,10 @@ ENDINGS = (".png", ".pdf", ".svg")
 
 @in_our_style
 def _file_content(figure: Figure, kind: str) -> bytes:
-    """Return the bytes of the file of a figure. kind : "png", "pdf" or "svg"."""
+    """Return the bytes of the file of a figure.
+
+    kind : "png", "pdf" or "svg".
+    """
     drawn = io.BytesIO()
     if kind == "png":
         FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
@@ -192,8 +202,10 @@ def _file_content(figure: Figure, kind: str) -> bytes:
 
 
 def save_small(figure: Figure, stem: Path) -> Path:
-    """Write a figure as PDF, or as PNG if the PDF had more than MOST_VECTOR bytes, and return the path. stem : path
-    without ending.
+    """Write a figure as PDF, or as PNG if the PDF had more than MOST_VECTOR bytes, and return the path.
+
+    figure : the figure.
+    stem : path without ending.
     """
     drawn, ending = _file_content(figure, "pdf"), "pdf"
     if len(drawn) > MOST_VECTOR:
@@ -219,8 +231,10 @@ def _spaced(unit: str) -> str:
 
 
 def describe(scene: Bearing, sample: int | None = 0) -> str:
-    """Return words for a title: size, law and seed of a sample; for a packing size and law. sample : its number; None
-    for all samples.
+    """Return words for a title: size, law and seed of a sample; for a packing size and law.
+
+    scene : what was solved.
+    sample : number of the sample; None for all samples.
     """
     network = scene.network
     if network.lattice is None:
@@ -233,7 +247,7 @@ def describe(scene: Bearing, sample: int | None = 0) -> str:
 
 
 def mathematics(value: float, digits: int = 6) -> str:
-    """Return a number to so many digits as mathematics, 5e-12 as a power of ten."""
+    """Return a number to so many significant digits as mathematics of LaTeX: 5e-12 as 5 times a power of ten."""
     mantissa, power, exponent = f"{value:.{digits}g}".partition("e")
     return mantissa + (rf"\times10^{{{int(exponent)}}}" if power else "")
 
@@ -252,26 +266,34 @@ def driving(scene: Bearing) -> tuple[float, str]:
 
 
 def power_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of power, energy/time, and its symbol; 1 and "" for packings and laws without friction."""
+    """Return the unit of power F_n R |spin|, energy/time, and its symbol; 1 and "" for packings and laws without
+    friction.
+    """
     spin, symbol = driving(scene)
     unit = scene.natural_energy
     return (1.0, "") if unit is None else (unit * spin, rf"F_n R\,{symbol}")
 
 
 def time_label(symbol: str) -> str:
-    """Return the label of an axis of time. symbol : of the spin that is its unit, or ""."""
+    """Return the label of an axis of time.
+
+    symbol : symbol of the spin that is its unit, or "".
+    """
     return rf"time, ${symbol}\,t$" if symbol else "time"
 
 
 def energy_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of energy and its symbol; 1 and "" for packings and laws without friction."""
+    """Return the unit of energy F_n R and its symbol; 1 and "" for packings and laws without friction."""
     unit = scene.natural_energy
     return (1.0, "") if unit is None else (unit, r"F_n R")
 
 
 def over(symbol: str, unit: str, without: str) -> str:
-    """Return the label of a quantity divided by its unit, as mathematics. symbol : of the quantity. unit : symbol of
-    the unit, or "". without : words for the unit where it has no symbol.
+    """Return the label of a quantity divided by its unit, as mathematics.
+
+    symbol : symbol of the quantity.
+    unit : symbol of the unit, or "".
+    without : words for the unit where it has no symbol.
     """
     if not unit:
         return f"${symbol}$ ({without})"

@@ -76,15 +76,22 @@ def _address(scheduler: str) -> str:
 
 
 class DaskEngine(LocalEngine):
-    """An engine that solves units of samples in the threads of the workers of a Dask cluster.
+    """Solves units of samples (tuples that are sent to a worker at a time) in the threads of the workers of a Dask
+    cluster.
 
-    client : of the cluster. work : function that solves a unit. allowed : function that returns the seconds that a unit
-        may take. The attribute `workers` is the largest number of threads so far.
+    client : connection to the cluster.
+    work : function that solves a unit.
+    allowed : function that returns the seconds that a unit may take.
+
+    The attribute `workers` is the largest number of threads so far.
     """
 
     def __init__(self, client: "Client", work: Work, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
-        """Begin. client : of the cluster. work : function that solves a unit of samples. allowed : function that
-        returns the seconds that a unit may take.
+        """Prepare to use the cluster; no thread is counted yet.
+
+        client : connection to the cluster.
+        work : function that solves a unit, a tuple of samples.
+        allowed : function that returns the seconds that a unit may take.
         """
         super().__init__(work, 1, allowed)
         self.client, self.workers, self.executor = client, 0, client.get_executor(pure=False)
@@ -92,8 +99,8 @@ class DaskEngine(LocalEngine):
 
     @property
     def has_room(self) -> bool:
-        """True if a thread of the cluster is free or will be soon. The threads of the cluster are counted anew every
-        LOOK seconds.
+        """True if a thread of the cluster is free or will be soon, so that another unit of samples can be sent. The
+        threads are counted anew every LOOK seconds.
         """
         now = time.monotonic()
         if now >= self._looked + LOOK:  # count the workers now and then

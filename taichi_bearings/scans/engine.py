@@ -47,10 +47,11 @@ LONGEST_WAIT = 2e6  # seconds; the system counts milliseconds in 31 bits
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a unit of work.
+    """The outcome of a unit of work, a tuple of samples that were solved together.
 
-    unit : the samples, or other tasks, that were solved together. records : result of each, as JSON; None if there are
-    none. reason : why there are none, in words.
+    unit : the samples, or other tasks.
+    records : result of each, as JSON; None if there are none.
+    reason : why there are none, in words.
     """
 
     unit: Unit
@@ -59,10 +60,11 @@ class Outcome:
 
 
 def failure(task: Any, reason: Exception | str) -> Record:
-    """Return the record of a sample that has no result.
+    """Return the record of a sample that has no result. After an InputError the record is marked as final: another try
+    is pointless.
 
-    task : the sample. reason : the exception, or words. After an InputError the record is marked as final: another try
-        is pointless.
+    task : the sample.
+    reason : the exception, or words.
     """
     words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
     if isinstance(reason, Exception):
@@ -72,9 +74,11 @@ def failure(task: Any, reason: Exception | str) -> Record:
 
 
 def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[Record]]:
-    """Solve all units; yield lists of records as samples finish or fail, and an empty list at each look in between.
+    """Solve all units (tuples of samples); yield lists of records as samples finish or fail, and an empty list at each
+    look in between.
 
-    units : tuples of samples. engine : solves them.
+    units : the samples of each unit are solved together.
+    engine : what solves them.
 
     A unit that fails as a whole is split into its samples. A sample that fails is named in a warning and tried once
     more, at the end and alone, so that it has all memory for itself.
@@ -128,8 +132,11 @@ class LocalEngine:
     """
 
     def __init__(self, work: Work, workers: int, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
-        """Begin without processes. work : function that solves a unit of samples. workers : largest number of units
-        that are solved at a time. allowed : function that returns the seconds that a unit may take.
+        """Begin without processes.
+
+        work : function that solves a unit, a tuple of samples.
+        workers : largest number of units that are solved at a time.
+        allowed : function that returns the seconds that a unit may take.
         """
         self.work, self.workers, self.allowed = work, workers, allowed
         self.name = uuid.uuid4().hex
@@ -143,7 +150,7 @@ class LocalEngine:
 
     @property
     def has_room(self) -> bool:
-        """True if a unit that is submitted now is begun at once."""
+        """True if a unit (tuple of samples) that is submitted now is begun at once."""
         return len(self._units) < self.workers
 
     def sent(self, unit: Unit) -> Unit:
@@ -169,7 +176,9 @@ class LocalEngine:
         return found
 
     def close(self) -> None:
-        """End all workers: those at work at once, whatever they do, and idle ones when their kernels are kept."""
+        """Stop all workers. Busy ones are killed at once and lose what they are solving; idle ones end after they have
+        saved their compiled kernels to disk.
+        """
         end_solvers(self.name)
         self.executor.shutdown()
 
@@ -182,20 +191,22 @@ _one_at_a_time = threading.Lock()  # processes are started and ended one by one:
 
 
 def solve_unit(unit: Unit, engine: str, work: Work, allowed: Callable[[Unit], float]) -> Solved:
-    """Return the records of a unit, solved by the process that belongs to this thread, or None and the reason why there
-    are none.
+    """Solve a unit, a tuple of samples, in the worker process that belongs to this thread. Return their records and "",
+    or None and the reason why there are none.
 
-    engine : name of the engine. work : function that solves a unit. allowed : function that returns the seconds it may
-        take.
+    unit : the samples.
+    engine : name of the engine.
+    work : function that solves a unit.
+    allowed : function that returns the seconds that the unit may take.
     """
     return _solvers.setdefault((engine, threading.get_ident()), _Solver(engine, work)).solve(unit, allowed(unit))
 
 
 def end_solvers(engine: str) -> None:
-    """End the processes of an engine; the threads that wait for their answers then see that.
+    """End the worker processes of an engine; threads that wait for their answers then see that. Busy processes are
+    killed; idle ones save their compiled kernels for later processes and end.
 
-    Processes at work are killed. Idle ones see that their pipe is closed, keep the kernels they have compiled for later
-    processes, and end.
+    engine : name of the engine.
     """
     _closed.add(engine)
     if engine in _originals:
@@ -215,12 +226,13 @@ def end_solvers(engine: str) -> None:
 
 @dataclass
 class _Solver:
-    """A process that solves units one by one, as seen from the thread that it belongs to.
-
-    engine : name of the engine. work : function that solves a unit. process : None while there is none.
-
-    The process is started with the first unit, and again if it has ended, or for another device: a process can have one
+    """A worker process that solves units (tuples of samples) one by one, as seen from the thread that it belongs to. It
+    is started with the first unit, and started again if it has ended, or for another device: a process can have one
     Taichi runtime only.
+
+    engine : name of the engine.
+    work : function that solves a unit.
+    process : the process; None while there is none.
     """
 
     engine: str
@@ -230,9 +242,10 @@ class _Solver:
     _at_work: bool = False
 
     def solve(self, unit: Unit, seconds: float) -> Solved:
-        """Return the records of a unit of samples, or None and the reason why there are none.
+        """Return the records of a unit of samples and "", or None and the reason why there are none.
 
-        seconds : most that the process may take; then it is killed.
+        unit : the samples.
+        seconds : the most that the process may take; then it is killed.
         """
         self._at_work = True
         try:
@@ -249,9 +262,11 @@ class _Solver:
                 self._pipe.close()
 
     def _solved(self, unit: Unit, seconds: float) -> Solved:
-        """Have the process solve a unit of samples; return their records, or None and the reason why there are none.
+        """Have the process solve a unit of samples. Return their records and "", or None and the reason why there are
+        none.
 
-        seconds : most that the process may take.
+        unit : the samples.
+        seconds : the most that the process may take.
         """
         settings = unit[0].settings
         device = (settings.arch, settings.precision, settings.threads)
@@ -324,12 +339,15 @@ def refuse_in_worker() -> None:
 
 
 def serve(pipe: Connection, pickled_work: bytes) -> None:
-    """Solve units as they come through a pipe: the main loop of a worker process.
+    """Solve units (tuples of samples) as they come through a pipe, and send back their records: the main loop of a
+    worker process.
 
-    pipe : connection to the parent process. pickled_work : function that solves a unit, pickled; to load it loads most
-        of the program. The loop ends when the pipe or the parent ends, or after IDLE_SECONDS without work. After an
-        exception the process hands over what it has and ends, as its state may be damaged. Else it keeps the kernels it
-        has compiled for later processes, if there is a parent that waits for that.
+    pipe : connection to the parent process.
+    pickled_work : function that solves a unit, pickled; unpickling it loads most of the program.
+
+    The loop ends when the pipe or the parent ends, or after IDLE_SECONDS without work. After an exception the process
+    sends what it has and ends, as its state may be damaged. Otherwise it saves its compiled kernels for later
+    processes, if there is a parent that waits for that.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where nothing keeps Ctrl-C from us: it is for the parent
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -36,7 +36,8 @@ BEGUN = 0.1  # a time left is given once so much of the work is done, or earlier
 def seconds_of(settings: RunSettings, structure: bool = False) -> float:
     """Return the estimated seconds to solve one sample; infinite if not known, as for dynamics and packings.
 
-    settings : of the sample. structure : True if its structure is analysed as well.
+    settings : settings of the sample.
+    structure : True if its structure (domains, network, cut) is analysed as well.
     """
     solve = None if settings.is_packing else row_of(settings).seconds(settings.shape, settings.tolerance)
     if solve is None:
@@ -46,8 +47,10 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float:
 
 
 def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
-    """Return the estimated seconds that a sample takes apart from its solve. structure : True if its structure is
-    analysed as well.
+    """Return the estimated seconds that a sample takes apart from its solve.
+
+    settings : settings of the sample.
+    structure : True if its structure (domains, network, cut) is analysed as well.
     """
     return OVERHEAD + (0.06 + 6e-5 * spheres_of(settings) if structure else 0.0)
 
@@ -71,12 +74,13 @@ def kind_of(settings: RunSettings) -> tuple[object, ...]:
 def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 1) -> list[tuple[Sample, ...]]:
     """Return the samples divided into units of work, tuples that are sent to a worker at a time.
 
-    samples : without a result yet. structure : True if their structure is analysed as well. workers : number of
-        workers.
+    samples : samples without a result.
+    structure : True if their structure is analysed as well.
+    workers : number of workers.
 
     A unit has as many samples of like settings as take about a second together, or as are faster when solved together,
-    but not so many that another worker gets none. One unit of each kind comes first, so that the times of all kinds are
-    soon known.
+    but not so many that another worker gets none. One unit of each kind of settings comes first, so that the times of
+    all kinds are soon known.
     """
     units = []
     for group in groups_of(samples):
@@ -109,10 +113,12 @@ def _packings_together(settings: RunSettings) -> int:
 
 
 def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = False) -> float:
-    """Return the estimated seconds in which workers solve all samples; infinite if unknown; at least the time of the
-    longest.
+    """Return the estimated seconds in which some workers solve all samples, at least the time of the longest; infinite
+    if not known.
 
-    workers : their number. structure : True if the structure of each is analysed as well.
+    samples : what is solved.
+    workers : number of workers.
+    structure : True if the structure of each sample is analysed as well.
     """
     each = [(len(group), seconds_of(group[0].settings, structure)) for group in groups_of(samples)]
     shared = math.fsum(number * seconds for number, seconds in each) / workers
@@ -122,8 +128,9 @@ def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = Fa
 def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False) -> int:
     """Return how many workers are worth starting, each of which takes WORKER_START seconds to start.
 
-    samples : to be solved. most : largest number of workers. structure : True if the structure of each is analysed as
-        well.
+    samples : what is solved.
+    most : largest number of workers.
+    structure : True if the structure of each sample is analysed as well.
     """
     return max(1, int(min(most, len(samples), seconds_in_all(samples, 1, structure) / WORKER_START)))
 
@@ -132,10 +139,10 @@ def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False
 class Kind:
     """Samples that take about the same time.
 
-    method : that solves them.
+    method : name of the method that solves them.
     cost : estimated seconds of one; where there is no estimate, spheres times simulated time.
-    remaining : number without a result.
-    done, seconds : number of those with a result, and the time that these have taken.
+    remaining : number of those without a result.
+    done, seconds : number of those with a result, and the time that these have taken together.
     """
 
     method: str
@@ -158,7 +165,8 @@ class WorkLeft:
     def __init__(self, samples: Sequence[Sample], structure: bool = False) -> None:
         """Group the samples into kinds that cost alike.
 
-        samples : those without a result yet. structure : True if the structure of each is analysed as well.
+        samples : those without a result yet.
+        structure : True if the structure of each is analysed as well.
         """
         self.structure, self.kinds = structure, dict[tuple[object, ...], Kind]()
         for group in groups_of(samples):
@@ -169,7 +177,11 @@ class WorkLeft:
             self.kinds.setdefault(kind_of(settings), Kind(name, cost)).remaining += len(group)
 
     def finish(self, sample: Sample, record: Record) -> None:
-        """Count a sample as finished, and learn from its time. record : its result."""
+        """Count a sample as finished, and learn from its time.
+
+        sample : the sample.
+        record : its result.
+        """
         kind, seconds = self.kinds[kind_of(sample.settings)], record["scalars"].get("seconds")
         kind.remaining -= 1
         if seconds is not None:
@@ -177,12 +189,12 @@ class WorkLeft:
             kind.seconds += seconds + seconds_beside(sample.settings, self.structure)
 
     def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
-        """Return the seconds left at the pace so far; None while too little is finished to tell.
+        """Return the seconds left at the pace so far, None while too little is finished to tell. The pace includes how
+        fast the machines are and all that is done apart from solving.
 
-        The pace includes how fast the machines are and all that is done apart from solving.
-
-        running : units in work, which are taken to be half done. workers : number of workers. elapsed : seconds since
-            the start.
+        running : units (tuples of samples) in work, which are taken to be half done.
+        workers : number of workers.
+        elapsed : seconds since the start.
         """
         pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method, of what is done: seconds and cost
         for kind in self.kinds.values():

@@ -49,21 +49,24 @@ DRAWN_COLUMNS = ("plot_x", "plot_y", "plot_low", "plot_high")
 Point = Json
 """All samples of equal parameters, as one row of the table beside the figure.
 
-x : the parameter. number : of different disorders. mean, standard_error, or ratio; low, high : statistics of y.
-DRAWN_COLUMNS : x, y and the ends of the bar as drawn; not-a-number where no sample is left. CENSUS_COLUMNS : how many
-samples are in it, of how many that the scan asks for here, and why others are not.
+x : value of the parameter.
+number : number of samples with different coefficients.
+mean, standard_error, or ratio; low, high : statistics of y.
+plot_x, plot_y, plot_low, plot_high : x, y and the ends of the bar as drawn; not-a-number where no sample is left.
+used, asked, left_out : how many samples are in it, of how many that the scan asks for here, and why others are not.
 """
-Points = dict[tuple[Any, ...], list[Point]]  # by the values of the columns that part the curves
+Points = dict[tuple[Any, ...], list[Point]]  # points of each curve, by the values of the columns that tell curves apart
 
 
 @dataclass(frozen=True)
 class Request:
     """What a figure of a scan shows.
 
-    y : name of a column, or A/B for the mean of column A over the mean of column B. x : name of a column.
+    y : name of a column, or A/B for the mean of column A over the mean of column B.
+    x : name of a column.
     by : names of columns; each combination of their values is a curve.
     where : conditions KEY=VALUE that samples must meet.
-    log : logarithmic axes: "", "x", "y" or "xy".
+    log : which axes are logarithmic: "", "x", "y" or "xy".
 
     The column L, where the scan has none of that name, is the height of the lattice: the last number of its shape.
     """
@@ -88,15 +91,15 @@ def plot_scan(
     tell: Callable[[str], None] = lambda _: None,
     page: Page = PAGE,
 ) -> list[Path]:
-    """Draw a figure of a scan and write the numbers behind it beside it as CSV; returns both paths.
+    """Draw a figure of a scan, write the numbers behind it beside it as CSV, and return both paths.
 
-    path : folder of the scan. request : what is drawn: the quantities on both axes, one curve for each value of which
-        setting, conditions.
-    out : PNG, PDF or SVG; by default a PDF in the directory of the scan, where an earlier one is replaced.
-    force : replace a file that stands there.
-    tell : called with sentences that say how many of how many samples are in the figure, and in each curve that lacks
-        some.
-    page : how it is printed.
+    path : folder of the scan.
+    request : what is drawn: the quantities on both axes, one curve for each value of which setting, conditions.
+    out : PNG, PDF or SVG; None for a PDF in the folder of the scan, where an earlier one is replaced.
+    force : True to replace a file `out`.
+    tell : function that is called with sentences that say how many of how many samples are in the figure, and in each
+        curve that lacks some.
+    page : how the figure is printed.
 
     Raises InputError or FileError before anything is written.
     """
@@ -121,10 +124,11 @@ def plot_scan(
 def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
     """Return the table of all samples that meet the conditions of a request, with or without a result, by column.
 
-    Two columns are added: L, the height of the lattice, and REASON, why a sample is in no point of the figure ("" if it
-    is).
-
     scan : a stored scan.
+    request : what is drawn: names of columns, and conditions.
+
+    Two columns are added: L, the height of the lattice, and REASON, why a sample is in no point of the figure ("" if it
+    is). Raises InputError for a column that the scan lacks, and for a condition that no sample meets.
     """
     table = dict(scan.table)
     if SIZE not in table and "shape" in table:
@@ -165,10 +169,10 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
 
 
 def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
-    """Return the statistics of y at each value of x, for each curve; raise InputError if no sample has both x and y.
+    """Return the statistics of y at each value of x, for each curve. Raise InputError if no sample has both x and y.
 
-    request : what is drawn: the quantities x and y, the setting with one curve for each value, conditions.
-    columns : table of the samples, from :func:`columns_of`.
+    columns : table of the samples, with the column REASON.
+    request : what is drawn: the quantities x and y, and the columns whose values tell curves apart.
     """
     names, terms = request.y.split("/"), list[np.ndarray]()
     for name in names:
@@ -208,7 +212,9 @@ def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request
     """Return (samples,) why each sample is in no point of the figure, in words that follow a number; "" for those that
     are in one.
 
-    scan : a stored scan. table : its samples by column. request : what is drawn.
+    scan : a stored scan.
+    table : its samples by column.
+    request : what is drawn.
     """
     reasons = np.full(scan.samples, "", dtype=object)
     for name in (request.x, *request.y.split("/")):
@@ -221,10 +227,12 @@ def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request
 
 
 def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
-    """Return the statistics of one point of a curve, and what is drawn: x, y and the ends of the bar.
+    """Return the statistics of one point of a curve, and what is drawn: x, y and the ends of the bar. Too few samples
+    give no bar.
 
     terms : one array of numbers of the samples, for its mean and standard error; or two, for the ratio of their means
-        and its confidence interval. x : place of the point. Too few samples give no bar.
+        and its confidence interval.
+    x : place of the point.
     """
     values, number = terms[0], len(terms[0])
     if len(terms) == 2:
@@ -261,8 +269,10 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points, request: Request) -> Look:
     """Return labels, legend and title of the figure; the title says over what was averaged, and what all samples share.
 
-    scan : where the samples come from. columns : their table. points : what is drawn, by curve. request : which columns
-        are shown.
+    scan : where the samples come from.
+    columns : their table.
+    points : what is drawn, by curve.
+    request : which columns are shown.
     """
     used = {request.x, *request.by, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
@@ -288,9 +298,11 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points,
 
 def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: Request) -> list[str]:
     """Return in words the settings that all samples of a figure have in common: size, law and distribution, and others
-    that the scan or a condition of the request fixes.
+    that the scan or a condition of the request fixes. Columns that the figure shows are left out.
 
-    scan : where the samples come from. columns : their table. request : which columns are shown; these are left out.
+    scan : where the samples come from.
+    columns : their table.
+    request : which columns are shown.
     """
     try:
         given = {key: written(value) for key, value in parse_toml(scan.attributes["scan"]).items()}
@@ -331,7 +343,8 @@ def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]
     """Return the table beside the figure: names of columns, and rows with the values of curve and x, and then all
     numbers of the point.
 
-    points : the points of the figure. request : what is drawn.
+    points : the points of the figure, by curve.
+    request : what is drawn.
     """
     rows = [[*part, *point.values()] for part, own in points.items() for point in own]
     _, *others = next(iter(points.values()))[0]

@@ -48,13 +48,14 @@ MOST_GROUPS = 24  # most histograms in a figure
 class Source:
     """The samples of a run or a scan.
 
-    path : of its file.
-    reasons : (asked,) why each sample has no result; "" for the S that have one.
-    whole_column : returns the values (asked,) of a scalar by its name, or raises InputError.
-    contacts : (samples S,) number of contacts that are not between driven spheres.
-    counts : returns the distributions of power, given bins a decade and the unit of power (S,).
-    disorder : returns names (S,), equal for samples of one disorder in one system.
-    is_scan : True if powers are known by their bins alone.
+    path : path of its file.
+    reasons : (asked,), why each sample has no result; "" for the S that have one.
+    whole_column : function that returns the values (asked,) of a scalar by its name, or raises InputError.
+    contacts : (samples S,), number of contacts that are not between driven spheres.
+    counts : function that returns the distributions of power, from the number of bins a decade and the unit of power
+        (S,).
+    disorder : function that returns names (S,), equal for samples with the same coefficients in one system.
+    is_scan : True if only the bins of powers are known, not the powers.
     """
 
     path: Path
@@ -84,8 +85,9 @@ class Source:
         return values.astype(float)
 
     def unit(self, normalise: str) -> np.ndarray:
-        """Return the power (samples S,) that serves as unit in each sample. normalise : a key of POWER_UNITS, "none"
-        for 1, "mean" for the mean power of its contacts.
+        """Return the power (samples S,) that serves as unit in each sample.
+
+        normalise : "none" for 1, "mean" for the mean power of the contacts of the sample.
         """
         if normalise == "none":
             return np.ones(len(self.samples))
@@ -94,7 +96,10 @@ class Source:
 
 
 def read_source(path: Path) -> Source:
-    """Return the samples of a run or a scan; raise FileError if the path is neither. path : directory or HDF5 file."""
+    """Return the samples of a run or a scan; raise FileError if the path is neither.
+
+    path : directory or HDF5 file.
+    """
     return _source_of_scan(open_scan(path)) if is_scan(path) else _source_of_run(read_run(path))
 
 
@@ -170,10 +175,11 @@ def pooled(
     without a column.
 
     sources : runs and scans whose samples are pooled.
+    bins_per_decade : bins for each factor of 10 of the power. For scans it must divide 20, as they store powers by 20
+        bins a decade; where samples have different units, each is shifted by whole such bins. Powers of runs are binned
+        anew.
     normalise : unit of power: "none", or "mean" for the mean power of a contact of the sample.
-    by : name of the column whose values separate the histograms, or None.
-    bins_per_decade : of power. For scans it must divide 20, as they store powers by 20 bins a decade; where samples
-        have different units, each is shifted by whole such bins. Powers of runs are binned anew.
+    by : name of the column whose values tell the histograms apart, or None.
     """
     if any(source.is_scan for source in sources) and BINS_PER_DECADE % bins_per_decade:
         raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
@@ -190,7 +196,10 @@ def pooled(
     place = np.cumsum(reasons == "") - 1  # of those with a result among themselves
 
     def of(rows: np.ndarray) -> PowerHistogram:
-        """Return the histogram of some samples. rows : their numbers among all that were asked for."""
+        """Return the histogram of some samples.
+
+        rows : their numbers among all that were asked for.
+        """
         census, own = Census.of(reasons[rows].tolist()), place[rows[reasons[rows] == ""]]
         coarsest = float(threshold[own].max(initial=0.0))
         return pool(counts.of(own), coarsest, POWER_UNITS[normalise], disorder[own], census.left_out)
@@ -214,16 +223,17 @@ def histogram(
     page: Page = PAGE,
     ending: str = "png",
 ) -> Json:
-    """Pool the histograms of runs and scans, and write power_histogram.csv, .h5 and a figure; returns the report of
-    `--json`.
+    """Pool the histograms of runs and scans, and write power_histogram.csv, .h5 and a figure. Return the report that
+    `--json` prints.
 
     paths : run directories and scans.
     out : folder; None for a new one.
-    force : replace what stands there.
-    bins_per_decade : of power; for scans it must divide 20. normalise : unit of power, "none" or "mean", the mean power
-        of a contact of the sample. by : name of the column whose values separate the histograms, or None.
+    force : True to replace files that stand there.
+    bins_per_decade : bins for each factor of 10 of the power; for scans it must divide 20.
+    normalise : unit of power: "none", or "mean" for the mean power of a contact of the sample.
+    by : name of the column whose values tell the histograms apart, or None.
     page : how the figure is printed.
-    ending : png, pdf or svg.
+    ending : "png", "pdf" or "svg".
 
     Raises InputError or FileError before anything is written.
     """
@@ -251,7 +261,8 @@ def histogram(
 def _report(histograms: Histograms, by: str | None) -> Json:
     """Return the numbers that `--json` prints: of all histograms together and, with `by`, of each.
 
-    histograms : by the value of the column `by`, which separates them; None as the only key without a column.
+    histograms : by the value of the column `by`; None is the only key without a column.
+    by : name of the column whose values tell the histograms apart, or None.
     """
     parts = list(histograms.values())
     edges = parts[0].edges
@@ -266,10 +277,8 @@ def _report(histograms: Histograms, by: str | None) -> Json:
 
 
 def _numbers_of(parts: Sequence[PowerHistogram]) -> Json:
-    """Return numbers of contacts and samples in some histograms, by name.
-
-    `asked` is the number of samples that were asked for, `left_out` has the reasons why some are not pooled with their
-    numbers, `census` says it in words.
+    """Return numbers of contacts and samples in some histograms, by name. `asked` is the number of samples that were
+    asked for, `left_out` says for each reason how many are not pooled, `census` says it in words.
     """
     names = ("slipping", "slipless", "tied", "undecided", "samples")
     counted = {name: sum(getattr(part, name) for part in parts) for name in names}

@@ -32,7 +32,8 @@ LARGEST_NUMBER = 1e300
 class Entry:
     """One folder in the list of runs and scans.
 
-    path : of the folder. kind : "run" or "scan".
+    path : path of the folder.
+    kind : "run" or "scan"; "folder" if that cannot be found out.
     values : what is listed, by name: of a run from its summary, of a scan the scanned keys and numbers of samples.
     modified : time at which its results were written, seconds since 1970.
     problem : why its content cannot be read; "" if it can.
@@ -111,8 +112,11 @@ def _values_of_run(path: Path) -> Json:
 
 
 def _fits(value: object, kind: type, can_lack: bool) -> bool:
-    """Return True if a value, or each value of a list, has a type; whole numbers count as float. can_lack : True if
-    None is allowed.
+    """Return True if a value, or each value of a list, has a type; whole numbers count as float.
+
+    value : the value or list.
+    kind : the type.
+    can_lack : True if None is allowed.
     """
     kinds, parts = {float, int} if kind is float else {kind}, listed(value)
     return bool(parts) and all(
@@ -139,7 +143,10 @@ def _values_of_scan(path: Path) -> Json:
 
 
 def _words_of_run(values: Mapping[str, object]) -> str:
-    """Return one line that says what a run holds. values : from its summary."""
+    """Return one line that says what a run holds.
+
+    values : numbers and words of its summary, by name.
+    """
     if "power" not in values:
         return "unfinished; `bearings run --resume` goes on from its checkpoint"
     powers, gaps, states, proven, seeds = (
@@ -157,7 +164,10 @@ def _words_of_run(values: Mapping[str, object]) -> str:
 
 
 def _words_of_scan(values: Mapping[str, Any]) -> str:
-    """Return one line that says what a scan holds. values : of its entry."""
+    """Return one line that says what a scan holds.
+
+    values : its scanned keys and numbers of samples, by name.
+    """
     known = " ".join(str(part) for part in (sized(values), values["law"], values["method"]) if part)
     over = " x ".join(values["scanned"]) or "one sample"
     done = f"{values['samples_done']:,} of {counted(values['samples_asked'], 'sample')}"

@@ -25,8 +25,10 @@ MOST_PARTS_OF_SCAN = 100_000
 
 @dataclass(frozen=True)
 class Part:
-    """Part `number`, counted from 1, of a scan that is divided into `of` parts, for jobs that run on different
-    machines.
+    """One of the parts into which a scan is divided for jobs on different machines.
+
+    of : number of parts.
+    number : number of this part, from 1.
     """
 
     of: int
@@ -53,13 +55,14 @@ class Part:
 
 
 def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
-    """Return the number of the part to which each sample belongs, by the key of the sample. of : number of parts.
+    """Return the number of the part to which each sample belongs, by the key of the sample.
+
+    plan : all samples of the scan with their settings.
+    of : number of parts.
 
     Samples that differ in the seed only are shared out evenly, with successive seeds together, since those can be
     solved as one block. What remains goes to the next parts in turn, large lattices first, so that the parts have
     similar amounts of work. The order does not depend on the scan file otherwise.
-
-    plan : all samples of the scan with their settings.
     """
     groups = sorted(groups_of(plan.samples), key=lambda group: (-spheres_of(group[0].settings), group[0].key))
     numbers: dict[str, int] = {}
@@ -118,8 +121,10 @@ def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping
     """Return the parts that lack samples: for each a dictionary with `part`, as "i/n", and `missing`, how many of its
     samples have no result.
 
-    plan : of the whole scan. records : results of the samples, by key. The number n of parts is taken from the names of
-        the journals in the folder; if there are several n, the parts of each are looked at.
+    plan : all samples of the scan.
+    folder : folder of the scan; names of its journals say into how many parts the scan is divided. If there are several
+        such numbers, the parts of each are looked at.
+    records : results of the samples, by key.
     """
     found = []
     for of in sorted({int(match[1]) for file in journals_in(folder) if (match := JOURNAL.fullmatch(file.name))}):

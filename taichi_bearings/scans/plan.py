@@ -43,7 +43,7 @@ class Sample:
     """One sample of a scan.
 
     key : 16 hexadecimal digits, equal for samples that must have equal results.
-    settings : of a run of this sample alone (replicas is 1).
+    settings : settings of a run of this sample alone (replicas is 1).
     point : the scanned settings and their values, in the order of the file.
     """
 
@@ -60,9 +60,9 @@ class Sample:
 
 def _wishes_in(document: Json) -> Json:
     """Remove the options of the scan itself (WISHES, which change no result) from the content of a scan file, and
-    return them by name.
+    return them by name. Raise InputError for values that are not allowed.
 
-    document : keys and values of the file. Raises InputError for values that are not allowed.
+    document : keys and values of the file.
     """
     return {name: item.read(name, document.pop(name)) for name, item in WISHES.items() if name in document}
 
@@ -71,9 +71,10 @@ def _wishes_in(document: Json) -> Json:
 class ScanPlan:
     """The samples of a scan, no two of them with the same key.
 
-    scanned : names of the settings that vary. samples : all samples.
-    settings : the scan as TOML, without the options of the scan itself. wishes : these options, as far as they were
-        given, by name.
+    scanned : names of the settings that vary.
+    samples : all samples.
+    settings : the scan as TOML, without the options of the scan itself.
+    wishes : options of the scan itself that were given, by name; they change no result.
     """
 
     scanned: tuple[str, ...]
@@ -121,12 +122,12 @@ def read_plan(
 ) -> ScanPlan:
     """Return the plan that a scan file describes.
 
-    path : TOML; keys of `run` for all samples, wishes, and a table ``[scan]`` with a list or a range for each key that
-        varies. The samples are the grid over all of them, the last key fastest; keys in one table ``[[scan.zip]]``
-        advance together and are one axis. Without ``[scan]`` there is one sample.
+    path : TOML; settings of a run for all samples, options of the scan itself, and a table ``[scan]`` with a list or a
+        range for each key that varies. The samples are the grid over all of them, the last key fastest; keys in one
+        table ``[[scan.zip]]`` advance together. Without ``[scan]`` there is one sample.
     overrides : ``key=value`` fixes a key for all samples, ``scan.key=list or range`` scans it; values as in TOML, other
         words are texts.
-    wishes : by name; they win over the file and the overrides.
+    wishes : options of the scan itself, by name; they win over the file and the overrides.
 
     Raises InputError in one sentence.
     """
@@ -154,9 +155,10 @@ Axis = Json  # keys that advance together, with the list or range of each
 
 def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[Json, list[Axis]]:
     """Return what a scan file says: the settings that all samples share, by key, and the axes of the grid, those of
-    single keys first.
+    single keys first. An axis is a dictionary of keys that advance together, with the list or range of each.
 
-    path : of the TOML file. overrides : ``key=value`` texts of the option --set, which win over the file.
+    path : path of the TOML file.
+    overrides : ``key=value`` texts of the option --set, which win over the file.
     """
     refuse_run(path)
     if path.suffix in (".h5", ".hdf5"):
@@ -194,7 +196,9 @@ def _samples(
 ) -> Iterator[Sample]:
     """Yield the samples of the grid.
 
-    path : of the scan file. document : settings that all samples share. scanned : names of the settings that vary.
+    path : path of the scan file.
+    document : settings that all samples share, by name.
+    scanned : names of the settings that vary.
     axes : for each axis of the grid, the values of its settings, point by point.
     """
     base: RunSettings | None = None
@@ -215,8 +219,10 @@ def _samples(
 
 
 def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
-    """Return for each axis of the grid the values of its settings, point by point; raise InputError for more than
-    MOST_SAMPLES samples.
+    """Return for each axis of the grid its points: tuples with the value of each of its settings. Raise InputError for
+    more than MOST_SAMPLES samples.
+
+    axes : for each axis a dictionary of settings that advance together, with the list or range of each.
     """
     points: list[list[tuple[Any, ...]]] = []
     for axis in axes:
@@ -247,8 +253,9 @@ def _range(key: str, table: Mapping[str, object]) -> tuple[float, Callable[[int]
     """Return how many values a range has, and a function that gives each of them by its number from 0; whole numbers
     stay whole.
 
-    key : the setting, for messages. table : the range: start and stop, with an optional step (stop excluded), or with a
-        number and a spacing, "linear" or "log" (both ends included).
+    key : name of the setting, for messages.
+    table : the range: start and stop, with an optional step (stop excluded); or with a number and a spacing, "linear"
+        or "log" (both ends included).
     """
     get: Any = table.get
     is_spaced = "number" in table
@@ -293,7 +300,10 @@ def sample_key(settings: RunSettings) -> str:
 
 
 def content_of(name: str) -> str:
-    """Return a hash of the content of a file, or of the run.h5 in a run directory. name : of the file or directory."""
+    """Return a hash of the content of a file, or of the run.h5 in a run directory.
+
+    name : name of the file or directory.
+    """
     path = file_of(Path(name))
     if not path.is_file():
         raise FileError(f"{name} does not exist or is not a file")
@@ -333,8 +343,10 @@ def _spheres(name: str, _: str) -> int:
 
 
 def _text(document: Mapping[str, object], axes: Sequence[Axis]) -> str:
-    """Return a scan as TOML, including what --set has changed. document : settings that all samples share. axes : of
-    the grid.
+    """Return a scan as TOML, including what --set has changed.
+
+    document : settings that all samples share, by name.
+    axes : axes of the grid, dictionaries of settings that advance together with the list or range of each.
     """
     text, is_zipped = toml_text(document), False
     for number, axis in enumerate(axes):

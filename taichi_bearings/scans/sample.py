@@ -34,13 +34,14 @@ class Interrupted(SystemExit):
 def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path | None = None) -> list[Json]:
     """Solve samples and return a record of each, in their order.
 
-    analyse : compute the numbers of `bearings analyse`, too.
-    states : folder for the full states.
+    samples : what is solved.
+    analyse : True to compute the numbers of `bearings analyse`, too.
+    states : folder for the full states; None to store none.
 
     A record is valid JSON: `key`; `scalars`, the summary of `bearings run` for that sample alone, nothing but numbers
-    and texts; `bins`, number of the power bin -> slipping contacts. A sample that raises gives a record whose status is
-    failed, with the reason as `error`, and `final` if another try is pointless. If the disk failed and not the sample,
-    the record has `unwritten`, and the samples after it are not tried.
+    and texts; `bins`, number of slipping contacts by number of the power bin. A sample that raises gives a record whose
+    status is failed, with the reason as `error`, and `final` if another try is pointless. If the disk failed and not
+    the sample, the record has `unwritten`, and the samples after it are not tried.
     """
     records: dict[str, Json] = {}
     with one_thread():
@@ -61,7 +62,7 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
 
 def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
     """Yield lists of samples that can be solved together as one scene: they differ in their seeds only; on lattices
-    these are successive numbers.
+    these are successive numbers. A sample that cannot be solved together with others is a list of its own.
     """
     for group in groups_of(samples):
         settings = group[0].settings
@@ -123,9 +124,11 @@ def _job_of(block: Sequence[Sample]) -> Job:
 
 
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[Json]:
-    """Solve a block of samples and return their records.
+    """Solve a block of samples that differ in their seeds, and return their records.
 
-    analyse : True to compute the numbers of `bearings analyse` as well. states : folder for the full states, or None.
+    block : the samples.
+    analyse : True to compute the numbers of `bearings analyse` as well.
+    states : folder for the full states; None to store none.
     """
     first = block[0].settings
     files = [file for _, file in files_of(first)]
@@ -151,10 +154,12 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
 
 
 def _record(key: str, run: Result, analyse: bool) -> Json:
-    """Return the record of a sample: key, numbers and texts, and counts of contacts by bin of power.
+    """Return the record of a sample: key, numbers and texts, and counts of contacts by bin of power. Shapes are written
+    as tables show them; numbers that are not finite become None.
 
-    key : of the sample. run : its result. analyse : True to add the numbers of `bearings analyse`. Shapes are written
-        as tables show them; numbers that are not finite become None.
+    key : key of the sample.
+    run : its result.
+    analyse : True to add the numbers of `bearings analyse`.
     """
     answer = run.solution
     scalars = run.numbers | run.asked.driving | {"slip_threshold": answer.slip_threshold}
@@ -174,8 +179,10 @@ def _record(key: str, run: Result, analyse: bool) -> Json:
 
 
 def state_path(folder: Path, key: str) -> Path:
-    """Return the path of the file with the full state of a sample, in the layout of run.h5. folder : of the scan's
-    states. key : of the sample.
+    """Return the path of the file with the full state of a sample, which has the layout of run.h5.
+
+    folder : folder of the states.
+    key : key of the sample.
     """
     return folder / f"{key}.h5"
 
@@ -184,7 +191,9 @@ def state_path(folder: Path, key: str) -> Path:
 class JobTask:
     """One of many jobs to be solved by workers.
 
-    key : its number, counted from 0, as a text. scene : the Scene or Packing of the user. job : the run that solves it.
+    key : its number, counted from 0, as a text.
+    scene : the Scene or Packing of the user.
+    job : the run that solves it.
     """
 
     key: str
@@ -203,10 +212,8 @@ class JobTask:
 
 
 def solve_tasks(tasks: Sequence[JobTask]) -> list[Json]:
-    """Solve jobs in a worker, and return a record of each: with its `run`, the result, or with the reason why there is
-    none.
-
-    Each job uses one thread where its settings leave that open.
+    """Solve jobs in a worker, and return a record of each: with its result as `run`, or with the reason why there is
+    none. Each job uses one thread where its settings leave that open.
 
     tasks : the jobs.
     """
@@ -224,8 +231,10 @@ def solve_tasks(tasks: Sequence[JobTask]) -> list[Json]:
 def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Result]:
     """Yield the results of jobs as they come, each with the very scene that the user gave.
 
-    tasks : the jobs. workers : number of processes. Raises BearingsError for the first job without a result, and
-    InputError in a worker process.
+    tasks : the jobs.
+    workers : number of processes.
+
+    Raises BearingsError for the first job without a result, and InputError if it is called in a worker process.
     """
     refuse_in_worker()
     with closing(LocalEngine(solve_tasks, workers)) as engine:

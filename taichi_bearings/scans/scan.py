@@ -43,10 +43,13 @@ LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # a sample may take so many seconds, or s
 class ScanProgress:
     """The progress of a scan.
 
-    total : samples in all. before : those with a result from earlier calls. done : those with a result, `before`
-        included. failed : those that have failed.
-    running : samples in work, the first of each unit.
-    seconds : time since the start of this call. seconds_left : estimated; None while it is not known.
+    total : number of samples in all.
+    before : number of those with a result from earlier calls.
+    done : number of those with a result, `before` included.
+    failed : number of those that have failed.
+    running : samples in work, the first of each unit of samples that are solved together.
+    seconds : time since the start of this call.
+    seconds_left : estimated time left; None while it is not known.
     """
 
     total: int
@@ -69,13 +72,14 @@ Monitor = Callable[[ScanProgress], None]
 def missing_samples(
     plan: ScanPlan, folder: Path, part: parts.Part | None = None
 ) -> tuple[list[Sample], dict[str, Record]]:
-    """Return the samples that still have to be solved, of one part or of all, and the records that the folder has, by
-    key.
+    """Return the samples that still have to be solved, and the records that the folder has, by key. Samples have to be
+    solved if the folder lacks them, if they failed there, or if they lack something that is asked for now.
 
-    plan : the samples asked for. folder : of the scan. part : None for the whole scan.
+    plan : the samples asked for.
+    folder : folder of the scan.
+    part : part of the scan that is solved; None for the whole scan.
 
-    Samples have to be solved if the folder lacks them, if they failed there, or if they lack something that is asked
-    for now. Raises FileError if the folder holds samples that the plan does not ask for, or something else altogether.
+    Raises FileError if the folder holds samples that the plan does not ask for, or something else altogether.
     """
     names = [file.name for file in folder.iterdir() if file.name[0] != "."] if folder.is_dir() else []
     if names and JOURNAL not in names and not any(name.startswith("scan.toml") for name in names):
@@ -109,11 +113,11 @@ def missing_samples(
 
 def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
     """Raise InputError for a setting that no method and no law of the scan uses, and for samples that cannot be solved.
-
-    Where the scan continues in its folder, an unused setting is only named in a warning. is_here : True if the scan is
-    solved on this machine.
+    Where the scan continues in its folder, an unused setting is only named in a warning.
 
     plan : all samples of the scan with their settings.
+    folder : folder of the scan.
+    is_here : True if the scan is solved on this machine.
     """
     found, used = dict[str, str](), set[str]()
     for group in groups_of(plan.samples):  # all but their seeds alike
@@ -143,8 +147,10 @@ def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | 
     """Return what a scan would cost, by name: `samples`, `missing` samples, `workers`, `seconds` (None if unknown) and
     `bytes`. Nothing is solved.
 
-    plan : the samples asked for. folder : of the scan, which may hold some of them. workers : most worker processes; 0
-        for one a processor. part : part of the scan that is counted alone; None for the whole scan.
+    plan : the samples asked for.
+    folder : folder of the scan, which may hold some of them.
+    workers : largest number of worker processes; 0 for one a processor.
+    part : part of the scan that is counted alone; None for the whole scan.
     """
     refuse_unused(plan, folder)
     plan = plan.going_on_in(folder)
@@ -163,9 +169,11 @@ def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | 
 
 
 def _number_of_workers(missing: Sequence[Sample], workers: int, analyse: bool) -> int:
-    """Return how many worker processes to start for the missing samples, at most as many as pay off.
+    """Return how many worker processes to start, at most as many as pay off.
 
-    workers : largest number, 0 for one a processor. analyse : True if the structure of samples is analysed as well.
+    missing : samples to be solved.
+    workers : largest number, 0 for one a processor.
+    analyse : True if the structure of samples is analysed as well.
     """
     on_device = any(sample.settings.arch != "cpu" for sample in missing)
     return cost.paying_workers(missing, workers or (1 if on_device else available_threads()), analyse)
@@ -180,17 +188,20 @@ def scan(
     client: "Client | None" = None,
     part: parts.Part | None = None,
 ) -> Json:
-    """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
+    """Solve the samples of a plan that `folder` lacks, write scan.h5, scan.csv and scan.toml there, and return the
+    report that `--json` prints.
 
-    Options that the plan does not mention (its wishes, see plan.py) are those that the folder was given before. Samples
-    that lack something that is asked for are solved again. By default a sample may take 100 times the expected time, at
-    least 600 s; there is no limit for dynamics.
-
-    workers : most processes; 0 for one a processor.
-    monitor : called now and then with the progress.
+    plan : all samples of the scan with their settings.
+    folder : folder of the scan.
+    workers : largest number of processes; 0 for one a processor.
+    monitor : function that is called now and then with the progress.
     engine : where to solve; None for processes on this machine, or the Dask cluster of `client`.
-    part : solve those samples alone, and write nothing but their journal.
-    returns : the report of `--json`. Ctrl-C and SIGTERM end the scan; finished samples are kept.
+    client : connection to a Dask cluster, or None.
+    part : part of the scan that is solved alone; only its journal is written then. None for the whole scan.
+
+    Ctrl-C and SIGTERM end the scan; finished samples are kept. Samples that lack something that is asked for are solved
+    again. Options of the scan itself that the plan does not give are those that the folder was given before. By default
+    a sample may take 100 times the expected time, at least 600 s; there is no limit for dynamics.
 
     Raises InputError or FileError before anything is computed.
     """
@@ -214,11 +225,11 @@ def scan(
 
 
 def merge(plan: ScanPlan, folder: Path) -> Json:
-    """Write scan.h5 and scan.csv from the journals of all parts of a scan in `folder`, be they complete or not.
+    """Write scan.h5 and scan.csv from the journals of all parts of a scan, be they complete or not. Return the report
+    that `--json` prints of a scan, with `incomplete_parts`, the parts that lack samples and how many.
 
     plan : all samples of the scan with their settings.
-    returns : the report that `--json` prints of a scan, with `incomplete_parts`, the parts that lack samples and how
-        many.
+    folder : folder of the scan.
 
     Raises FileError if the folder has no samples of this scan.
     """
@@ -236,10 +247,13 @@ def merge(plan: ScanPlan, folder: Path) -> Json:
 def _engine(
     plan: ScanPlan, folder: Path, missing: Sequence[Sample], workers: int, client: "Client | None"
 ) -> LocalEngine:
-    """Return the engine that solves the missing samples: on the Dask cluster of `client`, or in processes on this
-    machine if it is None.
+    """Return the engine that solves the missing samples: on a Dask cluster, or in processes on this machine.
 
-    plan : all samples of the scan with their settings. folder : of the scan. workers : number of processes.
+    plan : all samples of the scan with their settings.
+    folder : folder of the scan.
+    missing : samples to be solved.
+    workers : largest number of processes; 0 for one a processor.
+    client : connection to a Dask cluster; None for this machine.
     """
     analyse, states = bool(plan.wishes.get("analyse")), plan.wishes.get("keep_states")
     work = partial(solve_samples, analyse=analyse, states=(folder / STATES).absolute() if states else None)
@@ -252,10 +266,11 @@ def _engine(
 
 
 def _allowed(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
-    """Return the seconds that a unit of samples may take.
+    """Return the seconds that a unit of samples, which are solved together, may take.
 
-    sample_timeout : limit for one sample that the user has set, or None. analyse : True if the structure is analysed as
-        well.
+    unit : the samples.
+    sample_timeout : limit for one sample that the user has set, or None.
+    analyse : True if the structure is analysed as well.
     """
     if sample_timeout is not None:
         return sample_timeout * len(unit)
@@ -263,22 +278,28 @@ def _allowed(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
 
 
 def _warn(text: str) -> None:
-    """Log a warning."""
+    """Log a warning with this text."""
     logging.getLogger(__name__).warning("bearings: %s", text)
 
 
 class _Course:
     """A scan that is being solved: its missing samples, its records so far, its journal and its progress.
 
-    plan : the samples asked for. folder : of the scan. part : part of the scan that is solved alone; None for the whole
-        scan. monitor : function that is called now and then with the progress.
+    plan : the samples asked for.
+    folder : folder of the scan.
+    part : part of the scan that is solved alone; None for the whole scan.
+    monitor : function that is called now and then with the progress.
     """
 
     def __init__(
         self, plan: ScanPlan, folder: Path, part: parts.Part | None = None, monitor: Monitor = lambda _: None
     ) -> None:
-        """Read what the folder holds, and find which samples are missing. The arguments are the plan, the folder of the
-        scan, the part that is solved alone, and a function that is called with the progress.
+        """Read what the folder holds, and find which samples are missing.
+
+        plan : the samples asked for.
+        folder : folder of the scan.
+        part : part of the scan that is solved alone; None for the whole scan.
+        monitor : function that is called now and then with the progress.
         """
         self.began = time.monotonic()
         self.due = self.began + REWRITE  # when files are to be written again
@@ -295,7 +316,9 @@ class _Course:
     def follow(self, engine: LocalEngine, journal: Journal, stopped: threading.Event) -> None:
         """Have the missing samples solved and recorded, until all are done or `stopped` is set.
 
-        engine : solves them. journal : opened for appending.
+        engine : what solves them.
+        journal : the journal, opened for appending.
+        stopped : event that Ctrl-C or SIGTERM sets.
         """
         analyse, missing = bool(self.plan.wishes.get("analyse")), list(self.missing.values())
         units, work = cost.units_of(missing, analyse, engine.workers or 1), cost.WorkLeft(missing, analyse)
@@ -318,7 +341,9 @@ class _Course:
     def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
         """Record finished samples in the journal and count them. A failure does not replace an earlier result.
 
-        finished : their records. work : the estimate of the work left. journal : opened for appending.
+        finished : their records.
+        work : the estimate of the work left.
+        journal : the journal, opened for appending.
         """
         news = [record for record in finished if not (parts.is_failed(record) and self._has_result(record["key"]))]
         journal.append(news)
@@ -338,11 +363,10 @@ class _Course:
         return key in self.records and not parts.is_failed(self.records[key])
 
     def _write(self, removes: bool = False) -> None:
-        """Write scan.h5 and scan.csv, each in full or not at all, with rows in the order of the plan.
+        """Write scan.h5 and scan.csv, each in full or not at all, with rows in the order of the plan. Both store the
+        size of the journals whose records they hold, so that readers see whether they are up to date.
 
-        Both store the size of the journals whose records they hold, so that readers see whether they are up to date.
-
-        removes : True to remove figures that are out of date before.
+        removes : True to remove figures that are out of date first.
         """
         journals = self.others + (self.journal.stat().st_size if self.journal.exists() else 0)
         self.removed = outdated_figures(self.folder, journals) if removes else []

@@ -102,6 +102,7 @@ def outdated_figures(folder: Path, journals: int) -> list[Path]:
     """Return the figures of a scan in its folder, and the tables beside them; none if scan.h5 holds all that the
     journals hold.
 
+    folder : folder of the scan.
     journals : size of all journals, bytes.
     """
     try:
@@ -120,7 +121,8 @@ def attributes_of(plan: ScanPlan, journals: int) -> Json:
     """Return the attributes of scan.h5: the scan as TOML, what was scanned, how many samples, size of the journals,
     versions.
 
-    plan : of the scan. journals : size of the journals that the table is made from, bytes.
+    plan : the plan of the scan.
+    journals : size of the journals that the table is made from, bytes.
     """
     known = {"scan": plan.text, "scanned": list(plan.scanned), "asked": len(plan.samples), "journals": journals}
     return {**known, "taichi_bearings": VERSION, **versions()}
@@ -129,9 +131,11 @@ def attributes_of(plan: ScanPlan, journals: int) -> Json:
 def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, object]]) -> dict[str, Finding]:
     """Return the table of a scan by column, one row for each sample that has a record.
 
+    plan : the plan of the scan.
+    records : records of samples, by the key of the sample.
+
     The scanned settings come first, then FIRST_COLUMNS, then whatever else the records hold. A result that has the name
-    of a scanned setting and may differ from it is called ``<name>_found``. plan : of the scan. records : by the key of
-    the sample.
+    of a scanned setting and may differ from it is called ``<name>_found``.
     """
     samples = [sample for sample in plan.samples if sample.key in records]
     scalars = [_scalars(sample, records[sample.key]) for sample in samples]
@@ -153,7 +157,8 @@ def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
     """Return numbers and texts of a sample by name: those of its record, and those of its settings that the record
     lacks, as that of a failed sample does.
 
-    sample : the sample with its settings. record : its record in the journal.
+    sample : the sample with its settings.
+    record : its record in the journal.
     """
     found, settings = dict(record["scalars"]), sample.settings
     known = set(SETTING_COLUMNS if settings.packing is None else ("law", "seed")) - found.keys()
@@ -163,8 +168,10 @@ def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
 
 
 def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleCounts:
-    """Return the numbers of contacts by power, one row for each sample that has a record. plan : of the scan.
-    records : by the key of the sample.
+    """Return the numbers of contacts by power, one row for each sample that has a record.
+
+    plan : the plan of the scan.
+    records : records of samples, by the key of the sample.
     """
     chosen = [records[sample.key] for sample in plan.samples if sample.key in records]
     bins = [{int(number): many for number, many in record["bins"].items()} for record in chosen]
@@ -172,13 +179,12 @@ def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> S
 
 
 def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None = None) -> list[tuple[Any, ...]]:
-    """Return names of the disorder of each row of a table of samples, equal for those of one disorder in one system.
-
-    Such samples depend on each other: they differ at most in how they were solved and in settings that their methods or
+    """Return a name for the disorder (the coefficients, in one system) of each row of a table of samples. Rows with
+    equal names depend on each other: they differ at most in how they were solved, and in settings that their methods or
     laws do not use. Where a table has no seeds no two rows are equal.
 
     columns : the table, arrays (rows,) by name.
-    settings : of all rows, where no column has them; needed to compare the names of several tables.
+    settings : settings of all rows, where no column has them; needed to compare the names of several tables.
     """
     rows, table = len(next(iter(columns.values()))), settings_table()
     of_system = [key for key, item in table.items() if key not in DRAWN and not item.of_solving]

@@ -20,8 +20,9 @@ from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 def own_array(name: str, values: ArrayLike) -> np.ndarray:
     """Return a read-only copy of values of the user as an array in double precision.
 
-    name : what the values are, in the plural, for messages. Raises InputError where the values make no array of real
-        numbers, or some are masked.
+    name : what the values are, in the plural, for messages.
+
+    Raises InputError where the values make no array of real numbers, or some are masked.
     """
     try:
         array = np.asanyarray(values)
@@ -41,7 +42,7 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
     """Return the arrays of a file by name; optional ones that the file lacks are left out.
 
     path : npy, npz or HDF5 file, or the folder of a run, whose run.h5 is read.
-    names : of the arrays that the file must have. In npz ``coefficient/x`` may also be stored as ``x``, and
+    names : names of the arrays that the file must have. In npz ``coefficient/x`` may also be stored as ``x``, and
         ``viscosity/x`` as ``x_viscosity``.
     optional : names that the file may lack.
 
@@ -83,7 +84,10 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
 
 
 def _refuse_lack(path: Path, names: Iterable[str], there: Collection[str]) -> None:
-    """Raise FileError if the file `path` lacks some of the arrays `names`. there : names of the arrays that it has."""
+    """Raise FileError if the file `path` lacks some of the arrays `names`.
+
+    there : names of the arrays that it has.
+    """
     if lacking := [name for name in names if name not in there]:
         raise FileError(f"{path} lacks the array{'s' if len(lacking) > 1 else ''} {', '.join(lacking)}")
 
@@ -91,8 +95,12 @@ def _refuse_lack(path: Path, names: Iterable[str], there: Collection[str]) -> No
 def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.ndarray:
     """Return an array of an npz file; nothing in it is unpickled.
 
-    path : of the file, for messages. stored : the opened file. name : of the member, such as ``x.npy``. most : largest
-        number of bytes that the array may have. Raises FileError if its header claims more, or Python objects.
+    path : path of the file, for messages.
+    stored : the opened file.
+    name : name of the member, such as ``x.npy``.
+    most : largest number of bytes that the array may have.
+
+    Raises FileError if its header claims more, or Python objects.
     """
     found, read = stored.getinfo(name), np.lib.format
     if found.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -125,7 +133,7 @@ def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0)
     """Return the coefficients of a file in the layout of run.h5, ``/coefficient/x`` and so on: one array an axis.
 
     kind : "coefficient" or "viscosity".
-    dimension : of the lattice, 2 or 3; 0 to take that of the file, which is 2 if it has no array along z.
+    dimension : dimension of the lattice, 2 or 3; 0 to take that of the file, which is 2 if it has no array along z.
 
     Raises FileError if an array is missing, also where the shapes along x and y fit a lattice in 3D only.
     """

@@ -96,7 +96,8 @@ class Bearing(ABC):
     def _as_samples(self: Kind, pick: int | slice, seeds: tuple[int, ...]) -> Kind:
         """Return a copy with some of the samples, which are not checked again.
 
-        pick : number of one sample, or a slice of several. seeds : of the samples that are picked.
+        pick : number of one sample, or a slice of several.
+        seeds : seeds of the samples that are picked.
         """
 
     @property
@@ -318,7 +319,8 @@ class Bearing(ABC):
         component; times the radius it is the torque.
 
         force : (d, R, contacts E), contact forces along the d components of a slip: on lattices the spin components, in
-            other packings two tangents (of discs one). spin_axes : numbers of the C components.
+            other packings two tangents (of discs one).
+        spin_axes : numbers of the C components.
         """
         return self.network.pulls(force, spin_axes)
 
@@ -353,12 +355,16 @@ class Bearing(ABC):
         return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def sample(self: Kind, number: int) -> Kind:
-        """Return a bearing with one of the R samples alone. number : that of the sample, from 0."""
+        """Return a bearing with one of the R samples alone.
+
+        number : that of the sample, from 0.
+        """
         return self if self.replicas == 1 else self._as_samples(number, self.seeds[number : number + 1])
 
     def some(self: Kind, pick: slice) -> Kind:
-        """Return a bearing with several of the samples. pick : slice of their numbers. This bearing must have more than
-        one sample.
+        """Return a bearing with several of the samples.
+
+        pick : slice of their numbers. This bearing must have more than one sample.
         """
         return self._as_samples(pick, self.seeds[pick])
 

@@ -28,8 +28,9 @@ LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # limits of coefficients, forces and radii;
 
 
 def _refuse(bad: np.ndarray | np.bool, sentence: Callable[[int], str]) -> None:
-    """Raise InputError if any entry of the mask `bad` is True. sentence : function that returns the message about entry
-    number i.
+    """Raise InputError if any entry of the mask `bad` is True.
+
+    sentence : function that returns the message about entry number i.
     """
     if bad.any():
         raise InputError(sentence(int(np.argmax(bad))))
@@ -58,8 +59,9 @@ def places(values: ArrayLike) -> np.ndarray:
 
 
 def _array(name: str, values: ArrayLike) -> np.ndarray:
-    """Return the values as an array; raise InputError where they make none, as lists of unequal lengths do. name : for
-    messages.
+    """Return the values as an array; raise InputError where they make none, as lists of unequal lengths do.
+
+    name : for messages.
     """
     try:
         return np.asanyarray(values)
@@ -70,7 +72,9 @@ def _array(name: str, values: ArrayLike) -> np.ndarray:
 def _integers(name: str, values: ArrayLike) -> np.ndarray:
     """Return a read-only copy of the values in int64, of their shape; floats are taken if each is a whole number.
 
-    name : what the values are called, for messages. Raises InputError for anything else.
+    name : what the values are called, for messages.
+
+    Raises InputError for anything else.
     """
     array = _array(name, values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
     if array.dtype.kind == "f":
@@ -95,7 +99,8 @@ def pairs(values: ArrayLike, spheres: int) -> np.ndarray:
     """Return the numbers (contacts E, 2) of the first and the second sphere of each contact; raise InputError if they
     are no such array of numbers of two different spheres.
 
-    values : what the user has passed. spheres : number N of spheres.
+    values : what the user has passed.
+    spheres : number N of spheres.
     """
     contact = _integers("contact", values)
     contact = contact.reshape(0, 2) if contact.size == 0 else contact
@@ -115,7 +120,8 @@ def pairs(values: ArrayLike, spheres: int) -> np.ndarray:
 def bodies(values: ArrayLike, spheres: int) -> np.ndarray:
     """Return the number (N,) of the driven body of each sphere, -1 for free spheres.
 
-    values : such numbers, or a mask of the driven spheres, which then are body 0. spheres : their number N.
+    values : such numbers, or a mask of the driven spheres, which then are body 0.
+    spheres : their number N.
     """
     array = _array("driven", values)
     is_mask = array.dtype.kind == "b" and not np.ma.is_masked(array)
@@ -143,8 +149,10 @@ def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
 def spins(values: ArrayLike, spheres: int, dimension: int, held: np.ndarray) -> np.ndarray:
     """Return the imposed spins, (N, 3) of spheres or (N,) of discs, 1/time, with 0 for free spheres.
 
-    values : spins of the user. spheres : number N of spheres. dimension : 2 or 3. held : (N,) mask of the driven
-        spheres.
+    values : spins of the user.
+    spheres : number N of spheres.
+    dimension : 2 or 3.
+    held : (N,) mask of the driven spheres.
     """
     spin = own_array("spins", values)
     shape = (spheres, 3) if dimension == 3 else (spheres,)
@@ -160,7 +168,9 @@ def sizes(name: str, values: ArrayLike, count: int, what: str, may_vanish: bool 
     """Return positive numbers, (count,), one for each sphere or contact. A single number is repeated.
 
     values : one number, or (count,).
-    name : of the argument, for messages. what : "sphere" or "contact". may_vanish : True to allow 0 as well.
+    name : name of the argument, for messages.
+    what : "sphere" or "contact".
+    may_vanish : True to allow 0 as well.
     """
     array = own_array(f"values of {name}", values)
     if array.ndim == 0:
@@ -193,7 +203,9 @@ def pressing(values: ArrayLike, contacts: int) -> np.ndarray:
 def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
     """Raise InputError if a row of the values is not finite, or too large.
 
-    name : of the values, for messages. values : one row for each sphere or contact. what : "sphere" or "contact".
+    name : name of the values, for messages.
+    values : one row for each sphere or contact.
+    what : "sphere" or "contact".
     """
     bad = ~(np.abs(values) <= MOST_SIZE).all(axis=tuple(range(1, values.ndim)))
     _refuse(bad, lambda i: f"{name} of {what} {i} is {shown(values[i])}; it must be finite and at most {MOST_SIZE:g}")
@@ -216,7 +228,8 @@ def normals(values: ArrayLike, packing: "Packing") -> tuple[np.ndarray, float]:
     """Return the normals (contacts E, dimensions D) of the contacts, scaled to unit length, and the largest error that
     their lengths had before.
 
-    values : normals of the user. packing : whose centres and contacts, which say D and E, are checked already.
+    values : normals of the user.
+    packing : whose centres and contacts, which say D and E, are checked already.
     """
     normal, shape = own_array("normals", values), (packing.contacts, packing.dimension)
     normal = normal.reshape(shape) if normal.size == 0 == packing.contacts else normal

@@ -22,7 +22,7 @@ def _power_law(
     cumulative distribution.
 
     rng : generator of random numbers.
-    shape : of the array that is returned.
+    shape : shape of the array that is returned.
     """
     level = rng.uniform(0.0, 1.0, shape)
     if abs(exponent + 1) < 1e-12:
@@ -35,7 +35,7 @@ def _bimodal(rng: np.random.Generator, shape: tuple[int, ...], low: float, high:
     """Return random numbers that are `high` with probability `fraction`, else `low`.
 
     rng : generator of random numbers.
-    shape : of the array that is returned.
+    shape : shape of the array that is returned.
     """
     return np.where(rng.uniform(0.0, 1.0, shape) < fraction, high, low)
 
@@ -117,7 +117,9 @@ class Distribution:
         return f"{self.name}:{','.join(format(value, 'g') for value in self.parameters)}"
 
     def __call__(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-        """Return an array of this shape with numbers drawn from the distribution. rng : generator of random numbers.
+        """Return an array of this shape with numbers drawn from the distribution.
+
+        rng : generator of random numbers.
 
         Extreme parameters may give infinities, which scenes and packings refuse.
         """
@@ -127,7 +129,9 @@ class Distribution:
     def _draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         """Return an array of this shape with numbers drawn from the distribution.
 
-        rng : generator of random numbers. shape : that of the array."""
+        rng : generator of random numbers.
+        shape : that of the array.
+        """
         _, drawn = DISTRIBUTIONS[self.name]
         return drawn(rng, shape, *self.parameters)
 
@@ -140,7 +144,7 @@ def draw_coefficients(lattice: Lattice, distribution: Draw, seed: int, second: b
     """Return random coefficients of all contacts of a lattice, one array for each axis, drawn from
     ``default_rng(seed)``.
 
-    distribution : of friction coefficients, pure numbers, or damping coefficients, force * time/length.
+    distribution : distribution of friction coefficients, pure numbers, or damping coefficients, force * time/length.
     second : True to draw the second coefficient of a law that has two, the viscosity, from ``default_rng([seed, 2])``.
 
     Raises InputError if a function of the user returns an array of another shape.

@@ -315,8 +315,8 @@ class Driving:
         """Return spins in the form that solvers store, but measured from 0, as kinetic energies need them: on lattices
         solvers measure them from the state of the bottom plane, which is added here.
 
-        carried : spins as solvers store them, (C, samples R, spheres *N); so is the result. spin_axes : numbers of the
-            C components.
+        carried : spins as solvers store them, (C, samples R, spheres *N); so is the result.
+        spin_axes : numbers of the C components.
         """
         origin = self.origin(spin_axes)
         return carried if origin is None else carried + origin[0]
@@ -338,7 +338,8 @@ class BearingState:
 
     In it the spin of a sphere at position x is A + C x, times -1 on every second sphere.
 
-    spin : the three components of A, 1/time. rate : C, an array of one number, 1/(time length).
+    spin : the three components of A, 1/time.
+    rate : C, an array of one number, 1/(time length).
     """
 
     spin: Pair
@@ -347,7 +348,8 @@ class BearingState:
     def along(self, component: int, position: np.ndarray) -> Pair:
         """Return component k of A + C x at n positions, (n,), 1/time, in twice the precision.
 
-        component : k. position : (n,), the components x_k of the positions, length.
+        component : k.
+        position : (n,), the components x_k of the positions, length.
         """
         high, low = (np.repeat(part[component], len(position)) for part in self.spin)
         return add((high, low), multiply(self.rate, exactly(position))) if self.rate[0][0] else (high, low)
@@ -391,8 +393,8 @@ class Planes(Driving):
         """Return the driving of planes that turn about one axis (paper, Eq. 1).
 
         lattice : whose first and last planes are driven.
-        top, bottom : their spins, 1/time. direction : the axis, of any length but 0; ignored in 2D, where spins point
-            along z.
+        top, bottom : their spins, 1/time.
+        direction : the axis, of any length but 0; ignored in 2D, where spins point along z.
         """
         # all in twice the precision: difference = top - bottom, its size as unit, and its direction
         axis = _unit_vector(np.array([0.0, 0.0, 1.0] if lattice.dimension == 2 else direction))

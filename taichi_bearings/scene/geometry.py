@@ -37,7 +37,9 @@ def agreed(center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: 
     """Return the normals (contacts E, dimensions D), with those that were printed with few digits replaced by
     directions of the centres.
 
-    center : (spheres N, D), length. contact : (E, 2) numbers of the first and second sphere. radius : (N,), length.
+    center : (spheres N, D), length.
+    contact : (E, 2) numbers of the first and second sphere.
+    radius : (N,), length.
     normal : (E, D), unit vectors from the first to the second sphere.
     error : the largest error that the length of a normal had as it was given.
 
@@ -61,7 +63,9 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
     """Return normals (contacts E, dimensions D), unit vectors from the centre of the first to that of the second sphere
     of each contact.
 
-    center : (spheres N, D), length. contact : (E, 2) numbers of spheres. radius : (N,), length.
+    center : (spheres N, D), length.
+    contact : (E, 2) numbers of spheres.
+    radius : (N,), length.
 
     Raises InputError, with the likely remedy, if the spheres of a contact do not touch.
     """
@@ -98,8 +102,12 @@ class _Contacts:
     """
 
     def __init__(self, center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: np.ndarray | None) -> None:
-        """Compute distances, directions and masks. center : (spheres N, dimensions D), length. contact : (E contacts,
-        2), numbers of spheres. radius : (N,), length. normal : (E, D), unit vectors of the user, or None.
+        """Compute distances, directions and masks.
+
+        center : (spheres N, dimensions D), length.
+        contact : (E contacts, 2), numbers of spheres.
+        radius : (N,), length.
+        normal : (E, D), unit vectors of the user, or None.
         """
         self.center, self.contact, self.radius, self.given = center, contact, radius, normal
         self.vector = center[contact[:, 1]] - center[contact[:, 0]]
@@ -246,8 +254,10 @@ def _with(periods: np.ndarray, more: np.ndarray, slack: float) -> np.ndarray:
     """Return the shortest vectors (k, dimensions D) that generate the same lattice of points as some periods and one
     more vector together.
 
-    periods : (k, D), length. more : (D,), length, the further vector. slack : length up to which vectors count as 0 and
-        are left out. If more than D vectors come out, they generate no lattice.
+    periods : (k, D), length.
+    more : (D,), length, the further vector.
+    slack : length up to which vectors count as 0 and are left out. If more than D vectors come out, they generate no
+        lattice.
     """
     found = reduced(np.vstack([periods, more]))
     while len(kept := found[np.linalg.norm(found, axis=1) > slack]) < len(found):

@@ -89,7 +89,8 @@ def _fitting(bearing: Bearing, given: ArrayLike, source: str) -> np.ndarray:
     not finite.
 
     bearing : what the spins are for.
-    given : array of spins, 1/time, with or without that axis. source : where they come from, for messages.
+    given : array of spins, 1/time, with or without that axis.
+    source : where they come from, for messages.
     """
     spin = own_array(f"the spins in {source}", given)
     expected = zero_spin(bearing).shape

@@ -60,7 +60,8 @@ def _state(center: np.ndarray, signed_speeds: np.ndarray, own: np.ndarray) -> np
     """Return the bearing state A + c x of a driven body, continued to all spheres, (spheres N, components C),
     length/time; None if the body is in none.
 
-    center : (N, dimensions D), positions x, length. signed_speeds : (N, C), sign * radius * spin, length/time.
+    center : (N, dimensions D), positions x, length.
+    signed_speeds : (N, C), sign * radius * spin, length/time.
     own : (N,) mask of the spheres of the body, to whose values A and c are fitted. Where c = 0 fits, it is 0.
     """
     value = signed_speeds[own][0]
@@ -93,7 +94,7 @@ class Interface:
     lower_bound : energy/time, proven, of lattices alone: no two rigid domains have a smaller objective.
     next_power : objective, energy/time, of the lightest other interface of which both domains are in one piece; NaN if
         it is not known, as in 3D and in packings.
-    spins : of packings alone: radius * spin of the two rigid domains, (N, components C), length/time.
+    spins : spins of packings alone: radius * spin of the two rigid domains, (N, components C), length/time.
     """
 
     power: float
@@ -164,8 +165,8 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
     """Return a bound on the error of the sum of the weights of some contacts, energy/time. The weight of a contact is
     what it adds to the objective, the power or dissipation potential, if it is on the interface of two rigid domains.
 
-    contact : (n,) numbers of the contacts. across : (contacts E,) slip of each contact if it is on the interface,
-    length/time.
+    contact : (n,) numbers of the contacts.
+    across : (contacts E,) slip of each contact if it is on the interface, length/time.
     states : (2, spheres N, components C), the two bearing states as sign * radius * spin, length/time.
 
     The states are fitted to imposed spins, so they are uncertain by rounding, and by as much as the imposed spins miss

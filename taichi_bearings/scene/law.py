@@ -30,7 +30,7 @@ class Quantity:
     """A coefficient of a law.
 
     name : "friction" or "damping", or another word for messages and labels.
-    unit : of the numbers that users give. The unit "1" says that the number times the normal force is a force.
+    unit : unit of the numbers that users give. The unit "1" says that the number times the normal force is a force.
     """
 
     name: str
@@ -108,7 +108,8 @@ class Law:
     def resistance(self, of: Coefficients, slip: np.ndarray) -> np.ndarray | None:
         """Return (force - holding force) / slip, (..., E), force * time/length; None for friction alone.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        slip : speeds (..., E), length/time.
 
         The holding force is the largest force without slip. The result is the viscosity at any slip. For a law that
         overrides `force` it is computed from that function, and is 0 where nothing slips.
@@ -123,7 +124,8 @@ class Law:
         """Return the largest slope (..., E) of the force over the slip, force * time/length, between a slip of 0 and
         this one.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speed, length/time.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        slip : speed, length/time.
 
         The slope is infinite for laws with friction, and where it is not known. A law that overrides `force` has to
         override this as well if gradient descent is to solve it, as the slope limits its steps.
@@ -136,14 +138,16 @@ class Law:
     def force(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the size of the force (..., E) at each slipping contact.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        slip : speeds (..., E), length/time.
         """
         return self._sum(of, np.ones_like(slip), slip)
 
     def power(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the dissipated power (..., E) of each contact, energy/time.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        slip : speeds (..., E), length/time.
         """
         return self._sum(of, slip, slip**2)
 
@@ -151,21 +155,24 @@ class Law:
         """Return the dissipation potential (..., E) of each contact, energy/time: the integral of the force from 0 to
         the slip.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        slip : speeds (..., E), length/time.
         """
         return self._sum(of, slip, slip**2 / 2)
 
     def objective(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the power or the potential (..., E) of each contact, energy/time: whichever the law `minimises`.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. slip : speeds (..., E), length/time.
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        slip : speeds (..., E), length/time.
         """
         return self.power(of, slip) if self.minimises == "power" else self.potential(of, slip)
 
     def conjugate(self, of: Coefficients, force: np.ndarray) -> np.ndarray:
         """Return the dual phi*(f) = max over slips v of (f v - potential(v)), (..., E), energy/time, of each contact.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts. force : sizes f of forces, (..., E).
+        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        force : sizes f of forces, (..., E).
 
         With friction alone it is 0, or infinite for a force above the friction force.
         """
@@ -204,8 +211,8 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
     """Check a law that a user has defined, at some contacts and slips; raise InputError with the first condition that
     it violates.
 
-    law : the law. of : its coefficients, a tuple of arrays (..., E contacts), of which `CONTACTS_TRIED` contacts are
-        tried.
+    law : the law.
+    of : its coefficients, a tuple of arrays (..., E contacts), of which `CONTACTS_TRIED` contacts are tried.
     fastest : length/time. The slips that are tried are 0, and 1e-9 to 1e3 times this speed.
 
     A lower bound follows from any balanced forces if phi is convex and phi* is its conjugate (Rockafellar, Convex

@@ -45,7 +45,8 @@ OF_LATTICE: dict[str, Callable[[Lattice], np.ndarray]] = {
 class Network:
     """Spheres and their contacts, at fixed places, and which spheres are driven; arrays are read-only.
 
-    center : (spheres N, dimensions D), length. radius : (N,), length.
+    center : (spheres N, dimensions D), length.
+    radius : (N,), length.
     contact : (2, contacts E), numbers of the first and the second sphere of each contact.
     normal : (E, D), unit vectors from the first to the second sphere.
     body : (N,), number of the driven body of each sphere, -1 for free spheres.
@@ -141,14 +142,16 @@ class Network:
         """Return the lengths (n,) of vectors after their parts along the normals of n contacts are removed.
 
         vectors : (n, C), one for each contact; in 2D, with C = 1, they are at right angles to the plane and nothing is
-            removed. contact : numbers of the n contacts, or a slice; by default all.
+            removed.
+        contact : numbers of the n contacts, or a slice; by default all.
         """
         turned = vectors if self.dimension == 2 else np.cross(vectors, self.normal[contact])
         return np.asarray(np.linalg.norm(turned, axis=1))
 
     def slips(self, u: np.ndarray) -> np.ndarray:
-        """Return the slip speeds of all contacts, (contacts E,), length/time. u : radius * spin of the spheres,
-        (spheres N, components C), length/time.
+        """Return the slip speeds of all contacts, (contacts E,), length/time.
+
+        u : radius * spin of the spheres, (spheres N, components C), length/time.
         """
         return self.across(u[self.contact].sum(axis=0))
 
@@ -211,7 +214,8 @@ class Network:
         torque.
 
         force : (tangents d, R, contacts E), along the components of the slips that :meth:`differences` returns: the
-            result is minus the transpose of that linear map. spin_axes : numbers of the C components.
+            result is minus the transpose of that linear map.
+        spin_axes : numbers of the C components.
         """
         if self.lattice is not None:
             return torques(force, self.lattice, spin_axes)
@@ -223,8 +227,8 @@ class Network:
         """Return an upper bound on the eigenvalues of M^-1 K^T W K over the free spheres, where K turns radius * spin
         of spheres into slips of contacts, and W and M are diagonal.
 
-        weight : diagonal of W, (contacts E,), one number for all tangents of a contact. inertia : diagonal of M,
-        (spheres N,).
+        weight : diagonal of W, (contacts E,), one number for all tangents of a contact.
+        inertia : diagonal of M, (spheres N,).
 
         For any vector x > 0 no eigenvalue of a matrix A exceeds the largest (|A| x)_i / x_i (Collatz and Wielandt; x =
         1 gives Gershgorin's circles). Here x comes near the best such vector by steps of the power method.
@@ -273,8 +277,9 @@ class Network:
         and the number of independent motions without slip, None where normals are oblique. In each such motion one spin
         is set to 0, so that the solution is unique.
 
-        imposed : u (N, C) of driven spheres, 0 of others, length/time. contact : (n,) numbers of the contacts to
-            consider. moves : (N,) mask of the spheres whose spins are wanted.
+        imposed : u (N, C) of driven spheres, 0 of others, length/time.
+        contact : (n,) numbers of the contacts to consider.
+        moves : (N,) mask of the spheres whose spins are wanted.
 
         Where normals lie along the axes, each component of the spins adds its square to the squared slip. So if all
         spheres can have values in one component by which no contact slips, they have them at some minimum. That is
@@ -312,8 +317,8 @@ class Network:
 
         The result is a list with, for each region, the numbers of its spheres and those of the regions inside it.
 
-        contact : (n,) numbers of contacts, of which those between two free spheres couple unknowns. free : (spheres N,)
-            mask of the free spheres.
+        contact : (n,) numbers of contacts, of which those between two free spheres couple unknowns.
+        free : (spheres N,) mask of the free spheres.
         """
         ends = self.contact[:, contact]
         first, second = np.sort(ends[:, free[ends].all(axis=0)], axis=0)
@@ -326,7 +331,8 @@ class Network:
         """Return the motions without slip: spins that the matrix `slips` maps to 0.
 
         slips : (rows, unknowns), sparse, from unknown spin components to slips, as :meth:`operator` returns it.
-        sphere : (unknowns,), number of the sphere of each unknown. contact : (n,) numbers of contacts, of which those
-            between two free spheres couple unknowns. free : (spheres N,) mask of the free spheres.
+        sphere : (unknowns,), number of the sphere of each unknown.
+        contact : (n,) numbers of contacts, of which those between two free spheres couple unknowns.
+        free : (spheres N,) mask of the free spheres.
         """
         return slipless_motions(slips, sphere, self.order(contact, free))

@@ -369,8 +369,10 @@ class Packing(Bearing):
         return first._with(**stacked, seeds=tuple(one.seed for one in samples))
 
     def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Packing":
-        """Return a copy with some of the samples. pick : number of one sample, or a slice of several. seeds : of these
-        samples.
+        """Return a copy with some of the samples.
+
+        pick : number of one sample, or a slice of several.
+        seeds : seeds of these samples.
         """
         given = {name: getattr(self, name) for name in OF_SAMPLES}
         some = {name: None if values is None else values[pick] for name, values in given.items()}
@@ -577,9 +579,9 @@ class Packing(Bearing):
 
         size : radius of each sphere, (spheres N,) or one number, in units of the argument `radius`.
         found : places (N, dimensions D), contacts (contacts E, 2), normals (E, D), signs of the sublattice (N,), and
-        driven bodies (N,).
+            driven bodies (N,).
         unit : unit of the places, in units of the argument `radius`, too.
-        seed : of the coefficients.
+        seed : seed of the coefficients.
         others : arguments of the caller by name; those that are used here are removed, the rest are fields of the
             packing.
 
@@ -787,7 +789,8 @@ def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
     """Return the bearing states of bottom and top, (2, 4): A_x, A_y, A_z in 1/time, and C in 1/(time length).
 
     given : arguments of the caller by name; `spin_bottom`, `spin_top`, `direction`, `bottom` and `top` are removed from
-        it. dimension : 2 or 3.
+        it.
+    dimension : 2 or 3.
     """
     spins = [finite_number(n, given.pop(n, d)) for n, d in (("spin_bottom", 0.0), ("spin_top", 1.0))]
     direction = np.array(imposed_direction(given.pop("direction", (1.0, 1.0, 0.0))))

@@ -29,8 +29,8 @@ class Box:
         """Return the box that three rows of a LAMMPS dump describe; None if they describe none.
 
         rows : (3, 2), low and high end along each axis; or (3, 3), the bounds of a tilted box with its tilts xy, xz and
-            yz; or (3, 4), one edge vector and a component of the origin in each row. periodic : for each edge, whether
-            it is a period; None if not known.
+            yz; or (3, 4), one edge vector and a component of the origin in each row.
+        periodic : for each edge, whether it is a period; None if not known.
         """
         if not (np.abs(rows) <= MOST_SIDE).all():
             return None
@@ -92,8 +92,9 @@ def nearest_images(vector: np.ndarray, periods: np.ndarray, reach: np.ndarray) -
     """Return the shortest vectors (contacts E, dimensions D), length, between pairs of places in a periodic box, and a
     mask (E,): True where another image is no farther than `reach`, so that two are possible.
 
-    vector : (E, D), length, from one place to another, whichever images these are. periods : (k, D), length, linearly
-        independent. reach : (E,), length.
+    vector : (E, D), length, from one place to another, whichever images these are.
+    periods : (k, D), length, linearly independent.
+    reach : (E,), length.
     """
     found, doubtful = np.array(vector, dtype=float), np.zeros(len(vector), dtype=bool)
     if not len(periods):

@@ -252,8 +252,8 @@ class Scene(Bearing):
     def _check(self, kind: str, coefficients: tuple[np.ndarray, ...]) -> None:
         """Raise InputError if coefficients have a wrong shape or a value out of range.
 
-        kind : "coefficients" or "viscosities", for messages. coefficients : one array for each axis, with a leading
-            axis of samples if there are several.
+        kind : "coefficients" or "viscosities", for messages.
+        coefficients : one array for each axis, with a leading axis of samples if there are several.
         """
         for axis, values in enumerate(coefficients):
             name, one = AXIS_NAMES[axis], self.lattice.contact_shape(axis)
@@ -310,8 +310,9 @@ class Scene(Bearing):
         return self._of_contacts(self.coefficients)
 
     def _of_contacts(self, parts: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Return coefficients of all contacts as one array (samples R, contacts E). parts : one array for each axis, in
-        the layout of `coefficients`.
+        """Return coefficients of all contacts as one array (samples R, contacts E).
+
+        parts : one array for each axis, in the layout of `coefficients`.
         """
         values = self.lattice.flat(parts).reshape(self.replicas, -1)
         values.setflags(write=False)
@@ -326,7 +327,11 @@ class Scene(Bearing):
         return {"coefficient": self.coefficient, **beside}
 
     def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Scene":
-        """Return a copy with some of the samples. pick : number of one, or a slice. seeds : of these samples."""
+        """Return a copy with some of the samples.
+
+        pick : number of one, or a slice.
+        seeds : seeds of these samples.
+        """
         found = object.__new__(Scene)
         vars(found).update({name: getattr(self, name) for name in (*(item.name for item in fields(self)), *ALIKE)})
         vars(found).update(
@@ -411,8 +416,8 @@ def _drawn(lattice: Lattice, source: Draw, seeds: tuple[int, ...], second: bool)
     seeds.
 
     lattice : for whose contacts they are.
-    source : distribution, a function (rng, shape) -> array. second : True for the second coefficient of a law that has
-        two, the viscosity.
+    source : distribution, a function (rng, shape) -> array.
+    second : True for the second coefficient of a law that has two, the viscosity.
     """
     parts = zip(*(draw_coefficients(lattice, source, seed, second) for seed in seeds), strict=True)
     return tuple(np.stack(part) if len(seeds) > 1 else part[0] for part in parts)
@@ -442,7 +447,8 @@ def imposed_direction(given: Any) -> tuple[float, float, float]:
 def bearing_state(name: str, given: object, dimension: int) -> tuple[float, ...]:
     """Return the state of a plane as (A_x, A_y, A_z, C), in 2D as (A_z,); raise InputError for anything else.
 
-    name : "top" or "bottom", for messages. given : three or four numbers, in 2D one; a single 0 is the state at rest.
+    name : "top" or "bottom", for messages.
+    given : three or four numbers, in 2D one; a single 0 is the state at rest.
     """
     try:
         parts = tuple(finite_number(name, part) for part in (given if isinstance(given, Iterable) else (given,)))
@@ -459,7 +465,8 @@ def bearing_state(name: str, given: object, dimension: int) -> tuple[float, ...]
 def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tuple[str, ...]:
     """Return the names of the periodic axes, in the order of the axes; raise InputError for names that are not allowed.
 
-    given : one name, a list of several, or a text such as "x,y". allowed : the names that are.
+    given : one name, a list of several, or a text such as "x,y".
+    allowed : the names that are.
     """
     parts = (given.split(",") if given else ()) if isinstance(given, str) else given
     is_one = not isinstance(parts, Iterable) or (isinstance(parts, np.ndarray) and parts.ndim == 0)
@@ -471,8 +478,9 @@ def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tupl
 
 
 def _seeds(given: Any) -> tuple[int, ...]:
-    """Return the seeds of the samples as a tuple of integers; raise InputError for anything else. given : what the user
-    has passed.
+    """Return the seeds of the samples as a tuple of integers; raise InputError for anything else.
+
+    given : what the user has passed.
     """
     try:
         return tuple(SEED.read(seed) for seed in given)
@@ -483,7 +491,8 @@ def _seeds(given: Any) -> tuple[int, ...]:
 def _arrays(kind: str, given: object) -> tuple[np.ndarray, ...]:
     """Return coefficients of the user as read-only copies, one array for each axis.
 
-    kind : "coefficients" or "viscosities", for messages. given : the arrays.
+    kind : "coefficients" or "viscosities", for messages.
+    given : the arrays.
     """
     is_one = isinstance(given, str) or (isinstance(given, np.ndarray) and given.ndim == 0)
     if is_one or not isinstance(given, Iterable):

@@ -25,8 +25,8 @@ CROSSED_BOUND = 1e-11  # rounding may put a lower bound above the power by this,
 def is_crossed(value: float | None, bound: float | None, gap: float | None) -> bool:
     """Return True if a lower bound lies above the value that it should bound, by more than rounding can explain.
 
-    value, bound : energy/time. gap : (value - bound) / value, which is negative in that case. Each may be None or
-        not-a-number if it is unknown.
+    value, bound : energy/time.
+    gap : (value - bound) / value, which is negative in that case. Each may be None or not-a-number if it is unknown.
     """
     above = value is not None and bound is not None and value > 0 and bound > value * (1 + CROSSED_BOUND)
     return above or (gap is not None and gap < -CROSSED_BOUND)
@@ -196,7 +196,8 @@ def _picked(better: np.ndarray, axis: int, new: Any, old: Any) -> Any:
     """Return an array with the entries of `new` in the samples where `better` is True, and of `old` in the others; None
     if either array is None.
 
-    better : (samples R,) mask. axis : number of the axis of both arrays that counts the samples.
+    better : (samples R,) mask.
+    axis : number of the axis of both arrays that counts the samples.
     """
     if new is None or old is None:
         return None
@@ -211,7 +212,9 @@ OF_ALL = ("iteration", "seconds", "time")
 class Solution:
     """The answer of a run, with one entry for each replica where an axis R is named.
 
-    scene : the bearing that was solved, with all replicas. method : name of the method. status : how the run ended.
+    scene : the bearing that was solved, with all replicas.
+    method : name of the method.
+    status : how the run ended.
     iterations : number of iterations, the largest of all replicas.
     spin, spin_rounding : laboratory spins, (R, spheres *N) in 2D and (R, *N, 3) in 3D, 1/time, and what their rounding
         leaves out; the sum of both is the spin.
@@ -220,11 +223,12 @@ class Solution:
         frame, (R, E, 3); in 2D (R, E), the component along z x n, with n the normal from the first to the second
         sphere. The lower bound follows from these forces: none exceeds the friction force of its contact, and they are
         in balance where such forces prove as much as others.
-    state : (R, E), values of `ContactState`. proven : (R, E) mask of the contacts whose state is proven, and of those
-        that are absent or between driven spheres.
-    power : (R,), energy/time. objective : (R,), energy/time.
-    lower_bound : (R,), energy/time, on the minimum of the objective. gap : (R,). BearingsError is raised if a bound
-        lies above the objective.
+    state : (R, E), values of `ContactState`.
+    proven : (R, E) mask of the contacts whose state is proven, and of those that are absent or between driven spheres.
+    power : (R,), energy/time.
+    objective : (R,), energy/time.
+    lower_bound : (R,), energy/time, on the minimum of the objective.
+    gap : (R,). BearingsError is raised if a bound lies above the objective.
     largest_balance_residual : (R,), largest unbalanced torque on a free sphere, force * length.
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless.
     seconds, seconds_compile : wall time, and the part of it in which kernels were compiled.
@@ -309,7 +313,9 @@ class Solution:
         return [False if ties else True if known else None for ties, known in zip(tied, proven, strict=True)]
 
     def sample(self, number: int) -> "Solution":
-        """Return the answer of one sample, as if it had been solved alone. number : of the sample, from 0.
+        """Return the answer of one sample, as if it had been solved alone.
+
+        number : number of the sample, from 0.
 
         Where its own time is not known, it gets an equal share of the time of all.
         """
@@ -340,7 +346,7 @@ class Solution:
         Samples that are solved together have rows at the same iterations. The last row that is returned gets the
         iteration at which this sample itself ended.
 
-        number : of the sample.
+        number : number of the sample.
         """
         found = {
             name: v if v.ndim == 1 else v[:, number] if name in OF_ALL else v[:, number : number + 1]
@@ -359,7 +365,8 @@ class Solution:
     def joined(cls, ones: Sequence["Solution"], scene: Bearing) -> "Solution":
         """Return one answer for a scene whose samples were solved one after another.
 
-        ones : the answer to each sample, in their order. scene : the scene with all of these samples.
+        ones : the answer to each sample, in their order.
+        scene : the scene with all of these samples.
         """
         if len(ones) == 1:
             return ones[0]
@@ -393,7 +400,7 @@ class Solution:
     def with_sample(self, number: int, one: "Solution", last: "Solution") -> "Solution":
         """Return a copy with another answer for one sample.
 
-        number : of the sample.
+        number : number of the sample.
         one : its new answer.
         last : the answer of the search that was made last, from which seconds, status and interruption are taken.
         """

@@ -50,7 +50,8 @@ def images(center: np.ndarray, radius: np.ndarray, periods: np.ndarray, factor: 
 
     An image is a copy of a sphere shifted by a sum of periods; the spheres themselves, with shift 0, are among them.
 
-    center : (spheres N, D), length, at most half a period from the middle. radius : (N,), length.
+    center : (spheres N, D), length, at most half a period from the middle.
+    radius : (N,), length.
     periods : (k, D), length, along axes, each longer than the largest sphere.
     factor : spheres touch up to this factor times the sum of their radii.
     """

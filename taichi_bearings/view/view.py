@@ -56,8 +56,8 @@ def view(
 def page_of(facts: Mapping[str, object], arrays: Mapping[str, np.ndarray]) -> str:
     """Return the HTML text of a page that needs no other file.
 
-    facts : numbers and words by name. arrays : what is drawn, by name. Both come from
-        :mod:`taichi_bearings.view.contents`.
+    facts : numbers and words by name.
+    arrays : what is drawn, by name. Both come from :mod:`taichi_bearings.view.contents`.
     """
     packed, places = _joined_bytes(arrays)
     words = json.dumps({**facts, "arrays": places}, allow_nan=False).replace("<", "\\u003c")

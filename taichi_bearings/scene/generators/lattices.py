@@ -20,7 +20,8 @@ from taichi_bearings.words import shown
 class Cell:
     """A rectangular cell of a lattice with n spheres, in D dimensions.
 
-    size : (D,), lengths of its edges in diameters. basis : (n, D), centres of its spheres as fractions of the size.
+    size : (D,), lengths of its edges in diameters.
+    basis : (n, D), centres of its spheres as fractions of the size.
     parity : the sublattice, 0 or 1, of each sphere, (n,); and for each axis, (D,), 1 if sublattices are exchanged in
         the next cell along it, else 0. None for a lattice with odd loops (closed chains of an odd number of contacts),
         which has no sublattices.
@@ -54,7 +55,9 @@ def built(
     """Return places (spheres N, dimensions D), contacts (contacts E, 2), normals (E, D), signs of the sublattice (N,),
     and the periodic axes.
 
-    kind : key of KINDS. cells : number of cells along each axis. periodic : names of the periodic axes.
+    kind : key of KINDS.
+    cells : number of cells along each axis.
+    periodic : names of the periodic axes.
 
     Spheres are in the order of their cells. Contacts are in the order of the bonds of a cell, on a cubic lattice axis
     by axis as in scenes. Raises InputError for numbers or names that are not allowed.
@@ -81,7 +84,8 @@ def built(
 def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarray:
     """Return the body of each sphere, (spheres N,): 0 for the bottom, 1 for the top, -1 for free spheres.
 
-    place : (N, dimensions D), diameters. closed : numbers of the periodic axes.
+    place : (N, dimensions D), diameters.
+    closed : numbers of the periodic axes.
     driven : which spheres are driven: "planes", the lowest and the highest layer along the last axis; "walls", those
         along x; or "shaft:r", all walls along x and y as the bottom, and the spheres within r diameters of the vertical
         axis through the middle (of discs, of the middle) as the top. InputError is raised for anything else.
@@ -118,7 +122,8 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
 def _ends(place: np.ndarray, axis: int, side: int) -> np.ndarray:
     """Return a mask (spheres N,) of the spheres at the upper end of an axis (`side` 1) or at its lower end (`side` -1).
 
-    place : (N, dimensions D), diameters. axis : its number.
+    place : (N, dimensions D), diameters.
+    axis : its number.
     """
     height = side * place[:, axis]
     return np.asarray(height > height.max() - 1e-6)

@@ -36,16 +36,23 @@ when it was found."""
 class _Heap:
     """The spheres placed so far, and the pockets (places for a further sphere that touches D others), lowest first.
 
-    place : (spheres N, D), centres. radius : (N,). Lengths are in radii of the small spheres.
-    sides : (D,), lengths of the periodic sides, infinite along the height. sizes : the two radii.
-    count : number of spheres placed so far. made : number of pockets made so far.
+    place : (spheres N, D), centres.
+    radius : (N,). Lengths are in radii of the small spheres.
+    sides : (D,), lengths of the periodic sides, infinite along the height.
+    sizes : the two radii.
+    count : number of spheres placed so far.
+    made : number of pockets made so far.
     pockets : for each radius of the sphere to come a heap of pockets: height, number, place, numbers of the D spheres
         that form it, and number of spheres when it was made.
     """
 
     def __init__(self, count: int, width: float, ratio: float, dimension: int) -> None:
-        """Begin without spheres. count : number of spheres to come. width : length of each periodic side, in radii of
-        the small spheres. ratio : radius of the large spheres over that of the small ones. dimension : D, 2 or 3.
+        """Begin without spheres.
+
+        count : number of spheres to come.
+        width : length of each periodic side, in radii of the small spheres.
+        ratio : radius of the large spheres over that of the small ones.
+        dimension : D, 2 or 3.
         """
         self.place, self.radius = np.empty((count, dimension)), np.empty(count)
         self.sides = np.append(np.full(dimension - 1, width), np.inf)
@@ -106,8 +113,9 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
     """Return places (P, dimensions D) where a new sphere touches a sphere at 0 and D - 1 others, and the numbers (P, D
     - 1) of these others.
 
-    vector : (n, D), centres of the others. first : distance of the new centre from 0, a sum of two radii. reach : (n,),
-        its distances from the centres of the others. Lengths are in radii of the small spheres.
+    vector : (n, D), centres of the others.
+    first : distance of the new centre from 0, a sum of two radii.
+    reach : (n,), its distances from the centres of the others. Lengths are in radii of the small spheres.
     """
     count, dimension = vector.shape
     others = np.arange(count)[:, None] if dimension == 2 else np.column_stack(np.triu_indices(count, 1))
@@ -141,9 +149,13 @@ def built(
 
     Lengths are in radii of the small spheres, but for `width`.
 
-    spheres : number N. dimension : D, 2 or 3. ratio : radius of the large spheres over that of the small ones.
-    large : fraction of the spheres that are large. width : of the box in diameters of small spheres; None for about its
-        height. rng : generator of the random numbers.
+    spheres : number N.
+    dimension : D, 2 or 3.
+    ratio : radius of the large spheres over that of the small ones.
+    large : fraction of the spheres that are large.
+    width : width of the box in diameters of small spheres; None for about its height.
+    rng : generator of the random numbers.
+
     Raises InputError for arguments that are not allowed, or if no pocket is left for a sphere.
     """
     spheres = whole(10, MOST_DEPOSITED).named("spheres", spheres)

@@ -36,8 +36,11 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
     first.
 
     m, n : numbers that pick a bearing of the family: m + 3 discs touch the upper line and the same large disc, n + 3
-        the lower line and another one. least_radius : radius of the smallest discs that are kept, in heights of the
-        strip. periods : number of periods along x. Raises InputError for arguments that are not allowed.
+        the lower line and another one.
+    least_radius : radius of the smallest discs that are kept, in heights of the strip.
+    periods : number of periods along x.
+
+    Raises InputError for arguments that are not allowed.
     """
     m, n = (whole(0, LARGEST_COUNT).named(name, value) for name, value in (("m", m), ("n", n)))
     periods = whole(1, MOST_PERIODS).named("periods", periods)
@@ -62,7 +65,8 @@ def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
     """Return the discs of the strip with centres in half a period, x = 0 to a, as (spheres N, 4): x, y, radius, and
     sense of turning, +1 or -1; and the length a.
 
-    m, n : numbers of the family. least : radius of the smallest discs that are kept.
+    m, n : numbers of the family.
+    least : radius of the smallest discs that are kept.
     """
     share_m, share_n = (cos(pi / (count + 3)) ** 2 for count in (m, n))
     square = 1 / (1 / share_m + 1 / share_n - 1)
@@ -92,8 +96,8 @@ def _folded(discs: np.ndarray, a: float) -> np.ndarray:
 def _unlike(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
     """Return those new discs, each once, that are not among the discs found already.
 
-    found, new : (spheres N, 4), columns x, y, radius and sense of turning. tolerance : distance of centres up to which
-        two discs are the same.
+    found, new : (spheres N, 4), columns x, y, radius and sense of turning.
+    tolerance : distance of centres up to which two discs are the same.
     """
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
@@ -108,8 +112,9 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
     """Return the mirror images, in a circle, of all copies of discs that lie outside it: (spheres N, 4), columns x, y,
     radius and sense of turning.
 
-    discs : (N, 4); copies are made by reflection in x = 0 and by shifts of 2 a. x, y, size : centre and radius of the
-        circle. least : radius of the smallest images that are kept.
+    discs : (N, 4); copies are made by reflection in x = 0 and by shifts of 2 a.
+    x, y, size : centre and radius of the circle.
+    least : radius of the smallest images that are kept.
 
     Each disc of the bearing is orthogonal to the circle, inside it or outside. Those inside are images of larger ones
     outside, so none is missed.
@@ -129,7 +134,9 @@ def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.
     """Return contacts (contacts E, 2) and normals (E, 2), unit vectors from the first to the second disc, of discs on a
     strip that is periodic along x.
 
-    place : (N spheres, 2), centres. radius : (N,). length : of the strip along x. Lengths are in heights of the strip.
+    place : (N spheres, 2), centres.
+    radius : (N,).
+    length : length of the strip along x. Lengths are in heights of the strip.
     """
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 

@@ -26,9 +26,9 @@ FLAGS = {0: "", 3: "", 5: "abc origin", 6: "xy xz yz"}  # words before the three
 class Frame:
     """One timestep of a dump, a text file of LAMMPS.
 
-    path : of the file.
+    path : path of the file.
     step : number of the timestep.
-    names : of all columns.
+    names : names of all columns.
     box : the box; None if the dump has none.
     table : (rows, columns), the columns that were asked for.
     line : number of the line of the file before the first row.
@@ -52,7 +52,7 @@ class Frame:
 class Frames:
     """The timesteps in a dump, a text file of LAMMPS, and where they begin.
 
-    path : of the file.
+    path : path of the file.
     starts : pairs of a timestep and the number of lines before it, in the order of the file.
     cut : the error for what is missing at the end of the file; None if nothing is.
     """
@@ -98,8 +98,10 @@ def read_frame(
 ) -> Frame:
     """Return the timestep of a dump that begins after line `start`.
 
-    path : of the file. step : number of the timestep.
-    items : "ATOMS", or "" for whatever a dump of local data calls its rows. most : largest number of rows that is read.
+    path : path of the file.
+    step : number of the timestep.
+    items : "ATOMS", or "" for whatever a dump of local data calls its rows.
+    most : largest number of rows that is read.
     wanted : function that is given the names of all columns and returns the names of those to read; the first `whole`
         of them hold whole numbers.
 
@@ -112,7 +114,8 @@ def read_frame(
 def _integer(path: Path, line: int, text: bytes, least: int, most: int) -> int:
     """Return the whole number in the text of a line; raise FileError if there is none from `least` to `most`.
 
-    path, line : file and number of the line, for messages. text : what the line says.
+    path, line : file and number of the line, for messages.
+    text : what the line says.
     """
     digits = text.strip()
     if not digits.isdigit() or len(digits) > 20 or not least <= int(digits) <= most:
@@ -125,20 +128,29 @@ def _integer(path: Path, line: int, text: bytes, least: int, most: int) -> int:
 class _Reader:
     """Reader of the lines of one timestep.
 
-    path : of the file. lines : the lines that follow. line : number of lines read so far. is_rounded : True once a
-        whole number was printed like 1e+06.
+    path : path of the file.
+    lines : the lines that follow.
+    line : number of lines read so far.
+    is_rounded : True once a whole number was printed like 1e+06.
     """
 
     def __init__(self, path: Path, lines: Iterator[bytes], line: int) -> None:
-        """Begin to read. path : of the file, for messages. lines : those that follow. line : number of lines before."""
+        """Begin to read.
+
+        path : path of the file, for messages.
+        lines : those that follow.
+        line : number of lines before.
+        """
         self.path, self.lines, self.line, self.is_rounded = path, lines, line, False
 
     def read(self, step: int, items: str, most: int, wanted: Callable[[Sequence[str]], list[str]], whole: int) -> Frame:
         """Return the timestep whose lines come next.
 
-        step : its number. items : "ATOMS", or "" for whatever a dump of local data calls its rows. most : largest
-            number of rows that is read. wanted : function that is given the names of all columns and returns the names
-            of those to read; the first `whole` of them hold whole numbers.
+        step : its number.
+        items : "ATOMS", or "" for whatever a dump of local data calls its rows.
+        most : largest number of rows that is read.
+        wanted : function that is given the names of all columns and returns the names of those to read; the first
+            `whole` of them hold whole numbers.
         """
         self._next("ITEM: TIMESTEP")
         self._next("a timestep")
@@ -158,8 +170,9 @@ class _Reader:
         return Frame(self.path, step, names, box, table, line, self.is_rounded)
 
     def _next(self, expected: str) -> bytes:
-        """Return the next line; raise CutOff if the file or the timestep ends before it. expected : what the line
-        should be, for the message.
+        """Return the next line; raise CutOff if the file or the timestep ends before it.
+
+        expected : what the line should be, for the message.
         """
         line = next(self.lines, None)
         self.line += 1
@@ -172,7 +185,10 @@ class _Reader:
         return line
 
     def _wrong(self, expected: str) -> FileError:
-        """Return the error for the line read last, which is not what it should be. expected : words for that."""
+        """Return the error for the line read last, which is not what it should be.
+
+        expected : words for that.
+        """
         return FileError(f"{self.path} is not a LAMMPS dump, or is damaged: at line {self.line} {expected}")
 
     def _header(self, begin: str, expected: str) -> list[str]:
@@ -186,8 +202,9 @@ class _Reader:
         return found
 
     def _box(self, words: list[str]) -> Box:
-        """Return the box that the next three lines describe. words : what follows ITEM: BOX BOUNDS; nothing in older
-        dumps.
+        """Return the box that the next three lines describe.
+
+        words : what follows ITEM: BOX BOUNDS; nothing in older dumps.
         """
         flags, kind = words[-3:], " ".join(words[:-3])
         if FLAGS.get(len(words)) != kind or any(len(flag) != 2 or set(flag) - set("pfsm") for flag in flags):
@@ -204,8 +221,9 @@ class _Reader:
     def _numbers(self, line: bytes, places: list[int], width: int, whole: int) -> list[float]:
         """Return the numbers at some places of a line; raise FileError if the line is damaged.
 
-        places : indices of the words to read. width : number of words that the line must have. whole : so many of the
-            first numbers must be whole.
+        places : indices of the words to read.
+        width : number of words that the line must have.
+        whole : so many of the first numbers must be whole.
         """
         words = line.split()
         try:
@@ -228,8 +246,11 @@ class _Reader:
     def _rows(self, names: list[str], count: int, wanted: list[str], whole: int) -> np.ndarray:
         """Return the wanted columns of the rows that come next, (count, columns).
 
-        names : of all columns. count : number of rows. wanted : names of the columns to read; the first `whole` of them
-            hold whole numbers. Raises FileError if a column is missing, or if more rows follow than the timestep says.
+        names : names of all columns.
+        count : number of rows.
+        wanted : names of the columns to read; the first `whole` of them hold whole numbers.
+
+        Raises FileError if a column is missing, or if more rows follow than the timestep says.
         """
         if lacking := [name for name in wanted if names.count(name) != 1]:
             columns = " ".join(names)

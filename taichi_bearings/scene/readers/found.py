@@ -25,8 +25,8 @@ SIDES = 2  # bodies: the bottom is 0, the top 1
 class Sides:
     """How the two driven bodies of a packing are driven: the bottom, number 0, and the top, number 1.
 
-    spin_bottom, spin_top : imposed spins, 1/time. direction : their common axis, of any length but 0; ignored for
-        discs.
+    spin_bottom, spin_top : imposed spins, 1/time.
+    direction : their common axis, of any length but 0; ignored for discs.
     """
 
     spin_bottom: float = 0.0
@@ -88,8 +88,9 @@ def from_centers(
 def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic: Any = None) -> dict[str, np.ndarray]:
     """Return the arrays of a packing, by name, from those of tables: contacts and driven bodies are found if missing.
 
-    found : arrays of the tables by name, center and radius among them. tolerance : relative gap or overlap of spheres
-        that touch. sides : spins of the lowest and the highest spheres, which are driven if `found` does not say which.
+    found : arrays of the tables by name, center and radius among them.
+    tolerance : relative gap or overlap of spheres that touch.
+    sides : spins of the lowest and the highest spheres, which are driven if `found` does not say which.
     periodic : (dimensions D,), lengths of the periodic sides, 0 or None along other axes.
     """
     if "contact" not in found:
@@ -107,8 +108,9 @@ def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic
 def contact_summary(contact: np.ndarray, spheres: int, tolerance: float) -> tuple[str, int]:
     """Return a sentence on the contacts that were found, for a log, and the number of spheres without a contact.
 
-    contact : (contacts E, 2), spheres of each contact. spheres : their number. tolerance : gap or overlap, relative to
-        the sum of two radii, up to which spheres touch.
+    contact : (contacts E, 2), spheres of each contact.
+    spheres : their number.
+    tolerance : gap or overlap, relative to the sum of two radii, up to which spheres touch.
     """
     alone = spheres - len(np.unique(contact))
     of = f"{counted(len(contact), 'contact')} of {counted(spheres, 'sphere')} found within {tolerance:g} of touching"
@@ -119,8 +121,9 @@ def contact_summary(contact: np.ndarray, spheres: int, tolerance: float) -> tupl
 def _lengths(periodic: object, dimension: int, largest: float) -> np.ndarray:
     """Return the lengths (dimensions D,) of the periodic sides, 0 along other axes; raise InputError for anything else.
 
-    periodic : what the user has passed, or None. dimension : D. largest : the largest radius; sides must be longer than
-        spheres.
+    periodic : what the user has passed, or None.
+    dimension : D.
+    largest : the largest radius; sides must be longer than spheres.
     """
     if periodic is None:
         return np.zeros(dimension)
@@ -141,8 +144,9 @@ def _contacts(
     """Return the contacts (contacts E, 2) of spheres that touch, ordered by their spheres, and the normals (E,
     dimensions D).
 
-    center : (spheres N, D), length. radius : (N,), length. share : largest gap or overlap, relative to the sum of two
-    radii.
+    center : (spheres N, D), length.
+    radius : (N,), length.
+    share : largest gap or overlap, relative to the sum of two radii.
     length : (D,), lengths of the periodic sides, 0 along other axes.
 
     Raises InputError if spheres overlap by more, or if none touch.
@@ -189,8 +193,10 @@ def _ends(center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarr
     """Return the driven body of each sphere, (spheres N,): 0 for the lowest ones along the last axis, 1 for the
     highest, -1 for others.
 
-    center : (N, dimensions D), length. radius : (N,), length. share : spheres within so many of their radii of the
-        lowest or highest centre are driven. length : (D,), lengths of the periodic sides, 0 along other axes.
+    center : (N, dimensions D), length.
+    radius : (N,), length.
+    share : spheres within so many of their radii of the lowest or highest centre are driven.
+    length : (D,), lengths of the periodic sides, 0 along other axes.
 
     Raises InputError if the last axis is periodic, or if all spheres are at one height.
     """

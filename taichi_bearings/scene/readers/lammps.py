@@ -55,22 +55,25 @@ class Asked:
 
     @property
     def kinds(self) -> list[str]:
-        """A list with the column of the atom types; empty if types are not needed."""
+        """List with the name of the column of atom types; empty if types are not needed."""
         return ["type"] if self.driven_types is not None else []
 
     @property
     def rates(self) -> list[str]:
-        """A list with the columns of spins; empty if these are not needed."""
+        """List with the names of the columns of spins; empty if these are not needed."""
         return [] if self.spin is not None else list(SPIN if self.dimension == 3 else SPIN[2:])
 
     def size(self, names: Sequence[str]) -> list[str]:
-        """Return a list with the column of radii or diameters; empty if it is not needed. names : columns of the
-        dump.
+        """Return a list with the name of the column of radii or diameters; empty if it is not needed.
+
+        names : columns of the dump.
         """
         return ["radius" if "radius" in names else "diameter"] if self.radius is None else []
 
     def place(self, names: Sequence[str]) -> list[str]:
-        """Return the names of the columns of positions. names : columns of the dump.
+        """Return the names of the columns of positions.
+
+        names : columns of the dump.
 
         LAMMPS has four kinds of positions, KINDS_OF_PLACES; the first kind whose columns are all there is taken. The z
         of discs is read too, if it is there.
@@ -80,7 +83,10 @@ class Asked:
         return [name for axis in AXIS_NAMES if (name := kind.format(axis)) in names or axis in needed]
 
     def columns(self, names: Sequence[str]) -> list[str]:
-        """Return the names of all columns of atoms that are read. names : columns of the dump."""
+        """Return the names of all columns of atoms that are read.
+
+        names : columns of the dump.
+        """
         return ["id", *self.kinds, *self.size(names), *self.place(names), *self.rates]
 
 
@@ -125,8 +131,9 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
 def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tuple[Frame, Frame]:
     """Return one timestep of both dumps: the one that is asked for, or the last one that is complete in both.
 
-    atoms, contacts : the two files. columns : names of the columns of contacts. asked : options of the user. A warning
-        tells of later timesteps that are left out.
+    atoms, contacts : the two files.
+    columns : names of the columns of contacts.
+    asked : options of the user. A warning tells of later timesteps that are left out.
     """
     first, second = Frames.of(atoms), Frames.of(contacts)
     cut = [str(part.cut) for part in (first, second) if part.cut is not None]
@@ -161,8 +168,10 @@ def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
     """Return the last complete copy of a timestep, which a dump may hold several times; raise CutOff if none is
     complete.
 
-    frames : where the timesteps of the dump begin. step : number of the timestep. of : what the rows of the dump are
-        called, their largest number, function that picks the columns to read, and how many of them are whole numbers.
+    frames : where the timesteps of the dump begin.
+    step : number of the timestep.
+    of : what the rows of the dump are called, their largest number, function that picks the columns to read, and how
+        many of them are whole numbers.
     """
     error = CutOff(frames.path, 0, f"it has no timestep {step}")
     for start in frames.of_step(step):
@@ -189,7 +198,8 @@ MOST_INTEGER_OR_SIZE = max(MOST_SIZE, 2.0**53)
 def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) -> np.ndarray:
     """Return the centres of the atoms, (spheres N, dimensions D), length.
 
-    names : of the columns of positions, which are lengths or fractions of the box. place : (N, columns), their numbers.
+    names : names of the columns of positions, which are lengths or fractions of the box.
+    place : (N, columns), their numbers.
     asked : options of the user.
     """
     if "s" in names[0]:
@@ -207,8 +217,9 @@ def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) ->
 def _radii(frame: Frame, column: np.ndarray, asked: Asked) -> np.ndarray:
     """Return the radii (spheres N,), length.
 
-    frame : the timestep of the atoms. column : its column of radii or diameters, if it is needed. asked : options of
-        the user, which may give one radius for all instead.
+    frame : the timestep of the atoms.
+    column : its column of radii or diameters, if it is needed.
+    asked : options of the user, which may give one radius for all instead.
     """
     if asked.radius is None:
         return column * (1.0 if "radius" in frame.names else 0.5)
@@ -220,7 +231,9 @@ def _radii(frame: Frame, column: np.ndarray, asked: Asked) -> np.ndarray:
 def _refuse_sizes(frame: Frame, order: np.ndarray, radius: np.ndarray) -> None:
     """Raise FileError for a radius that is out of range.
 
-    frame : the timestep of the atoms. order : (spheres N,), row of each atom. radius : (N,), in the same order.
+    frame : the timestep of the atoms.
+    order : (spheres N,), row of each atom.
+    radius : (N,), in the same order.
     """
     wrong = ~((radius >= LEAST_SIZE) & (radius <= MOST_SIZE))
     if wrong.any():
@@ -235,8 +248,11 @@ def _contacts(
     """Return arrays of the contacts by name: contact (contacts E, 2), normal (E, dimensions D) and, where columns give
     it, normal_force (E,).
 
-    rows : timestep of the dump of contacts. frame : the same timestep of the dump of atoms. number : (spheres N,), ids
-        of the atoms in the order of the spheres. spheres : centres and radii by name. asked : options of the user.
+    rows : timestep of the dump of contacts.
+    frame : the same timestep of the dump of atoms.
+    number : (spheres N,), ids of the atoms in the order of the spheres.
+    spheres : centres and radii by name.
+    asked : options of the user.
     """
     if frame.box is not None and rows.box is not None and not frame.box.is_as(rows.box):
         raise FileError(
@@ -267,8 +283,10 @@ def _normals(
 ) -> np.ndarray:  # fmt: skip
     """Return the normals (contacts E, dimensions D) of the contacts, along the shortest way around periodic sides.
 
-    rows, frame : timesteps of the dumps of contacts and of atoms. row : (E,), row of each contact in its dump.
-    contact : (E, 2), numbers of its spheres. number : (spheres N,), ids of the atoms.
+    rows, frame : timesteps of the dumps of contacts and of atoms.
+    row : (E,), row of each contact in its dump.
+    contact : (E, 2), numbers of its spheres.
+    number : (spheres N,), ids of the atoms.
     spheres : centres and radii by name.
     asked : options of the user.
 
@@ -299,8 +317,10 @@ def _normals(
 
 
 def _periods(frame: Frame, asked: Asked) -> np.ndarray:
-    """Return the vectors (k, dimensions D) of the periodic sides, length. frame : the timestep of the atoms.
-    asked : options of the user.
+    """Return the vectors (k, dimensions D) of the periodic sides, length.
+
+    frame : timestep of the atoms, with its box.
+    asked : options of the user, which may say which axes are periodic.
     """
     box = frame.box
     if asked.periodic is not None:
@@ -322,8 +342,10 @@ def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
     """Return forces (n,) that press spheres together: those given, with 0 in place of forces that pull. A warning says
     how many rows are left out for want of such a force.
 
-    rows : timestep of the dump of contacts, for messages. force : (n,), positive where it presses. If all are negative,
-        the file counts forces the other way, and their signs are changed. count : number of rows of the dump.
+    rows : timestep of the dump of contacts, for messages.
+    force : (n,), positive where it presses. If all are negative, the file counts forces the other way, and their signs
+        are changed.
+    count : number of rows of the dump.
     """
     warn = logging.getLogger(__name__).warning
     if (force < 0).any() and not (force > 0).any():
@@ -337,11 +359,12 @@ def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
 
 
 def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> np.ndarray:
-    """Return the contacts (contacts E, 2) as numbers of spheres, which are positions in the array of the ids of all
-    atoms.
+    """Return the contacts (contacts E, 2) as numbers of spheres, from the ids of atoms in a dump.
 
-    rows : timestep of the dump of contacts. row : (E,), its rows that are contacts. frame : timestep of the atoms.
-    number : (spheres N,), their ids.
+    rows : timestep of the dump of contacts.
+    row : (E,), numbers of its rows that are contacts.
+    frame : timestep of the dump of atoms.
+    number : (spheres N,), ids of the atoms in the order of the spheres.
 
     Raises FileError for an id that no atom has, or that fits several atoms because it was printed with too few digits.
     """
@@ -374,8 +397,9 @@ def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> 
 def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
     """Return the driven body of each atom, (spheres N,), -1 for free ones.
 
-    number : (N,), ids of the atoms. asked : options of the user, which name driven atoms by id or by type. kind : (N,),
-        types of the atoms.
+    number : (N,), ids of the atoms.
+    asked : options of the user, which name driven atoms by id or by type.
+    kind : (N,), types of the atoms.
     """
     if asked.driven is not None and not isinstance(asked.driven, Mapping):
         return np.asarray(asked.driven)
@@ -391,8 +415,9 @@ def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
 def _imposed(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.ndarray:
     """Return the imposed spins of driven atoms, (spheres N, 3) or (N,) for discs, 1/time; 0 for others.
 
-    body : (N,), driven body of each atom, -1 for free ones. spin : imposed spin by number of the body. dimension : 2 or
-        3.
+    body : (N,), driven body of each atom, -1 for free ones.
+    spin : imposed spin by number of the body.
+    dimension : 2 or 3.
     """
     values = np.zeros((len(body), 3) if dimension == 3 else len(body))
     for own in np.unique(body[body >= 0]).tolist():

@@ -58,7 +58,8 @@ def read_spheres(path: Path) -> dict[str, np.ndarray]:
 def read_contacts(path: Path, ids: np.ndarray | None, spheres: int) -> dict[str, np.ndarray]:
     """Return the arrays of a table of contacts by name; raise FileError if it cannot be read.
 
-    ids : (N,) ids of the spheres, or None. spheres : their number N.
+    ids : (N,) ids of the spheres, or None.
+    spheres : their number N.
 
     The table needs the columns first and second, or i and j: the ids of the two spheres of a contact, or without ids
     their numbers from 0. It may have nx, ny, nz, friction, viscosity and normal_force.
@@ -82,7 +83,8 @@ def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]
     """Return the columns of a table by the names of the arrays that they become, (rows,) each; raise FileError if it
     cannot be read.
 
-    names : columns that the table may have, each with the name of its array. most : largest number of rows.
+    names : columns that the table may have, each with the name of its array.
+    most : largest number of rows.
     needed : names of arrays that it must have.
     """
     head, rows, delimiter = None, list[list[float]](), None
@@ -116,8 +118,11 @@ def _cells(words: str, delimiter: str | None) -> list[str]:
 def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], needed: Sequence[str]) -> list[str]:
     """Return the names of the arrays for the cells of a header line.
 
-    path, line : file and line, for messages. cells : the words of the header. names : columns that the table may have,
-        each with the name of its array. needed : names of arrays that it must have.
+    path, line : file and line, for messages.
+    cells : the words of the header.
+    names : columns that the table may have, each with the name of its array.
+    needed : names of arrays that it must have.
+
     Raises FileError for a column that is unknown, missing, or there twice.
     """
     known = [cell.lower() for cell in cells]
@@ -138,8 +143,9 @@ def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], nee
 def _row(path: Path, line: int, cells: list[str], names: Sequence[str]) -> list[float]:
     """Return the numbers of a row; raise FileError for anything else, with the line and what is wrong in it.
 
-    path, line : file and line, for messages. cells : the words of the row. names : names of the arrays, one for each
-        cell.
+    path, line : file and line, for messages.
+    cells : the words of the row.
+    names : names of the arrays, one for each cell.
     """
     if len(cells) != len(names):
         raise FileError(f"line {line} of {path} has {len(cells)} cells, and its header {len(names)}")
