@@ -24,8 +24,10 @@ def main() -> None:
     """Run the command line. Ctrl-C ends it with a sentence and exit code 130 at any time."""
     try:
         interrupts.always_heard()
+        from taichi_bearings.later import postpone
         from taichi_bearings.memory import collect_cycles_seldom, keep_freed
 
+        postpone()
         collect_cycles_seldom()
         keep_freed()
         from taichi_bearings_cli.main import main as bearings

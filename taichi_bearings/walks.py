@@ -35,7 +35,8 @@ from taichi_bearings.plain_files import replace_file
 COMPILER = (1, 7, 4)  # version of Taichi whose inner functions are known here
 KERNELS = "taichi_bearings.kernels"  # the package whose functions may be kept
 MOST_FILES = 600  # walks in the folder; where there are more, the older half is deleted
-UNRELATED = ("offline_cache_file_path",)  # settings of the compiler that no walk depends on
+# settings of the compiler that no walk depends on; Taichi does not even set the second one, which is as memory was
+UNRELATED = "offline_cache_file_path", "print_ir_dbg_info"
 # first letters of calls that change nothing: they are kept only if a later call takes what they return
 QUERIES = ("get_", "shape", "element_type", "item of")
 ASIDE = ("is_", "set_dbg_info", "ast_builder", "get_shape", "get_raw_address", "to_string", "size")

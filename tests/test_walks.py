@@ -81,6 +81,14 @@ def test_a_walk_of_other_numbers_is_not_repeated(tmp_path):
         assert (repeated, again) == (0, made), (before, more)
 
 
+def test_a_setting_that_taichi_leaves_as_memory_was_changes_no_name(tmp_path):
+    """It differs from process to process by what stood there before; half of them would read all sources anew."""
+    told = "from functools import partial\nfrom taichi_bearings.compiler import ti\nti.init = partial(ti.init, {0})"
+    solved(tmp_path, methods=METHODS[1:2])
+    powers, _, made = solved(tmp_path, told.format("print_ir_dbg_info=False"), METHODS[1:2])
+    assert solved(tmp_path, told.format("print_ir_dbg_info=True"), METHODS[1:2]) == (powers, made, 0)
+
+
 OWN_LAW = """
 import numpy as np
 from taichi_bearings.compiler import ti

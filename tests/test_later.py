@@ -1,0 +1,42 @@
+"""Modules that are loaded when something of them is first used: the same module then, and none before."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+USES = """
+import sys
+from taichi_bearings.later import RARELY_USED, postpone
+postpone()
+import scipy.sparse.csgraph, taichi
+loaded = set(RARELY_USED) & set(sys.modules)
+import numpy
+from numpy import testing
+numpy.testing.assert_allclose([1.0], [1.0])
+numpy_own = sys.modules["numpy.testing"]
+assert testing.assert_allclose is numpy_own.assert_allclose is numpy.testing.assert_allclose
+try:
+    numpy.testing.assert_allclose([1.0], [2.0])
+except AssertionError:
+    print("unequal", *sorted(loaded))
+"""
+LOADED = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); "
+
+
+def output(code: str) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_a_module_is_loaded_by_its_first_use_and_is_itself():
+    assert output(USES).stdout.splitlines()[-1] == "unequal"
+
+
+def test_a_command_does_without_them(tmp_path):
+    words = ["bearings", "run", "--shape", "3,3,4", "--figures", "none", "--out", str(tmp_path / "out")]
+    code = f"{LOADED}sys.argv = {words}; from taichi_bearings_cli.__main__ import main; main()"
+    loaded = set(output(code).stderr.split())
+    assert {"scipy.sparse.csgraph", "h5py"} <= loaded
+    assert not {"numpy.f2py", "numpy.testing", "numpy.polynomial", "unittest", "http.client", "ssl"} & loaded
