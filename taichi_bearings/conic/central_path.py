@@ -135,14 +135,14 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 
 @dataclass(frozen=True)
 class _Step:
-    """A Newton step of S samples that is not taken yet.
+    """A Newton step of S samples that is computed, but not taken yet.
 
-    slot : 0 or 1. Memory has rows for two steps, and this one's changes of bounds, slips and forces are in those of
-        this number.
+    slot : 0 or 1, which of the two places for steps in memory holds its changes of bounds, slips and forces.
     spins : (unknowns or more, S), changes of the spins.
-    found : (numbers, S), what the kernel found. First come the multiples of the step at which primal points (bound >=
-        |slip|) and dual points (friction >= |force|) leave their cones. Then come sums over the contacts, which tell
-        how the mean of friction * bound - slip . force changes.
+    found : (6, S), numbers found over all contacts. The first two are the largest factors of the step that keep all
+        primal points (bound, slip) and all dual points (friction, force) in their cones, bound >= |slip| and friction
+        >= |force|. The others are sums that tell how the mean of friction * bound - slip . force changes with these
+        factors.
     """
 
     slot: int
@@ -151,35 +151,33 @@ class _Step:
 
     @property
     def lengths(self) -> np.ndarray:
-        """(2, S), the multiples of the step at which primal points (bound, slip) and dual points (friction, force)
-        leave their cones. Letters: S samples."""
+        """(2, S), for each of S samples the largest factors of the step that keep all primal points in their cones,
+        bound >= |slip|, and all dual points in theirs, friction >= |force|."""
         return self.found[: kernels.LEAST_FOUND]
 
     @property
     def shorter(self) -> np.ndarray:
-        """(S,), the smaller one of the two multiples of the step at which primal and dual points of each of S samples
-        leave their cones.
-        """
+        """(S,), for each of S samples the largest factor of the step that keeps all contacts in their cones: bound >=
+        |slip| and friction >= |force|."""
         return self.lengths.min(axis=0)
 
     @property
     def reach(self) -> np.ndarray:
-        """(S,), how good the step is for each of S samples, 0 to 2: the sum of the multiples of it at which primal and
-        dual points leave their cones, each counted as 1 at most.
-        """
+        """(S,), how good the step is for each of S samples, from 0 to 2: the sum of its two `lengths`, each counted as
+        1 at most."""
         along, dual_along = self.within(1.0)
         return along + dual_along
 
     def within(self, share: float) -> np.ndarray:
-        """Return the lengths (2, S) of the steps to take of primal and dual points: this share of the way to the
-        boundary of the cones, at most 1. Letters: S samples."""
+        """Return the factors (2, S) by which S samples are to take the step, for primal and for dual points: the share
+        `share` of the way to the boundary of the cones, and at most 1."""
         return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
-        """Return this step, except in some samples: there with the changes of the spins, and the lengths and sums, of
-        another step.
+        """Return a copy of this step in which some samples have the changes of spins, and the numbers found, of another
+        step. (Rows of memory are not copied.)
 
-        kept : (S,) mask of the samples that take the other step.
+        kept : (S,) mask of these samples.
         other : the other step.
         """
         return replace(
@@ -306,15 +304,15 @@ class Path:
         return np.minimum(1.0, remaining**2) * product / count / 4
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
-        """Return a step of S samples by one of Gondzio's correctors. It looks at the products, friction * bound - slip
-        . force, after a step that is longer than the present one. Contacts whose product would then be more than a
-        factor PRODUCT_SPREAD away from the target are brought closer to it.
+        """Return the step after one of Gondzio's correctors. A step somewhat longer than the present one would change
+        the products of the contacts, friction * bound - slip . force. The corrector brings those closer to the target
+        that would be more than a factor PRODUCT_SPREAD away from it.
 
-        step : the present step.
+        step : the present step of S samples.
         target : (S,), product to aim at.
-        going : (S,) mask of the samples to correct; the others keep their step.
-        rejected : (S,) mask of samples, among these others, whose present step is worse than the one before, which is
-            in the rows of the other of the two steps in memory. They keep that one.
+        going : (S,) mask of the samples to correct; the others keep a step that they have.
+        rejected : (S,) mask of those of the others that keep the step before, which is in the other one of the two
+            places in memory, as the present one is worse.
         """
         lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
@@ -324,9 +322,9 @@ class Path:
         return self._solved(1 - step.slot)
 
     def _refined(self, step: _Step) -> _Step:
-        """Return the step of all samples after iterative refinement: rounding leaves torques, for which the system is
-        solved again. This is repeated, at most STEP_REFINEMENTS times, while it at least halves the torques and they
-        are above STEP_TORQUE, in units of the mean friction."""
+        """Return the step of all samples after iterative refinement: rounding leaves torques, for which the linear
+        system is solved again. This is repeated, at most STEP_REFINEMENTS times, as long as it at least halves the
+        torques and they are above STEP_TORQUE, in units of the mean friction."""
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(STEP_REFINEMENTS):
             rows.add(kernels.DUAL, _in(step.slot, kernels.DUAL_STEP), kernels.FORCE)
@@ -345,11 +343,11 @@ class Path:
         return step
 
     def _solved(self, slot: int) -> _Step:
-        """Return the Newton step of all samples: changes of bounds and slips (the primal point) and of frictions and
-        forces (the dual point), at which all torques balance. They solve W^-2 d(primal) + d(dual) = right-hand side, in
-        which W is the scaling by Nesterov and Todd of the cones bound >= |slip| and friction >= |force|.
+        """Solve for the Newton step of all samples, and return it: changes of the spins, and of bounds, slips and
+        forces, after which all torques balance. For each contact W^-2 d(bound, slip) + d(friction, -force) is its
+        right-hand side, where W is the Nesterov-Todd scaling of the contact.
 
-        slot : 0 or 1, which of the two steps in memory holds the right-hand side and gets the step.
+        slot : 0 or 1, which of the two places in memory holds the right-hand sides, and gets the step.
         """
         pull = _in(slot, kernels.PULL)
         if self._viscosity is not None:
@@ -360,12 +358,12 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """Compute the torque that is left on each unknown spin, and write it into the array `spins` (unknowns or more,
-        S samples) of the contacts' memory, as right-hand side of the next solve. It is the torque of the contact forces
-        in two rows of that memory; if spheres have inertia, less what accelerates them to the argument `spins`.
+        """Compute the torque that is left on each unknown spin, and write it into `self._rows.spins` (unknowns or more,
+        S samples), where the next solve finds its right-hand side. It is the torque of contact forces that stand in two
+        rows of memory; if spheres have inertia, less the torque that gives them the spins `spins`.
 
-        row : row of the first force component; that of the second follows.
-        spins : (unknowns or more, S), spins at the end of the step in time.
+        row : number of the row with the first component of the forces; the second component is in the next row.
+        spins : (unknowns or more, S), spins at the end of the step in time; used with inertia only.
         """
         rows = self._rows
         rows.torques(row)
@@ -375,13 +373,11 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """Return the Newton step that belongs to the change of spins solved for last. It holds this change (unknowns or
-        more, S) and two multiples of the step for each of S samples, (2, S): how far one can go until at some contact
-        the slip exceeds its bound (row 0), or the force exceeds its friction limit (row 1). With inertia or viscosity
-        both have to go equally far, so the smaller one counts. The changes of bounds, slips and forces stay in the rows
-        of the step in memory.
+        """Return the whole Newton step of all samples for the changes of spins that were solved for last: compute the
+        changes of slips, bounds and forces that belong to them, and how far the step may go. With inertia or viscosity
+        primal and dual points have to go equally far, so the smaller of both lengths counts.
 
-        slot : 0 or 1, which of the two steps in memory is written: 0 the predictor's, then by turns for correctors.
+        slot : 0 or 1, the place in memory that gets the changes of slips, bounds and forces.
         """
         spins = self._rows.spins.copy()
         self._rows.change(_in(slot, kernels.CHANGE))
@@ -391,16 +387,20 @@ class Path:
         return _Step(slot, spins, found)
 
     def gap(self, sample: int) -> float:
-        """Return `Iterate.gap` of sample number `sample` after a step, the relative gap (cost - lower bound) / cost for
-        balanced forces. Without viscosity the cost is the power, and both sums are those that the step has made.
+        """Return the relative gap (cost - lower bound) / cost of a sample after a step, if its forces balance. The cost
+        is the power; with viscosity the potential.
+
+        sample : number of its place.
         """
         if self._viscosity is not None:
             return self.iterate(sample).gap
         return float(self._excess[sample] / self._power[sample])
 
     def price_of_torques(self, sample: int) -> float:
-        """Return what unbalanced torques of sample number `sample` take from its lower bound at most, relative to its
-        cost: the sum of their sizes, which is a bound where no spin of a minimum exceeds the unit of spin.
+        """Return the most that unbalanced torques take from the lower bound of a sample, over its cost: the sum of
+        their sizes, if no spin of a minimum exceeds the unit of spin.
+
+        sample : number of its place.
         """
         if self._viscosity is not None:
             return self.iterate(sample).price_of_torques
@@ -420,9 +420,10 @@ class Path:
         return self._read(sample, self._spins_before, *of_before)
 
     def _read(self, sample: int, spins: np.ndarray, bound: int, slip: int, dual: int) -> Iterate:
-        """Return a point of the path of one sample, read from rows of memory, which have one number of every contact.
+        """Return a point of the central path of one sample, read from memory, in which a row has one number of each
+        contact.
 
-        sample : number of the sample.
+        sample : number of its place.
         spins : (unknowns or more, S), spins of all S samples.
         bound : row of the bounds of the slips.
         slip : first row of the slips, which take two rows.

@@ -142,24 +142,26 @@ class ContactSystem:
         return ContactSystem._over(network, self.numbers, self.known, wanted, number)
 
     def with_motions(self, number: int) -> "ContactSystem":
-        """Return the system with `number` as its number of motions that make no contact slip."""
+        """Return the same system with its field `motions`, the number of motions of spheres at which no contact slips,
+        set to `number`."""
         return self._with(motions=number)
 
     def _with(self, **changes: Any) -> "ContactSystem":
-        """Return a system with the same rows and unknowns, and other values of some fields. Properties that follow from
-        the rows alone are not computed anew."""
+        """Return a system with the same matrix from spins to slips, and other values of some fields. Properties that
+        follow from this matrix alone are not computed anew.
+
+        changes : new values by the names of the fields."""
         found = replace(self, **changes)
         vars(found).update({name: of for name, of in vars(self).items() if name in OF_ROWS})
         return found
 
     def signed(self) -> "ContactSystem | None":
-        """Return the system over signed spins s u, in which every slip is a difference of two unknowns; None where
-        components mix or have an odd loop of contacts.
+        """Return the system over signed spins s u, in which every slip is a difference of two unknowns. The signs s =
+        +1 or -1 differ between spheres i and j in contact, so that s_j u_j - s_i u_i is s_j (u_i + u_j): the slip, up
+        to its sign. Contacts that no unknown makes slip are left out.
 
-        The signs s, (N, C), differ between spheres i and j in contact, so the difference s_j u_j - s_i u_i is s_j (u_i
-        + u_j): the slip, up to a sign. Contacts that no unknown makes slip are left out.
-
-        Letters: C spin components, N spheres.
+        Return None where that is not possible: if a contact is not along an axis, so that its slip mixes components of
+        the spins, or if there is a loop of an odd number of contacts.
         """
         network, needed = self.network, np.flatnonzero((self.moved >= 0).any(axis=0))
         if not network.along_axes(self.numbers):
@@ -230,8 +232,8 @@ class ContactSystem:
         return np.where(self.moved >= 0, own if self.sign is None else self.sign * own, self.known)
 
     def to_all_digits(self, spins: np.ndarray) -> np.ndarray:
-        """Return the slips (d, n) of n contacts with up to d components, with the relative precision of doubles even
-        where terms cancel.
+        """Return the slips (d, n) of n contacts with up to d components, to all digits of a double even where spins
+        nearly cancel: they are computed in sums of two doubles.
 
         spins : (unknowns,), values of the unknown spins.
         """
@@ -243,12 +245,11 @@ class ContactSystem:
         return np.asarray(reduce(add, parts)[0])
 
     def on_contacts(self, forces: np.ndarray) -> np.ndarray:
-        """Return vectors (E, C) on all contacts of the network that act on u of both their spheres: T^T f with the
-        tangents T. They are 0 on contacts that are not in the system.
+        """Return vectors (E, C) by spin component on all E contacts of the network: T^T f, the share of each contact's
+        forces f in the torque (over radius) on both its spheres. The slip is T (u_i + u_j), with the tangents T. They
+        are 0 on contacts that are not in the system.
 
-        forces : f (d, n), one component for each tangent.
-
-        Letters: n contacts with up to d slip components, C spin components, E contacts.
+        forces : f, (d, n), on the n contacts of the system, one component along each of up to d tangents.
         """
         network = self.network
         found = np.zeros((network.contacts, network.components))

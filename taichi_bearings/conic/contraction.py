@@ -100,8 +100,8 @@ class Contraction:
         self.owners = Owners(samples, self._owner, self.kept // max(len(tied) // samples, 1))
 
     def _label(self, whole: ContactSystem, tied: np.ndarray, samples: int) -> None:
-        """Find and number the sets of spins that tied contacts join; sets `unknowns`, `number`, `imposed`,
-        `contradicts` and the sample of each set.
+        """Number the sets of spins that tied contacts join, and set the fields `unknowns`, `number`, `imposed` and
+        `contradicts`, and the sample of each set.
 
         whole : contacts of all samples.
         tied : (n,) mask of the tied ones, which make the spins at both ends equal.
@@ -125,12 +125,12 @@ class Contraction:
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
     def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
-        """Return two things of the contacts that can still slip after others were tied: their numbers (q,) in the
-        system `whole`, and their own system, whose unknowns are the sets of spins that tied contacts join.
+        """Return the contacts that can still slip after others were tied: their indices (q,) in the system `whole`, and
+        a system of these contacts alone, whose unknowns are the sets of spins that tied contacts join.
 
         whole : the system before any contact was tied.
-        places : numbers in it of the contacts that are not tied. Of them those are left out that join spins of one set
-            and have no imposed slip.
+        places : indices in it of the contacts that are not tied. Of these, contacts between spins of one set without an
+            imposed slip are left out.
         """
         assert whole.ends is not None
         ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
@@ -183,10 +183,10 @@ class Contraction:
         return order_by_place(self.system, centre, own)
 
     def contracted(self, spins: Pair) -> Pair:
-        """Return the mean of the spins of each set that contacts tie together, (unknowns,), in twice the precision: one
-        of the spins, plus the mean difference of the others from it.
+        """Return for each set of tied spins their mean, (unknowns,), as a sum of two doubles: one of the spins, plus
+        the mean difference of all from it.
 
-        spins : (unknowns before,), sums of two doubles.
+        spins : (unknowns before,), the single spins, as sums of two doubles.
         """
         free = self.number >= 0
         number, one = self.number[free], np.zeros(self.unknowns)

@@ -31,30 +31,30 @@ DISTANT_GAP = 1e-4  # relative gap above which the price of leftover torques doe
 
 @dataclass
 class Sample:
-    """One sample on its way along the central path, with n contacts. To settle the states of its contacts is to find
-    out which of them slip at the minimum.
+    """One sample with n contacts on its way along the central path, which ends at the minimum of its power. To *settle
+    the contact states* is to find out which contacts slip at the minimum.
 
-    iterate : the point at which it is.
+    iterate : the point of the path at which it is.
     unit : power of two near the mean coefficient, in which its friction is measured.
-    steps : number of steps taken.
-    gap : relative gap, (cost - lower bound) / cost.
+    steps : number of Newton steps taken.
+    gap : relative gap, (cost - lower bound) / cost; infinite before the first step.
     done : True if nothing is left to gain.
     at_end : True if its contact states are to be settled before it goes on.
     before : the point one step before `iterate`, if it is known and `at_end` is set.
     tried : relative gap at the last trial to settle the states; infinite before the first.
-    resolved : the best minimum found so far.
-    firm : (n,) mask of contacts that rest at every minimum, as they have more friction than the iterate counts; None
-        for none.
+    resolved : the best minimum found so far; None before.
+    firm : (n,) mask of contacts that rest at every minimum: so strong ones that less friction is used for them in
+        `iterate`; None for none.
     """
 
     iterate: Iterate
     unit: float
     steps: int = 0
-    gap: float = np.inf  # relative
+    gap: float = np.inf
     done: bool = False
-    at_end: bool = False  # its states are to be settled before it goes on
-    before: Iterate | None = None  # where it then was a step before, if that is known
-    tried: float = np.inf  # relative gap at the last trial to settle the states
+    at_end: bool = False
+    before: Iterate | None = None
+    tried: float = np.inf
     resolved: Resolved | None = None
     firm: np.ndarray | None = None
 
@@ -139,10 +139,12 @@ class Descent:
 
     @property
     def settles_at(self) -> float:
-        """Relative gap, (cost - lower bound) / cost, below which contact states are settled.
+        """Relative gap, (cost - lower bound) / cost, below which it is first tried to settle contact states, that is to
+        find out which contacts slip at the minimum.
 
-        In small samples it is one at which contacts that seem to stick mostly do. In large ones there is no such gap;
-        there a step costs more than following the last decades of the path that much further, so SETTLING_GAP is used.
+        In small samples it is a gap at which contacts that seem to stick mostly do: SETTLING_GAP_FACTOR / spheres^2,
+        three times as much where there will be a second trial, and FIRST_SETTLING_GAP at most. In large samples there
+        is no such gap, and SETTLING_GAP is used.
         """
         if not self.small:
             return SETTLING_GAP
@@ -151,12 +153,13 @@ class Descent:
 
     @property
     def _tries_twice(self) -> bool:
-        """True if the states of a sample are tried twice before its path ends."""
+        """True if there are two trials to settle the contact states of a sample before its path ends: in small samples,
+        if the second trial comes well before double precision ends."""
         return self.small and SETTLING_GAP_FACTOR / self.spheres**2 / RETRY_FACTOR > LEAST_SECOND_GAP
 
     def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
-        """Store the relative gap that a sample has after a step, and whether it is done or its contact states are to be
-        settled next.
+        """Update a sample after a step: its number of steps and relative gap, and whether it is done (`done`) or its
+        contact states are to be settled next (`at_end`). In both cases the point of the path is stored in it.
 
         path, place : the path on which it is, and its place among the samples there.
         taken : False if the step could not be taken; then the sample is done, at the point before.
@@ -171,31 +174,32 @@ class Descent:
             sample.before = path.before(place) if accepted else None
 
     def _near(self, sample: Sample) -> float:
-        """Return the relative gap below which the states of a sample are to be settled next; 0 if not again before the
-        path ends. After a trial that fails the next one comes when the gap has fallen by RETRY_FACTOR. In small samples
-        there are two trials: the second one follows the last decades of the path by itself."""
+        """Return the relative gap below which the next trial to settle the contact states of a sample comes; 0 if there
+        is none before the path ends. In large samples a trial that fails is repeated when the gap has fallen by
+        RETRY_FACTOR; in small ones there are two trials at most."""
         again = sample.tried / RETRY_FACTOR
         if self.small and np.isfinite(sample.tried):
             again = 0.0 if self._is_last(sample.tried) else self.settles_at / RETRY_FACTOR
         return min(self.settles_at, again) if self.settles else 0.0
 
     def _is_last(self, gap: float) -> bool:
-        """Return True if a trial at this relative gap is the last one before the path ends. Those before are made in
-        small samples only, for which a few more steps, side by side with other samples, take less time than following
-        the last decades alone."""
+        """Return True if a trial to settle contact states at the relative gap `gap` goes all the way to the end of the
+        path. Earlier trials, which do not, are made in small samples only: for these a few more steps, side by side
+        with other samples, take less time than following the last decades of the path alone."""
         return not self._tries_twice or gap < self.settles_at / RETRY_FACTOR
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
-        """Return the relative gap of a sample after a step, plus what unbalanced torques cost where that matters; not
-        finite if it cannot be computed.
+        """Return the relative gap of a sample after a step, (cost - lower bound) / cost; not finite if it cannot be
+        computed.
 
         sample : the sample.
         path : the path on which it is, side by side with others.
         place : its place among the samples there.
 
-        Where the cost of unbalanced torques is more than the gap, forces are balanced first, except if the settling of
-        states is about to balance them.
+        Forces that do not balance lower the bound. Where that costs more than the gap, they are first balanced on the
+        path, unless the settling of contact states is about to do so; where it comes later, the cost is added to the
+        gap.
         """
         gap = path.gap(place)
         price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
@@ -214,9 +218,8 @@ class Descent:
         return balanced.gap
 
     def _settle(self, samples: list[Sample]) -> None:
-        """Try to find which contacts of some samples slip at the minimum, and keep the better one of the minima found
-        for each so far.
-        """
+        """Try to find which contacts of some samples slip at the minimum. Store in each sample the better one of the
+        minima found so far, and set `done` where the contact states are sure."""
         with stage("settling contact states", SETTLING_STEPS * self.step_seconds):
             last = [sample.done or self._is_last(sample.gap) for sample in samples]
             points = [s.iterate for s in samples], [s.before for s in samples]
@@ -230,9 +233,11 @@ class Descent:
             sample.done |= found.sure
 
     def _misses(self, sample: Sample, found: Resolved) -> tuple[bool, bool, float]:
-        """Return three measures of what a minimum lacks, the most important first; smaller is better: True if no forces
-        of the slipless contacts are known that balance all torques; True if it is not sure which contacts slip; its
-        relative gap, with the cost of unbalanced torques.
+        """Return three measures by which minima are compared, the most important first; the smaller one is better:
+
+        1. True if no forces of the slipless contacts are known that balance all torques;
+        2. True if it is not sure which contacts slip;
+        3. the relative gap, plus the cost of unbalanced torques.
 
         sample : the sample, whose friction is used.
         found : the minimum.

@@ -86,13 +86,12 @@ class Iterate:
         return cls(system, spins, friction, bound, difference, np.zeros_like(difference), viscosity=viscosity)
 
     def let_slip(self, slips: np.ndarray) -> "Iterate":
-        """Return the point with another choice of the contacts that obey the law of friction exactly (field `smooth`)
-        and are in no cone.
+        """Return the point with another choice of *smooth* contacts, which are in no cone but obey the law of friction
+        exactly: force = friction along the slip, bound = slip.
 
-        slips : (n,) mask of these contacts; all others are in their cones, bound >= |slip| and friction >= |force|.
-
-        Contacts that come back into their cones are put on the path: they get the force along their slip and the bound
-        at which their product is the mean one.
+        slips : (n,) mask of the smooth contacts. All others are in their cones, bound >= |slip| and friction >=
+            |force|. Those that were smooth before get a force along their slip, and the bound at which their product
+            friction * bound - slip . force is the mean one.
         """
         bound, dual = self.bound, self.dual
         if self.smooth is not None:
@@ -142,8 +141,8 @@ class Iterate:
         return whole_dual(self.dual, self.viscosity, self.difference)
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
-        """Return the torques (unknowns,) that the contacts have to exert during a step in time, so that it ends at
-        given spins; 0 without inertia.
+        """Return the torques (unknowns,) that the contacts have to exert at given spins: those that accelerate spheres
+        to them during a step in time; 0 without inertia, where the minimum is sought.
 
         spins : (unknowns,), spins at the end of the step.
         """

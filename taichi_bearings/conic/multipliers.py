@@ -39,12 +39,12 @@ def settled_by_springs(
     Each contact gets a stiff spring that slips where it would bear more than friction allows; the minimum with these
     springs is found repeatedly, and each time a spring begins with the force that it bore at the last one.
 
-    Returns spins (unknowns,), minus the contact forces (d, n), and masks (n,) of the slipping contacts and of the open
-    ones: those that slip by more than rounding, but bear less than the friction limit. The masks are None, and the
-    spins those of the path, where nothing is settled.
+    point : the end of the central path, with n contacts of d tangents.
+    matrix : Newton matrix of its contacts.
 
-    point : the end of the path, with n contacts of d tangents.
-    matrix : Newton matrix of the path.
+    Returns four things: spins (unknowns,); minus the contact forces (d, n); a mask (n,) of the contacts that slip; and
+    a mask (n,) of the undecided ones, which slip by more than rounding but bear less than the friction limit. If the
+    method fails the masks are None, and spins and forces are those of the path.
     """
     contacts, spins, held, whole = point.system, point.spins, -point.dual, point.whole_dual
     slipping: Any = None

@@ -68,8 +68,9 @@ def polished(
 def _balanced(
     system: "_PreciseSystem", matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, Pair, np.ndarray]:
-    """Reduce the torques by Newton's method as far as that goes. Return the unknowns then, and a mask (samples,) of the
-    samples in which a point was reached at which no slip is 0.
+    """Reduce the torques by Newton's method as far as that goes. Return the unknowns that were reached, the slips (d,
+    n) there, both as sums of two doubles, and a mask (samples,) of the samples in which the method works and no slip is
+    0.
 
     system : computes slips and torques in twice the precision.
     matrix : Newton matrix of the contacts that are left.

@@ -208,13 +208,14 @@ def resolve(
 
 
 def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resolved | None:
-    """Return `settled`, the minimum of one sample, with the mask of contacts that slip at some minima only; None if its
-    power is not that of the path.
+    """Return the minimum `settled` of one sample, completed by the mask of contacts that slip at some minima and rest
+    at others; None if its power differs from that of the path, so that it cannot be a minimum.
 
-    iterate : the point of the path from which it was found.
+    iterate : the point of the central path from which it was found.
+    settled : the minimum.
     shared : what all samples share.
 
-    The path gives an upper bound on the least power. So a minimum may be above it by rounding only
+    The power of the path is above the least one. So that of a minimum may be above it by rounding only
     (MOST_ABOVE_PATH), and below it by the gap that the path still had (MOST_BELOW_PATH).
     """
     cost = replace(iterate, difference=settled.difference).cost
@@ -290,15 +291,13 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
 
 
 def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) -> Resolved | None:
-    """Return the minimum of one sample if it is found once all but FEW_DOUBTFUL contacts are decided on `path`, with
-    forces in balance; else None. A contact is decided if it is clear from the path whether it slips.
+    """Follow the central path of one sample until it is clear of all but FEW_DOUBTFUL contacts whether they slip. Of
+    the others the trend is believed. Return the minimum for this guess; None if forces that balance are not found, so
+    that the guess may be wrong. This saves further steps along the path, which would make it certain.
 
     iterate : the point at which the path was begun.
     path : where it is now; it is followed on.
     shared : what all samples share.
-
-    The trend of the last undecided contacts nearly always tells whether they slip. Further steps, each with the matrix
-    of the whole network, would only make that certain, and so do balanced forces.
     """
     slipping = path.decide(FEW_DOUBTFUL)
     if slipping is None:
@@ -311,7 +310,8 @@ def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) ->
 def _minimum_with_tied(
     iterate: Iterate, path: LastDecades, sticking: np.ndarray, shared: Surroundings, to_the_end: bool
 ) -> tuple[Resolved | None, np.ndarray]:
-    """Follow the path on with some contacts tied, and find the minimum at its end.
+    """Follow the central path on with some contacts tied (the spins across each of them are made equal), and find the
+    minimum at its end.
 
     iterate : the point at which the path was begun.
     path : the point that was reached; not changed.
@@ -347,15 +347,15 @@ def _minimum_with_tied(
 def _with_slipless_forces(
     iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[np.ndarray], shared: Surroundings
 ) -> list[Resolved | None]:
-    """Return minima completed by forces of the slipless contacts, each within its friction, that balance all torques;
-    None for a sample where no such forces are found.
+    """Return for each sample its minimum, completed by forces of the slipless contacts: forces within friction that
+    balance all torques together with those of the slipping ones. None for a sample that has no minimum, or for which no
+    such forces are found.
 
-    iterates : for each sample the point of the path, whose frictions are used.
+    iterates : for each sample a point of the central path, of which only the friction limits are used.
     minima : for each sample its minimum or None.
-    near : for each sample minus the forces (d, n) near which those of the slipless contacts are looked for.
-    shared : what all samples share.
-
-    Letters: n contacts with up to d slip components.
+    near : for each sample minus the forces (d, n) of n contacts with up to d slip components; the forces that are
+        looked for are sought close to these.
+    shared : what all samples share: contacts and Newton matrix.
     """
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
@@ -376,13 +376,13 @@ def _with_slipless_forces(
 def _smooth_minima(
     iterates: Sequence[Iterate], spins: Sequence[Pair], masks: Sequence[np.ndarray | None], shared: Surroundings
 ) -> list[Resolved | None]:
-    """Return the minimum of the smooth power of each sample, found by Newton's method; None for a sample where it is
-    not found. That is the power while only some contacts may slip and the spins across all others are made equal.
+    """Return for each sample the spins, slips and friction at which its power is least if only some contacts may slip
+    and the spins across all others are made equal; None where Newton's method does not find them. Contacts that come to
+    rest on the way may then not slip either, and Newton's method is run once more (NEWTON_TRIALS).
 
-    iterates : for each sample the point of the path, whose frictions are used.
+    iterates : for each sample a point of the central path, of which the friction limits and viscosities are used.
     spins : for each sample (unknowns,) the spins to begin with, as sums of two doubles.
-    masks : for each sample the mask (n,) of contacts that may slip, None for a sample that is left out. Contacts that
-        come to rest are tied, and Newton's method is run once more (NEWTON_TRIALS).
+    masks : for each sample the mask (n,) of the contacts that may slip; None for a sample that is left out.
     shared : what all samples share.
     """
     found: list[Resolved | None] = [None] * len(iterates)
@@ -406,31 +406,32 @@ def _smooth_minima(
 
 
 class _SmoothPower:
-    """Minimises the power of some samples while all contacts that do not slip are tied: their slip is held at zero, and
-    all spins that they join become one unknown. The power of the other contacts is a smooth function of the unknowns.
+    """Minimises the power of some samples by Newton's method while all contacts that do not slip are *tied*: their slip
+    is held at zero, and all spins that they join become one unknown. The power of the other contacts, `kept` in number
+    in all samples together, is a smooth function of the unknowns that are left.
 
-    iterates : for each sample the point of the central path with its frictions (the central path leads from a smoothed
-        power to the power itself).
+    iterates : for each sample a point of the central path, which knows its friction limits and viscosities.
     samples : number of samples.
-    slipping : for each sample a mask (n,) of its n contacts that slip.
-    tied : the contacts that are left, `kept` in number in all samples together, and the unknowns that are left.
-    matrix : second derivative of the power by the unknowns, factorised sample by sample.
-    friction : (kept,), friction of the contacts that are left, all samples one after the other.
-    viscosity : (kept,), viscosities of the contacts that are left; None if there are none.
+    slipping : for each sample a mask (n,) of its n contacts, True for those that are left. That may be fewer than were
+        asked for, as tied contacts can keep others from slipping.
+    tied : the system of the contacts that are left, over the unknowns that are left.
+    matrix : second derivative of the power by these unknowns, factorised sample by sample.
+    friction : (kept,), friction limits, all samples one after the other.
+    viscosity : (kept,), viscosities; None if there are none.
     spins : (unknowns left,), the spins reached so far, as a pair of arrays of which the sum is meant.
-    difference : (d, kept), the slips at these spins, with up to d components.
-    balanced : (samples,) mask of those in which all torques balance: they have come to the minimum.
+    difference : (d, kept), the slips at these spins; a contact has up to d components.
+    balanced : (samples,) mask of the samples in which all torques balance: they have come to the minimum.
     """
 
     def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], shared: Surroundings) -> None:
         """Tie all contacts that do not slip, which makes the spins across each of them equal, and analyse the matrix of
         second derivatives of the power by the unknowns that are left.
 
-        iterates : for each sample the point of the central path, whose frictions and viscosities are used.
-        slipping : for each sample a mask (n,) of its n contacts that slip.
+        iterates : for each sample a point of the central path, of which friction limits and viscosities are used.
+        slipping : for each sample a mask (n,) of its n contacts: those that may slip. All others are tied.
         shared : what all samples share: system of contacts, order of elimination, Newton matrix.
         """
-        # `tied.kept` : numbers of the contacts that are left, all samples one after the other
+        # `tied.kept` : (kept,), indices of the contacts that are left, all samples one after the other
         self.iterates, self.samples, whole = iterates, len(iterates), shared.system.copies(len(iterates))
         self.tied = Contraction(whole, shared.order, ~np.concatenate(slipping), self.samples)
         self.slipping = self.everywhere(np.ones(len(self.tied.kept), dtype=bool))
@@ -439,9 +440,9 @@ class _SmoothPower:
         self.friction = np.concatenate([iterate.friction for iterate in iterates])[self.tied.kept]
         viscosity = [iterate.viscosity for iterate in iterates if iterate.viscosity is not None]
         self.viscosity = np.concatenate(viscosity)[self.tied.kept] if viscosity else None
-        # `balanced` : (samples,), True where all torques balance
         self.balanced = np.zeros(self.samples, dtype=bool)
-        # set by `descend` : the spins (unknowns left,) as a pair of arrays to be added; and the slips (d, kept) there
+        # set by `descend` : the spins (unknowns left,) as a pair of arrays to be added; and the slips (d, kept) there,
+        # with d slip components
         self.spins: Pair
         self.difference: np.ndarray
 
@@ -450,9 +451,9 @@ class _SmoothPower:
         reversed.
 
         spins : where to begin, (samples * unknowns,) single spins, as sums of two doubles; tied ones get their mean.
-        returns : (kept,) mask of those contacts, among the `kept` that are not tied, that come to rest and have to be
-            tied: they did not slip to begin with, or the next step would reverse their slip. Samples with such
-            contacts, and those in which the method fails, end unbalanced.
+        returns : (kept,) mask of those of the `kept` contacts that come to rest and have to be tied, too: they did not
+            slip to begin with, or the next step would reverse their small slip. Samples with such contacts, and those
+            in which the method fails, end unbalanced.
         """
         system, owners, self.spins = self.tied.system, self.tied.owners, self.tied.contracted(spins)
         self.difference = self.tied.differences(self.spins)

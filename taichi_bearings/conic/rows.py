@@ -92,10 +92,8 @@ class ContactRows:
         self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
-        """Return the flat indices, (count * n,), of the numbers of the n contacts in `count` consecutive rows of
-        memory, all of the first row first. A row has `self._contacts` places, those that fill up SIMD blocks included;
-        `self._at` (n,) are the places of the n contacts in it.
-        """
+        """Return the indices (count * n,), counted from the begin of a row of memory, of the numbers of the n contacts
+        in this row and the `count - 1` rows after it, row by row. A row also has places that fill up SIMD blocks."""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(
@@ -175,8 +173,8 @@ class ContactRows:
         self._starts[key][0]()
 
     def copy_step(self, slot: int, to: int, sample: int) -> None:
-        """Copy the numbers of a step of one sample that are needed to go it, and to solve for it again, all but the
-        tail of its right-hand side.
+        """Copy the Newton step of one sample from one of the two places in memory to the other: all that is needed to
+        take the step, and to refine it (not the tail of its right-hand side).
 
         slot : 0 or 1, which of the two steps in memory is read.
         to : 0 or 1, which of them is written.
@@ -189,8 +187,8 @@ class ContactRows:
             end[row, self._second :] = begin[row, self._second :]
 
     def add(self, row: int, other: int, to: int) -> None:
-        """Add vectors on all contacts to others, and write the sums. A vector has two components, which stand in two
-        rows, one after the other; a row has one number of every contact and sample.
+        """Add two vectors on each contact, and write the sums. The two components of a vector stand in two rows of
+        memory, one after the other; a row has one number of every contact and sample.
 
         row, other : first row of each of the vectors that are added.
         to : first row of the sums, which are written there.

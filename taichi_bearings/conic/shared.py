@@ -24,10 +24,13 @@ SMALL_SPHERES = 5_000  # over signed spins systems with fewer spheres count as s
 
 
 def system_of(bearing: Bearing) -> ContactSystem:
-    """Return the contact system of a bearing, without motions of the spheres at which no contact slips.
+    """Return the contact system of a bearing (slips as functions of the unknown spins), with so many spins held at 0
+    that the spheres have no motion left at which no contact slips.
 
-    Such motions make the Newton matrix singular. On networks with oblique normals there mostly are none, and one
+    Such motions make the Newton matrix singular. Where normals have any direction there mostly are none, and one
     factorisation, which is needed anyhow, shows it. Only where it does not are motions looked for, by elimination.
+
+    bearing : spheres, contacts, and what is driven.
     """
     system = ContactSystem.before_motions(bearing)
     if system.motions is not None or not system.unknowns:
@@ -41,11 +44,13 @@ def system_of(bearing: Bearing) -> ContactSystem:
 
 
 def surroundings_of(system: ContactSystem) -> Surroundings:
-    """Return what all samples on the network of a contact system share: the system (over signed spins where it has
-    them, so that slips are differences), order of elimination and Newton matrix.
+    """Return what all samples on the network of a contact system share: the system itself, or where possible over spins
+    with signs, so that slips are differences; an order in which its unknowns are eliminated; and its Newton matrix.
 
-    They are made once in each thread, as the numbers of a factorisation are stored in the matrix. Those of systems with
-    KEPT_UNKNOWNS or more unknowns are not kept for other samples.
+    It is made once in each thread, as the numbers of a factorisation are stored in the matrix, and kept in
+    `system.kept` for later calls, unless there are KEPT_UNKNOWNS or more unknowns.
+
+    system : the contacts, over plain spins.
     """
     name = _name()
     found = cast(Surroundings | None, system.kept.get(name))

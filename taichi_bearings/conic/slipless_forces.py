@@ -44,17 +44,19 @@ def nearly_borne(
     at_limit: np.ndarray,
     heads: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return forces of the slipless contacts, near the given ones, that balance all torques.
+    """Return forces near the given ones that balance all torques: those of slipping contacts stay, those of slipless
+    contacts change a little, and are to stay within friction.
 
     system : the contacts of one sample.
     matrix : their Newton matrix, which is factorised anew.
-    friction : (samples * n,), one sample after the other, as in the following arrays.
+    friction : (samples * n,), friction limits, one sample after the other, as in the following arrays.
     dual : (d, samples * n), minus the forces; those of slipless contacts nearly balance the others.
     slipping : (samples * n,) mask of contacts that slip.
     at_limit : (samples * n,) mask of contacts that rest and yet may bear all their friction.
-    heads : for each sample a mask (unknowns,) of one spin of each set of tied spins without a driven plane.
-    returns : minus the forces (d, samples * n), all in balance; mask (samples,) of the samples in which forces inside
-        all friction discs are found.
+    heads : for each sample a mask (unknowns,): one spin of each set of spins that slipless contacts join to each other,
+        but to no driven plane. It is held, so that the matrix is regular.
+    returns : minus the forces (d, samples * n), in balance; mask (samples,) of the samples in which none of them
+        exceeds friction.
 
     Letters: n contacts with up to d slip components.
     """
@@ -139,13 +141,13 @@ def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
 def _balanced(
     system: ContactSystem, matrix: NewtonMatrix, side: np.ndarray, springs: np.ndarray, going: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the dual (minus the forces, (d, n, samples)) after springs have taken its torques away, and the largest
-    torque (samples,) before.
+    """Return minus the forces, (d, n, samples), after forces of fictitious springs at the contacts are added that
+    balance all torques; and the largest torque (samples,) before.
 
     system : the contacts of one sample.
     matrix : their Newton matrix with the stiffnesses of the springs, factorised.
-    side : minus the forces (d, n, samples).
-    springs : (n, samples), their stiffnesses.
+    side : minus the forces before, (d, n, samples).
+    springs : (n, samples), stiffnesses of the springs.
     going : (samples,) mask of samples to change.
 
     Letters: n contacts with up to d slip components.
@@ -163,8 +165,8 @@ def _cut_and_balanced(
     limit: np.ndarray,
     going: np.ndarray,
 ) -> np.ndarray:
-    """Return minus the forces (d, n, samples), none beyond its limit: forces are cut to their limit and balanced in
-    turn, as long as that reduces the torques.
+    """Return minus the forces (d, n, samples), none beyond its limit. In turn they are cut to their limits and balanced
+    by fictitious springs at the contacts, as long as that reduces the torques.
 
     system : the contacts of one sample.
     matrix : their Newton matrix with the stiffnesses of the springs, factorised.
@@ -215,15 +217,14 @@ def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.n
 
 
 def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torques: np.ndarray) -> np.ndarray:
-    """Return a mask (samples,), True where forces that balance surely exist near the given ones: torques are small, and
-    at all slipless contacts friction exceeds the force by more than the sum of all torques.
+    """Return a mask (samples,), True where forces that balance surely exist near the given ones: the torques that are
+    left are small, and at all slipless contacts friction exceeds the force by more than MARGIN_PER_TORQUE times the sum
+    of all torques.
 
-    friction : (samples * n,), largest friction force of each contact, sample after sample.
-    slipping : (samples * n,) mask of contacts that need no room.
-    dual : (d, samples * n), minus the forces.
-    torques : (unknowns, samples), torques that the forces leave, also on spins that were held.
-
-    Letters: n contacts with up to d slip components.
+    friction : (samples * n,), friction limit of each of n contacts, sample after sample.
+    dual : (d, samples * n), minus the forces, with up to d components.
+    slipping : (samples * n,) mask of contacts that are not looked at: those that slip or may be at their limit.
+    torques : (unknowns, samples), torques that the forces leave.
     """
     left = np.abs(torques).T.copy()
     total, samples = MARGIN_PER_TORQUE * left.sum(axis=1), len(left)

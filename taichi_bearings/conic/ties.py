@@ -70,7 +70,8 @@ def sometimes_slipping(
 
 
 def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
-    """Return a basis (unknowns, k) of the motions of tied sets of spins that change the direction of no slip.
+    """Return k independent motions, a matrix (unknowns, k), that change the direction of no slip. An unknown is a set
+    of spins that move together; all motions of this kind are sums of the k columns.
 
     tied : the contacts that slip or are at their limit, over the sets of spins that the other contacts tie together.
     difference : (d, contacts), slips, or directions in which contacts can begin to slip.
