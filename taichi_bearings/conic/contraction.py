@@ -34,17 +34,23 @@ class Owners:
     contacts: np.ndarray
 
     def largest(self, values: np.ndarray) -> np.ndarray:
-        """Return the largest value of each sample, (samples,), from non-negative numbers (n,) or vectors (d, n) on the
-        contacts; 0 for a sample without contacts. Letters: n contacts with up to d slip components."""
+        """Return for each sample the largest of the values that belong to its contacts, (samples,); 0 for a sample
+        without contacts.
+
+        values : numbers (n,), or vectors (d, n) with up to d components, on n contacts; none negative."""
         return _largest(self.samples, self.contacts, values if values.ndim == 1 else values.max(axis=0))
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
-        """Return the largest value of each sample, (samples,), from non-negative values (unknowns,)."""
+        """Return for each sample the largest of the values that belong to its spins, (samples,); 0 if it has none.
+
+        values : (unknowns,), none negative."""
         return _largest(self.samples, self.spins, values)
 
     def smallest(self, values: np.ndarray) -> np.ndarray:
-        """Return the smallest value of each sample, (samples,), from numbers (n,) on the contacts; infinite for a
-        sample without contacts."""
+        """Return for each sample the smallest of the values that belong to its contacts, (samples,); infinite for a
+        sample without contacts.
+
+        values : (n,), numbers on n contacts."""
         begins, found = np.searchsorted(self.contacts, np.arange(self.samples + 1)), np.full(self.samples, np.inf)
         some = begins[1:] > begins[:-1]
         if some.any():

@@ -53,8 +53,8 @@ class StageEnd:
 
 @dataclass(frozen=True)
 class Friction:
-    """Laws of the n contacts of one sample in a stage: each bears the force of a spring, limited by friction, and a
-    viscous force.
+    """Laws of the n contacts of one sample in a stage (a step in time, or a step of the method of multipliers): each
+    bears the force of a spring, limited by friction, and a viscous force.
 
     limit : (n,), largest force of friction; infinite for linear contacts.
     resistance : (n,), stiffness of the springs, force * time / length.
@@ -101,8 +101,8 @@ class Friction:
 
 
 class FrictionStage:
-    """Solver for stages over one system of contacts: finds spins at which springs limited by friction, viscous forces
-    and the inertia of the spheres balance.
+    """Solver for *stages*: an implicit step in time of a dynamics, or a step of the method of multipliers. It finds the
+    spins at which the forces of springs limited by friction, viscous forces and the inertia of the spheres balance.
 
     system : the contacts.
     matrix : factorises their Newton matrix.
@@ -133,15 +133,13 @@ class FrictionStage:
         self._factorised: tuple[float, np.ndarray] | None = None  # what is factorised: inertia, stiffnesses
 
     def solve(self, friction: Friction, base: np.ndarray, start: np.ndarray, guess: np.ndarray) -> StageEnd | None:
-        """Return spins and forces at the end of a stage, where forces and inertia balance; None if Newton's method gets
-        nowhere.
+        """Return spins and forces at the end of a stage (a step in time, or of the method of multipliers), where forces
+        and inertia balance; None if Newton's method gets nowhere.
 
-        friction : laws of the n contacts.
-        base : (unknowns,), spins from which inertia acts.
+        friction : laws of the n contacts, which have up to d slip components.
+        base : (unknowns,), spins before the stage, from which inertia acts, 1/time.
         start : (d, n), force of each spring at no slip.
-        guess : (unknowns,), spins to begin with.
-
-        Letters: d slip components.
+        guess : (unknowns,), spins to begin with, 1/time.
         """
         inertia, resistance = friction.inertia, friction.resistance
         spins = guess
@@ -252,8 +250,8 @@ class FrictionStage:
         step: np.ndarray,
         first: float,
     ) -> float:
-        """Return the length of a Newton step, from 0 to 1. The function of the stage is nearly flat along the step
-        there; or it still falls at the end of the whole step, then the length is 1.
+        """Return the length of a Newton step, from 0 to 1, at which the function that is to become least is nearly flat
+        along the step; 1 if it still falls at the end of the whole step.
 
         friction : laws of the n contacts.
         trial : (d, n), forces of the springs before friction limits them.
@@ -268,8 +266,8 @@ class FrictionStage:
         gained = spins - base
 
         def slope(length: float) -> float:
-            """Return the derivative along the step, at this length (0 to 1), of the function whose minimum the stage
-            is."""
+            """Return the derivative along the step, at the length `length` (0 to 1), of the function that is to become
+            least."""
             force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
             work = float((force * change / friction.resistance).sum())
             return friction.inertia * float((gained + length * step) @ step) + work
@@ -299,8 +297,9 @@ class FrictionStage:
         force: np.ndarray,
         scale: float,
     ) -> StageEnd:
-        """Return the end of the stage, with the last torques taken away by linear corrections of the forces: stiff
-        contacts have forces that depend on spins to more digits than doubles have.
+        """Return the spins and forces at the end of the stage, after linear corrections of the forces have taken away
+        the last torques. These are left since the forces of stiff contacts depend on more digits of the spins than
+        doubles have.
 
         friction : laws of the n contacts.
         base : (unknowns,), spins from which inertia acts, 1/time.

@@ -141,7 +141,8 @@ class BalanceKernels:
         longest: int,
         weight: float,
     ):
-        """Make the whole solve on a GPU: sines, chains and inverse sines, each in one parallel loop.
+        """Solve the Poisson problem on a GPU, in three parallel loops: transform the torques `pull` by sines along the
+        height, solve the chains of spheres of each sine, and add the inverse transform to `potential`.
 
         values : all fields, flat; `pull` is read and `potential` changed.
         modes : (C components, R samples, *N spheres) scratch for the amplitudes of the sines, flat.
@@ -219,7 +220,8 @@ class BalanceKernels:
         self, modes: ti.template(), chains: ti.template(), slot: ti.template(), group, count, stride, side, height,
         longest, weight,
     ):  # fmt: skip
-        """Solve as many neighbouring chains as a block has sites, in place; fewer at the end of a row.
+        """Solve a block of neighbouring chains in place: as many as a block has sites, fewer at the end of a row. A
+        chain has the spheres along one side of the lattice, for one sine along the height.
 
         A chain is solved by Gaussian elimination from its first sphere to its last, and by substitution back. The
         factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`. For rings the pull across the ends

@@ -64,9 +64,9 @@ class DescentSweeps(Sweeps):
         self.coefficients = tuple(tuple(row + axis for row in first) for axis in range(stencil.dimension))
 
         def of_sites(name: str) -> tuple[int, ...]:
-            """Return the rows of a field that has a number for each spin component.
+            """Return the numbers of the rows of a field that has one row for each spin component.
 
-            name : of the field."""
+            name : name of the field."""
             return tuple(slot[name] + c for c in self.components)
 
         # sweeps of even parity go from `point` to `point_next`, which begins `apart` rows further, the others back

@@ -248,7 +248,8 @@ def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
     """Return a mask of the shape of the contacts along an axis, True where their two spheres lie on different sides.
 
     above : (*N) mask of the spheres on one of the sides.
-    axis : number of the axis."""
+    axis : number of the axis.
+    lattice : the lattice, of shape *N."""
     low, high = lattice.along(axis)
     return np.asarray(above[low] != above[high])
 

@@ -46,7 +46,7 @@ class Bounds:
        *springs* at the contacts are added that cancel them, but for rounding. Call the friction F after that.
     2. A factor s <= 1 brings s |F| within the friction limit of every contact without damping.
     3. The bound is s times the work of the driven spheres against F, less the price of torques that are left, and less
-       what damped contacts dissipate for s F.
+       what it costs that s |F| may exceed friction at contacts with damping.
 
     network : the R samples, with their spins, friction and coefficients.
     upper, lower : (R,), the bounds, rounded up and down.
@@ -210,8 +210,8 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
     total = Enclosure.exact(np.zeros(network.count))
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
         if size and (torque.high.any() or torque.error.any()):
-            taken = network.graph.taken(torque, reach, network.reached)
-            total = total + row_sum(taken[np.flatnonzero(network.free)].reshaped((network.count, -1)))
+            lost = network.graph.power_lost(torque, reach, network.reached)
+            total = total + row_sum(lost[np.flatnonzero(network.free)].reshaped((network.count, -1)))
     return total
 
 

@@ -110,8 +110,10 @@ def certifying_forces(
     It ends once the balanced forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or
     after MOST_PROJECTIONS."""
     given = force = _finite(scene, force)
+    # Where no contact state can follow from the bound, any forces that prove it will do.
     if excess is not None and can_prove_no_state(scene, excess):
         return _most_proving(scene, given, np.full(scene.replicas, -np.inf), given, spin_axes, bound)
+    # Balance the forces of samples that leave torques; without friction limits that is all.
     largest = np.abs(force).max(axis=(0, 2), initial=0.0)
     left_over = largest_unbalanced_torque(scene, force, spin_axes) / scene.lattice.radius
     in_balance = left_over <= ROUNDED_PULL * largest
@@ -126,6 +128,7 @@ def certifying_forces(
     proves = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
     reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
     done = np.zeros(scene.replicas, dtype=bool)  # each replica ends on its own, whatever the others need
+    # Project in turn on the friction discs and on the forces in balance; keep those that prove the most.
     for _ in range(MOST_PROJECTIONS):
         near = better & (proves >= bound * (1 - ENCLOSED_GAP))
         if near.any():
@@ -203,8 +206,11 @@ def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
 
 
 def _finite(scene: Scene, force: Forces) -> Forces:
-    """Return the forces (C components, R samples, E contacts) in float64: 0 at contacts that take no part, and all 0 in
-    a sample that has one that is not finite."""
+    """Return forces in float64, set to 0 at contacts that take no part, and all 0 in a sample that has a force which is
+    not finite.
+
+    scene : R samples of a lattice with E contacts each.
+    force : (C components, R, E), as is the result."""
     force = _without_driven_contacts(scene, np.asarray(force, dtype=np.float64))
     finite = np.isfinite(force).all(axis=(0, 2))
     return force if finite.all() else np.where(finite[:, None], force, 0.0)

@@ -294,7 +294,7 @@ class JudgedNetwork:
         """Moments n x F of the stored friction F (minus its torque over radius on both spheres of a contact), by
         component, C enclosures (m,). They are set to 0 for contacts that dissipate at no minimum, and along components
         in which no driven sphere does work."""
-        own, all_count = self.graph.working(self.box), bool((self.counts == self.acts).all())
+        own, all_count = self.graph.can_do_work(self.box), bool((self.counts == self.acts).all())
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
         return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
 
@@ -302,7 +302,7 @@ class JudgedNetwork:
     def own_friction(self) -> list[Enclosure]:
         """Stored friction F of the contacts that can dissipate, 0 for others, by component: C enclosures (m,). On
         lattices vectors of the same size, the moments n x F, stand for it."""
-        return self.graph.borne(self.moment, self.counts)
+        return self.graph.friction_vectors(self.moment, self.counts)
 
     @property
     def joins(self) -> np.ndarray:

@@ -26,8 +26,8 @@ from taichi_bearings.scene.solution import SLIPLESS
 
 @dataclass(frozen=True)
 class Judgement:
-    """What spins and friction of a scene prove about its minimum: power, bounds on it, and contact states. Results are
-    in energy/time, speeds and forces; bounds are rounded outwards.
+    """What stored spins and friction of a scene prove about its minimum: power, bounds on it, and contact states.
+    Nothing else that a method reports is used. Results have the units of the scene; bounds are rounded outwards.
 
     scene : a lattice (shape *N) or a packing (N spheres) with R samples of E contacts each. In the samples of a packing
         the same contacts must act.
@@ -49,8 +49,8 @@ class Judgement:
 
     @classmethod
     def of(cls, scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray) -> Judgement | None:
-        """Return what spins and friction prove by themselves, whatever a method believes; None for numbers that no
-        arithmetic can judge.
+        """Return the judgement of spins and friction; None for numbers that are not finite, or so large or small that
+        products might overflow or underflow.
 
         scene : R samples of a lattice or a packing, with N spheres (on lattices *N, their shape) and E contacts each.
         spin, spin_rounding : (R, *N, 3), of discs (R, *N), laboratory spins, 1/time: the spin is the sum of the two.

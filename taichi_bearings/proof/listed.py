@@ -168,7 +168,7 @@ class Listed:
         first, second = self.contact
         return length(across([part.at(first) + part.at(second) for part in spin], self.normal))
 
-    def taken(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+    def power_lost(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
         """Return for each of n spheres the most power that a torque on it may take, an enclosure (n,), if its spin may
         be anything between `reach` and -`reach`: |torque| |reach|.
 
@@ -184,14 +184,14 @@ class Listed:
         feels : (m,) mask of the contacts which that component makes slip; only these connect."""
         return signs(self.contact[:, feels], len(self.place))[1]
 
-    def working(self, box: np.ndarray) -> list[bool]:
+    def can_do_work(self, box: np.ndarray) -> list[bool]:
         """Return for each of C spin components whether friction can do work along it: here True for all. (On lattices
         False where both planes are driven alike.)
 
         box : (C,), the largest imposed sizes; only its length is used."""
         return [True] * len(box)
 
-    def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
+    def friction_vectors(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
         """Return the stored friction of m contacts by component, C enclosures (m,), set to 0 for contacts that are not
         in the mask `counts` (m,).
 

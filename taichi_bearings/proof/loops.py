@@ -66,16 +66,17 @@ IN_A_LOOP = 1e-7  # force of a contact over that of a loop, above which it belon
 class FrictionBounds:
     """Bounds on the friction of each contact of a packing at every minimum, before loops are looked at.
 
-    "Optimal" is friction at any minimum of the power; the friction "at hand" is the one stored with the solution.
+    *Optimal* friction is that at a minimum of the power; *given* friction is the one stored with the solution, after
+    fictitious springs have balanced its torques.
 
     network : the packing, with N spheres and E contacts.
     number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none, such as those of
         driven spheres.
     exact : the contacts that can all roll exactly at once, and their motions.
-    given : friction at hand by component, 3 enclosures (E,), in units of force.
-    known : (E,) mask of the contacts whose friction is nearly known at every minimum: they slip there, or have damping
-        alone.
-    most_change : (E,), bound on |optimal friction - friction at hand|, force.
+    given : the given friction by component, 3 enclosures (E,), in units of force.
+    known : (E,) mask of the contacts whose optimal friction is nearly known: they slip at every minimum, or have
+        damping alone.
+    most_change : (E,), bound on |optimal friction - given friction|, force.
     most_friction : (E,), bound on |optimal friction|, force.
     """
 
@@ -89,7 +90,7 @@ class FrictionBounds:
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """Friction at hand of each of E contacts, (E, 3), rounded to doubles."""
+        """The field `given`, friction of each of E contacts, as one array (E, 3), rounded to doubles."""
         return np.stack([part.value for part in self.given], axis=1)
 
     @cached_property
@@ -133,7 +134,7 @@ class FrictionBounds:
     @cached_property
     def left_over(self) -> np.ndarray:
         """(N,), for each of N spheres a bound on any component of the torque over radius, a force, that is left out if
-        the friction at hand is taken to be in balance.
+        the stored friction is taken to be in balance.
 
         It is the sum of two bounds: on the torque that this friction leaves over; and on what rounding adds where the
         matrix `rows` multiplies changes of friction up to `most_change`. An entry of `rows` has fewer than 64

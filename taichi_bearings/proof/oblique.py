@@ -392,11 +392,12 @@ class Centre:
         return np.where(self.number >= 0, found * UP, 0.0)
 
     def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray]:
-        """Prove that among spins at which no resting contact slips there is one minimum, and that it is close to these
-        spins: the curvature of the potential along such spins is at least some tau, and its slope is small.
+        """Return for each of the S slipping contacts a bound (S,) on |slip at a minimum - slip at these spins|, and the
+        mask (R,) of the samples for which it is proven. The minimum is the only one among the spins at which no resting
+        contact slips; call these V.
 
-        Returns for each of the S slipping contacts a bound (S,) on |slip at that minimum - slip at these spins|, and
-        the mask (R,) of the samples for which this is proven.
+        Proof: the curvature of the potential along V is at least tau, and its slope is small. The slope consists of the
+        torques r that friction leaves over, and of a vector a for the angle between friction and slip.
         """
         size, damping, sample = self.size.most, self.damping.most, self._sample
         slips = self._of_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
@@ -441,8 +442,8 @@ class Centre:
         return distance, proven & self._of_all(relative_change <= MOST_RELATIVE_CHANGE, sample) & remains
 
     def _distance_from_slip_direction(self, to_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bound how far the friction F in use at the S slipping contacts is from the friction that the contact law
-        demands there. Return three arrays (S,):
+        """Compare the friction F of the S slipping contacts with the friction that the contact law demands for slips
+        nearby. Return three arrays (S,):
 
         1. a bound on the size of the difference between the unit vectors along F and along the slip; 0 for contacts
            without friction,

@@ -229,7 +229,7 @@ class Grid(Listed):
         in_motion : function that computes these slip speeds."""
         return in_motion()
 
-    def taken(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+    def power_lost(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
         """Return for each of n spheres the most power that a torque on it may take, an enclosure (n,), if its spin may
         be anything between 0 and `reach`: |torque| |reach|, but 0 where both surely have the same sign, as the torque
         then adds to the power.
@@ -246,14 +246,14 @@ class Grid(Listed):
         k, feels : not used here."""
         return np.broadcast_to(np.False_, self.spheres)
 
-    def working(self, box: np.ndarray) -> list[bool]:
+    def can_do_work(self, box: np.ndarray) -> list[bool]:
         """Return for each of C spin components whether friction can do work along it: True where the two planes are
         driven differently.
 
         box : (C,), the largest imposed size of each component, measured from the bottom."""
         return [bool(size > 0) for size in box]
 
-    def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
+    def friction_vectors(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
         """Return `moment` itself: vectors as long as the friction F of each of m contacts. The direction is not needed
         on lattices.
 
