@@ -28,8 +28,8 @@ def bibtex(text: str) -> str:
 def _entry(block: str, key: str, kind: str) -> str:
     """Return one BibTeX entry.
 
-    block : its lines of CITATION.cff.
-    key : by which it is cited.
+    block : lines of CITATION.cff on what is cited.
+    key : word by which texts cite it.
     kind : @software or @misc.
     """
     known = dict(re.findall(r"^([a-z-]+): (\S.*)$", block, re.MULTILINE))

@@ -207,7 +207,12 @@ def _read_functions_once(reader: Any) -> None:
     free: dict[Any, list[Any]] = {}  # function -> its trees of which none is being walked, file, lines, first line
 
     def read_again(function: Any, **wishes: Any) -> tuple[Any, Any]:
-        """Return the tree of a function and its context, from those that are not in use if there is one."""
+        """Return the syntax tree of a function and a new context for compiling it. The tree is one of an earlier call
+        that is not in use, if there is one; otherwise Taichi reads it from the file.
+
+        function : the function, as Taichi stores it.
+        wishes : further arguments of Taichi's reader.
+        """
         if not free.get(function):
             return read(function, **wishes)
         tree, origin = free[function].pop()
@@ -215,7 +220,11 @@ def _read_functions_once(reader: Any) -> None:
         return tree, context(**wishes, **origin)
 
     def walk_and_keep(tree: Any, used: Any) -> Any:
-        """Compile a function from its tree, and keep the tree for the next call."""
+        """Compile a function from its syntax tree, and keep the tree for the next call.
+
+        tree : the syntax tree.
+        used : the context in which it is compiled.
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of the kinds of expressions that Python 3.12 knows
             result = walk(tree, used)
@@ -225,7 +234,11 @@ def _read_functions_once(reader: Any) -> None:
         return result
 
     def position(used: Any, node: Any) -> str:
-        """Return where an expression stands, found once."""
+        """Return where in the source an expression stands; the text is made once and stored in the node.
+
+        used : the context of the compilation.
+        node : node of the syntax tree.
+        """
         if not hasattr(node, "position"):
             node.position = found(used, node)
         return node.position

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 class Device:
     """One GPU, or what acts as one.
 
-    name : as its driver calls it.
+    name : name that its driver gives it.
     has_f64 : True if it computes in double precision.
     is_software : True if it is in fact the CPU.
     """

@@ -94,7 +94,7 @@ def is_loading(frame: FrameType | None) -> bool:
 def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
     """Send Ctrl-C once more in a moment, because what the handler raises would be swallowed now, or was.
 
-    is_wanted : called at that moment; it returns False if it is too late.
+    is_wanted : function that is called at that moment, and returns False if it is too late.
     """
 
     def ring() -> None:

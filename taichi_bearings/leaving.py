@@ -94,7 +94,7 @@ def forget_temporary(path: Path) -> None:
 def add_helper(process: int) -> None:
     """Have a process killed if this one is ended before :func:`forget_helper` is called for it.
 
-    process : its number, that of a child of this process, which stays its own until it is waited for.
+    process : process number of a child of this process, which stays its own until it is waited for.
     """
     _helpers.add(process)
 

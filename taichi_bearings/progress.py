@@ -41,7 +41,7 @@ class TerminalLine:
 
     It is no longer than the terminal is wide. In a notebook it is a line below the cell, empty in the end.
 
-    line : returns the text; called at each writing.
+    line : function that returns the text, called at each writing.
     """
 
     def __init__(self, line: Callable[[], str]) -> None:
@@ -82,7 +82,7 @@ class TerminalLine:
 def _live(line: Callable[[], str]) -> Any:
     """Return a context that shows the line on a terminal.
 
-    line : returns the text; called at each writing.
+    line : function that returns the text, called at each writing.
     """
     from rich.console import Console
     from rich.live import Live
@@ -104,16 +104,16 @@ def _live(line: Callable[[], str]) -> Any:
 class Display:
     """Listens to the stages of some work: shows on a line what is under way, and measures where the time goes.
 
-    stages : those under way, outermost first.
+    stages : stages under way, the outermost first.
     seconds : wall time by name, without that of stages inside, in the order in which they first began.
     """
 
     def __init__(self, since: float | None = None) -> None:
-        """Prepare to listen.
+        """Prepare to listen; nothing is measured or shown yet.
 
-        since : when the time begins, by time.perf_counter(); None for now.
+        since : time at which the measured time begins, by time.perf_counter(); None for now.
         """
-        # time of the last stage that began or ended, and the context that ends line and listening
+        # `_since`: time up to which `seconds` counts; `_context`: ends the line and the listening
         self.stages, self.seconds = list[Stage](), {BETWEEN: 0.0}
         self._since = time.perf_counter() if since is None else since
         self._context = ExitStack()

@@ -63,7 +63,7 @@ class Answer(Protocol):
 class Quantity:
     """A row of the table of quantities: one number or word of an answer.
 
-    name : as in files, summaries, tables and Python.
+    name : name in files, summaries, tables and Python.
     unit : "1" for pure numbers.
     text : what the quantity is, in words.
     of : function that takes an answer, or a solution or structure, and returns the value; for a quantity of samples an

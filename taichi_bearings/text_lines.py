@@ -83,7 +83,7 @@ class _Unpacker(io.RawIOBase):
         """Begin with the first stream.
 
         file : the packed bytes.
-        make : returns what unpacks one stream.
+        make : function that returns an object which unpacks one stream.
         """
         self.file, self.make, self.is_torn = file, make, False
         self.stream, self.packed = make(), b""

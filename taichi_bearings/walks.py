@@ -239,7 +239,7 @@ class _Record:
 
     calls : name, arguments, keyword arguments and result of each call, in their order. All objects are held here, so
         that no two have the same `id`.
-    functions : those whose source the compiler has read.
+    functions : functions whose source the compiler has read.
     """
 
     def __init__(self, core: Any) -> None:

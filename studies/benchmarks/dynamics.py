@@ -114,10 +114,11 @@ def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up
 
 
 def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
-    """Yield a row for each code: the processor time of a time step on a lattice. Others run in processes of their own,
-    ours in this one.
+    """Yield a row for each code (this one and others that are installed): the processor time of a time step on a
+    lattice, from two kinds of initial spins. Other codes run in processes of their own.
 
-    rounds : how often each is timed.
+    shape : numbers of spheres along the axes of the lattice.
+    rounds : how often each code is timed.
     steps : time steps in each round.
     """
     runtime.start("cpu", "f64", 1)
@@ -141,8 +142,11 @@ def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
 
 
 def _ours(method: Any, steps: int, _: int) -> float:
-    """Return the processor time of one of our time steps, seconds, as the mean over `steps`. The last argument, the
-    number of the round, is not used.
+    """Return the processor time of a time step of this program, seconds, as the mean over `steps` of them. The last
+    argument, the number of the round, is not used.
+
+    method : the dynamics, begun.
+    steps : number of steps.
     """
     began = time.process_time()
     method.advance(steps)

@@ -107,7 +107,7 @@ class PowerLaw(NamedTuple):
     """A power law fitted to points (x, y) by least squares of log y against log x.
 
     exponent : exponent of x.
-    error : its standard error.
+    error : standard error of the exponent.
     factor : y = factor x^exponent.
     """
 
@@ -129,7 +129,8 @@ def fitted(x: Sequence[float], y: Sequence[float]) -> PowerLaw:
 def fits(rows: Sequence[Row]) -> dict[tuple[str, str], PowerLaw]:
     """Return the power laws in the number of spheres N, by program and column of COLUMNS.
 
-    rows : with the keys `what` (the program), `spheres`, and those of COLUMNS.
+    rows : measurements, dictionaries with the keys `what` (the program), `spheres`, and processor time and memory (keys
+        of COLUMNS).
 
     Only lattices of FROM spheres or more count; with fewer than FEWEST of them there is no fit.
     """

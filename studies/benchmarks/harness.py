@@ -76,7 +76,7 @@ def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, 
     """Call functions in turns, `rounds` times each, and return by name what they have returned, one result for each
     round.
 
-    calls : by name, functions of the number of the round.
+    calls : functions that are called with the number of the round, by name.
     """
     found: dict[str, list[T]] = {}
     for number in range(rounds):
@@ -88,7 +88,7 @@ def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, 
 def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds: float) -> dict[str, Times]:
     """Return the times of some functions, called in turns in `rounds` rounds.
 
-    calls : by name, functions that repeat something a number of times, which is their argument.
+    calls : functions that repeat something as often as their argument says, by name.
     slice_seconds : about how long one call should take; the number of repetitions is chosen so, at least one.
     """
     measured = {name: partial(clocked, call, _enough(call, slice_seconds)) for name, call in calls.items()}
@@ -106,9 +106,11 @@ def clocked(call: Callable[[int], None], number: int = 1, _: int = 0) -> tuple[f
 
 
 def _enough(call: Callable[[int], None], seconds: float) -> int:
-    """Return how many repetitions take about so many seconds. This also warms up what is measured.
+    """Return how many repetitions take about so many seconds. This also warms up what is measured. The least of three
+    times is used, since a single one could be lengthened by another program.
 
-    The least of three times is used, since a single one could be lengthened by another program.
+    call : function that repeats something as often as its argument says.
+    seconds : the time wanted.
     """
     call(2)
     number = 2
@@ -180,7 +182,7 @@ class Benchmark:
 class Report:
     """All that was measured in one call of the benchmark.
 
-    rows : for each benchmark its rows (dictionaries of plain values).
+    rows : rows (dictionaries of plain values) of each benchmark, by its name.
     notes : sentences on what the rows say, and on what was left out, and why.
     missing : other programs that are not installed here, and how to install them, by name.
     faults : sentences on rows that contradict each other.

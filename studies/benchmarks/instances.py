@@ -50,7 +50,7 @@ def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
     table.
 
     name, scene : name and scene of the problem.
-    folder : for the files.
+    folder : folder in which the files are written.
     peers : largest side of a problem that other solvers are given.
     """
     write_problem(scene, "fclib", folder / f"{name}.hdf5")

@@ -33,7 +33,7 @@ FOREVER = 2**40  # sweeps: more than are ever made
 class Candidate(NamedTuple):
     """Something that is timed.
 
-    name : in the table.
+    name : name in the table.
     call : function that repeats it as often as its argument says.
     components : number of spin components that it computes.
     seconds_compile : seconds that its first start took to compile; None if nothing is compiled.
@@ -72,7 +72,7 @@ def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Pa
     scene : one sample of the lattice.
     precision : "f64" or "f32", the type of all numbers.
     threads : number of threads of the kernels.
-    folder : for files that the C compiler writes.
+    folder : folder for files that the C compiler writes.
     """
     candidates = list(_candidates(scene, precision, folder))
     found = timed({str(n): one.call for n, one in enumerate(candidates)}, plan.rounds, plan.slice_seconds)
@@ -92,7 +92,7 @@ def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidat
 
     scene : one sample of the lattice.
     precision : "f64" or "f32", the type of all numbers.
-    folder : for files that the C compiler writes.
+    folder : folder for files that the C compiler writes.
     """
     plain = GradientDescentMethod(GradientDescent(momentum=False))
     yield _candidate("sweep", plain, scene, "random")
@@ -111,8 +111,8 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
     """Return a method as something to time, with the seconds by which its first start took longer than its second: to
     compile, or to load compiled code.
 
-    name : in the table.
-    method : built from its options.
+    name : name in the table.
+    method : the method, not yet begun.
     start : name of the initial spins.
     """
     spin, took = initial_spin(scene, start), []

@@ -189,7 +189,7 @@ class Peer:
     """A conic solver with one of its linear solvers.
 
     name : "clarabel" or "scs".
-    linear_solver : see LINEAR_SOLVERS.
+    linear_solver : name of the linear solver that it uses, one of LINEAR_SOLVERS.
     """
 
     name: str
@@ -204,7 +204,7 @@ class Peer:
         of the solver.
 
         programme : what is solved.
-        tolerance : as the solver understands it.
+        tolerance : tolerance in the sense of the solver, not a relative gap.
         seconds : time limit.
         threads : number of threads, 0 for all, as far as the solver can be told.
         """

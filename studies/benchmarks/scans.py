@@ -49,7 +49,7 @@ def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]
     """Solve samples by a conic solver, one after another. Return a record of each, in the form in which workers of
     scans return theirs: its key, its status, and that no contact state is proven.
 
-    samples : as a scan plans them.
+    samples : samples of a scan, with key and settings.
     peer : the conic solver.
     """
     found = []

@@ -91,7 +91,7 @@ class Claim:
     refined : True if it holds with a condition or a correction, which the finding states.
     numbers : values of the finding, for programs.
     samples : number of samples that it was judged by.
-    samples_needed : with fewer samples there is no verdict.
+    samples_needed : least number of samples for a verdict.
     kind : what the verdict rests on, one of KINDS.
     paper, ours : the number of the paper and the one found, in a few words.
     uncertainty : uncertainty of `ours`, in words.

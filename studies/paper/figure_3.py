@@ -68,8 +68,11 @@ def planes(folder: Path, effort: Effort) -> Found:
 
 @lru_cache(maxsize=1)  # of both figures
 def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
-    """Return a table of certified samples of the paper's size, and the structure of the one that is shown: the first
-    whose slipless contacts join bottom and top, or the first of all.
+    """Return a table of samples of the paper's size at their certified minima, and the structure (network, domains,
+    cut) of the one that is shown: the first whose slipless contacts join bottom and top, or the first of all.
+
+    folder : folder where finished samples are kept until the study ends.
+    effort : first seed and number of samples.
     """
     seeds = effort.seeds(min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]

@@ -107,12 +107,13 @@ def _changed(values: Sequence[float], chosen: int) -> float:
 
 
 def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the straight line of least squares through points with errors: value at 0 and slope, (2, ...), and the
-    goodness of all lines together.
+    """Return the straight lines of least squares through points with errors, and the goodness of all lines together. A
+    line is given by its value at 0 and its slope, (2, ...). The goodness is the probability that random errors alone
+    give a worse fit (chi-squared).
 
-    x : (sizes,) abscissae.
-    spread : (sizes,) standard errors of y.
-    y : (sizes, ...) ordinates; a line for each of the further indices.
+    x : (sizes,), abscissae.
+    spread : (sizes,), standard errors of y.
+    y : (sizes, ...), ordinates; there is a line for each of the further indices.
     """
     rows = np.stack([np.ones(len(x)), x], axis=1) / spread[:, None]
     weighed = (y.T / spread).T
@@ -268,7 +269,9 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
         return float(trials[np.argmin(misfits)]), min(misfits)
 
     def fitted(sizes: Sequence[int]) -> tuple[float, float, float]:
-        """Return for some sizes the exponent, its standard error from resampling, and the misfit."""
+        """Return for some sizes the exponent with which their curves lie closest together, its standard error from
+        resampling, and the misfit (chi-squared for each degree of freedom).
+        """
         value, misfit = best(sizes)
         again = [best(sizes, lambda v: rng.choice(v, len(v)))[0] for _ in range(COLLAPSES)]
         return value, float(np.std(again, ddof=1)), misfit
@@ -328,8 +331,10 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     spread = again.std(axis=1, ddof=1)
 
     def fitted(first: int, values: np.ndarray) -> tuple[Any, float, float]:
-        """Return the skewness, the goodness of the fit, and A, for the sizes from the index `first` on.
-        values : cumulants (sizes, ..., 2).
+        """Return three numbers that follow from the sizes with index `first` and above: the skewness s, the goodness of
+        the fit, and A. The fit is variance = A L^(2 theta) + B and third cumulant = s A^(3/2) L^(3 theta) + C.
+
+        values : (sizes, ..., 2), variance and third cumulant of each size.
         """
         lines = [line_through(growth[first:, k], spread[first:, k], values[first:, ..., k]) for k in range(2)]
         (variance, third), goodness = (line[0][1] for line in lines), min(line[1] for line in lines)
@@ -363,7 +368,7 @@ def skewness_of_least(values: np.ndarray, several: int) -> tuple[float, float]:
     share = -np.diff((np.arange(count, -1, -1) / count) ** several)
 
     def of(drawn: np.ndarray) -> float:
-        """Return the skewness of the least, for samples drawn from the distribution."""
+        """Return the skewness of the least of several numbers that are drawn independently from these (samples,)."""
         apart = np.sort(drawn)
         apart -= share @ apart
         return float(share @ apart**3 / (share @ apart**2) ** 1.5)

@@ -68,10 +68,11 @@ def with_ratios(table: Table) -> Table:
 
 
 def limits_of(table: Table) -> dict[str, Limit]:
-    """Return for each quantity its value extrapolated to infinite size, for the samples of one system.
+    """Return for each quantity its value extrapolated to infinite size. A quantity is left out if fewer than three
+    sizes have enough samples.
 
-    Quantities OF_SPANNING are taken from the samples alone whose slipless contacts join bottom and top. A quantity is
-    left out if fewer than three sizes have enough samples.
+    table : samples of one system, with several sizes. Quantities of paths from bottom to top (OF_SPANNING) are taken
+        only from samples in which slipless contacts join the two.
     """
     spanning = table[table.spans]
     found = {name: limit(table.by(name)) for name in OF_ALL} | {name: limit(spanning.by(name)) for name in OF_SPANNING}

@@ -72,11 +72,12 @@ def names_of(table: Table) -> dict[str, Any]:
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
-    """Return the columns of one sample: those of :func:`sample_of` and, for each of VIEWED, a list NAME_seen.
+    """Return the columns of one sample by name: numbers of its network at the minimum and, for some of them (VIEWED), a
+    list NAME_seen. The list has, for each of THRESHOLDS, the number that would be found if contacts with a smaller slip
+    were taken for slipless; its last entry is by the proven contact states. At the minimum of a large sample the slips
+    span many decades, so a coarse threshold merges slipping contacts into the network and domains into each other.
 
-    The list has, for each of THRESHOLDS, the number that would be found if contacts with a smaller slip were taken for
-    slipless; its last entry is by the proven contact states. At the minimum of a large sample the slips span many
-    decades, so a coarse threshold merges slipping contacts into the network and domains into each other.
+    structure : network, domains, cut and bottlenecks of the sample.
     """
     unit = structure.scene.slip_radius * structure.scene.jump
     seen = [*(structure.by_threshold(threshold * unit) for threshold in THRESHOLDS), structure]
@@ -113,8 +114,11 @@ def sample_of(structure: Structure) -> dict[str, Any]:
 
 
 def spans_within_planes(network: SliplessNetwork, axis: int) -> np.ndarray:
-    """Return (planes,) for each lattice plane across `axis` True if the slipless contacts within it join bottom and
+    """Return (planes,) for each lattice plane across an axis True if the slipless contacts within it join bottom and
     top.
+
+    network : the slipless contacts of a lattice.
+    axis : number of the axis.
     """
     inside, plane = network.axis != axis, network.contact[:, axis]
     pieces = [network.pieces(inside & (plane == index)) for index in range(network.lattice.shape[axis])]
@@ -170,12 +174,13 @@ def draw_sizes(named: Any) -> Figure:
 
 
 def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> None:
-    """Draw the share of samples whose slipless network joins the planes, by some thresholds and by certified states,
-    against the side.
+    """Draw against the size the share of samples whose slipless contacts join bottom and top: by the proven contact
+    states, and if contacts slower than some threshold are taken for slipless.
 
     axes : where it is drawn.
     sides : sides of the cubes.
-    spans : for each of them (samples, thresholds + 1), True where the network spans; last by the certified states.
+    spans : for each side (samples, thresholds + 1), True where bottom and top are joined; the last column is by the
+        proven states.
     """
     share = np.array([of.mean(axis=0) for of in spans])
     for place, colour in enumerate(COARSE):

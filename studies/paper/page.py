@@ -71,7 +71,7 @@ def _words(text: str) -> str:
 def _verdict(claim: Mapping[str, Any]) -> str:
     """Return the HTML of the verdict of a claim, coloured by its CSS class.
 
-    claim : as :meth:`.claims.Claim.as_dict` returns it.
+    claim : the claim as plain data, with its `verdict`.
     """
     name = escape(claim["verdict"])
     return f'<span class="verdict {name.replace(" ", "-")}">{name}</span>'
@@ -117,7 +117,7 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
     """Yield the HTML of one figure: its picture, and each claim with verdict, numbers and grounds.
 
     name : name of the figure.
-    figure : its entry in the report.
+    figure : entry of the figure in the report.
     picture : bytes of its PNG, or None if there is none.
     """
     yield f'<section class="figure" id="{name}"><h2>{name}: {_words(figure["title"])}</h2>'

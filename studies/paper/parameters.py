@@ -102,7 +102,7 @@ def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> d
     """Return by name the values that figure and claims use of the relaxations. The same spins relax under several
     variants (choices of stiffness, damping and normal force F_n); the paper's variant is the reference.
 
-    runs : for each variant its relaxation.
+    runs : relaxation under each variant, by its name.
     bounds : for each normal force (R samples,), proven lower bounds on the least power, energy/time.
 
     With an entry for each variant:
@@ -137,7 +137,7 @@ def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
     samples,); `states`, the contact states (R, E contacts) for each; `proven`, the least number of samples whose states
     are all proven; `slipless`, the number of slipless contacts.
 
-    minima : for each normal force the solution.
+    minima : solution for each normal force.
     """
     return {
         "per_force": {force: found.power / force for force, found in minima.items()},

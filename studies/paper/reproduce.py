@@ -40,7 +40,7 @@ class PaperFigure:
     title : what it shows.
     module : the module of this folder whose function `study` finds its numbers; MODULE.FUNCTION for another function.
     seconds : rough times in full and in the quick form, on two cores.
-    shown : which samples the figure shows, a sentence.
+    shown : a sentence on the samples that the figure shows.
     tables : ends of the names of its CSV files.
     asked : True for a question beyond the paper, which is computed only if the user names it.
     samples_of : name of the figure whose samples it uses; "" for its own.

@@ -115,7 +115,7 @@ class Table:
     def only(self, names: str) -> dict[str, list[Any]]:
         """Return some columns as lists of plain Python numbers, by name.
 
-        names : those of the columns, separated by spaces.
+        names : names of the columns, separated by spaces.
         """
         return {name: self.columns[name].tolist() for name in names.split()}
 
@@ -128,7 +128,7 @@ class Table:
 def joined(tables: Mapping[str, Table], key: str) -> Table:
     """Return one table with the rows of several, which have the same columns, one table after the other.
 
-    tables : by name.
+    tables : the tables, by name.
     key : name of an additional first column, which says from which table a row comes.
     """
     columns = next(iter(tables.values())).columns
@@ -440,7 +440,7 @@ def _followed(scene: Scene, start: str, method: MethodOptions, rule: StopRule, r
 
     start : name of the initial spins.
     method : the dynamics with its options.
-    rule : when it stops.
+    rule : tolerance and limits at which it stops.
     recording : simulated times at which the power is recorded; each step if there are none.
     """
     axes, spin = scene.lattice.all_spin_axes, initial_spin(scene, start)

@@ -59,9 +59,10 @@ DRIVINGS: Variants = {REFERENCE: {}, **SAME, **OTHER, HEIGHT: {"direction": (0.0
 
 
 def distributions(folder: Path, effort: Effort) -> Found:
-    """Find certified samples for each distribution of the friction; return table, figure and values for the claims.
+    """Solve samples for several distributions of the friction, each to its certified minimum. Return table, figure and
+    values for the claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed and number of samples.
     """
     variants = {name: {"distribution": name} for name in (*SPREAD, *TIED, EQUAL)}
@@ -71,9 +72,10 @@ def distributions(folder: Path, effort: Effort) -> Found:
 
 
 def drivings(folder: Path, effort: Effort) -> Found:
-    """Find certified samples for each driving; return table, figure and values for the claims.
+    """Solve samples for several drivings (motions that are imposed on bottom and top), each to its certified minimum.
+    Return table, figure and values for the claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed and number of samples.
     """
     seeds = effort.seeds(max(1, min(MOST_SAMPLES, effort.samples // 4)))
@@ -87,7 +89,7 @@ def samples_of(
 ) -> dict[str, Table]:
     """Return for each variant a table of its certified cubes, all variants with the same seeds.
 
-    variants : for each variant the settings in which it differs from the paper's bearing.
+    variants : settings in which each variant differs from the paper's bearing.
     numbers : function that returns the columns of a row, from the structure of a solved sample.
     journal : file that keeps finished samples.
     """
@@ -111,7 +113,7 @@ def spread_numbers(structure: Structure) -> dict[str, Any]:
 def driven_numbers(structure: Structure) -> dict[str, Any]:
     """Return the columns of one sample under a driving: those of :func:`.samples.shared_numbers`, and these.
 
-    slipless : for each contact 1 if it is slipless, else 0.
+    slipless : list with an entry for each contact: 1 if it is slipless, else 0.
     power_over_jump : power over F_n R times the part of the jump across the height (times the whole jump, where it has
         no such part).
     angle : direction of the jump, degrees from x.
@@ -129,7 +131,7 @@ def driven_numbers(structure: Structure) -> dict[str, Any]:
 def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
     """Return the values that the figure and the claims use, by name.
 
-    found : for each distribution its table.
+    found : table of the samples of each distribution, by the name of the distribution.
 
     Among them: `random`, the tables of the distributions in which not all values are equal; `judged`, the samples whose
     contact states are all proven, of the distributions in which all values differ.
@@ -146,7 +148,8 @@ def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
     """Return for each driving its table with two columns that compare its slipless contacts with those of the same
     sample under the driving REFERENCE.
 
-    tables : for each driving its table; column `slipless` (samples, contacts) is 1 for slipless contacts.
+    tables : table of the samples of each driving, by its name; column `slipless` (samples, contacts) is 1 for slipless
+        contacts.
 
     `changed`: number of contacts that are slipless under one of the two drivings only. `overlap`: number of those
     slipless under both, over the number of those slipless under either.
@@ -163,7 +166,7 @@ def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
 def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
     """Return the values that the figure and the claims use, by name.
 
-    found : for each driving its table.
+    found : table of the samples of each driving, by the name of the driving.
 
     `same`: drivings that pose the same problem as the reference. `other`: other axes of rotation. `rates`: other values
     of C. `along`: the axes along x and along y together.

@@ -171,7 +171,7 @@ def _log_uniform(rng: np.random.Generator, shape: Sequence[int], value: float) -
 def _tied(rng: np.random.Generator, shape: Sequence[int], value: str) -> np.ndarray:
     """Return coefficients (of `shape`) with few different values, so that minima tie.
 
-    value : which ones, such as "1 or 2".
+    value : name of the set of values, such as "1 or 2".
     """
     values = {"all equal": [1.0], "1 or 2": [1.0, 2.0], "1, 2 or 3": [1.0, 2.0, 3.0], "nearly": [1.0, 1 + 2**-50]}
     return rng.choice(values[value], shape)
@@ -201,9 +201,9 @@ def _with_coefficients(draw: Callable[..., np.ndarray]) -> Change:
 def _absent(case: Case, value: str, row: Row) -> Case:
     """Return the case in which some contacts are absent: their coefficients are exactly zero.
 
-    value : which ones: "a tenth" or "a third" of all at random, "all", those of "a sphere" in the middle, or those
-        between "a layer" in the middle and the one below.
-    row : not used here.
+    value : which coefficients are meant: "a tenth" or "a third" of all at random, "all", those of "a sphere" in the
+        middle, or those between "a layer" in the middle and the one below.
+    row : not used.
     """
     scene, lattice = case.scene, case.scene.lattice
     middle = tuple(n // 2 for n in lattice.shape)

@@ -56,7 +56,7 @@ def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 def _solve(cell: Cell) -> dict[str, Any]:
     """Return what a solve claims, in types that JSON has.
 
-    status, reached, states_proven, seconds : as of a Result.
+    status, reached, states_proven, seconds : attributes of the Result.
     objective, lower_bound : energy/time; None where they are not finite. gap : relative.
     state : a digit for each contact, its state; "" where the truth of the cell has no states.
 
@@ -104,7 +104,8 @@ class Judge:
 
         key, axis, value, and the fields of the method : which cell it is.
 
-        outcome : one of OUTCOMES. reason : why it is wrong, refused or a crash; else "".
+        outcome : one of OUTCOMES.
+        reason : why it is wrong, refused or a crash; else "".
         status, objective, gap, seconds, states_proven : status, objective, gap, seconds and states proven of the
             answer. unit : energy/time, the unit of its objective.
         truth, error : the true least objective, and the relative error of the answer.

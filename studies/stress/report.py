@@ -116,7 +116,9 @@ class Sweep:
 
     @property
     def red(self) -> list[Line]:
-        """Finished cells whose answer is wrong without saying so, and those that crashed."""
+        """Finished cells whose answer is wrong without saying so, and those that crashed. A cell is one extreme value
+        of a parameter for one method, law and device.
+        """
         return [line for line in self.rows if line["outcome"] in (WRONG, CRASH)]
 
     def write(self) -> list[Path]:
@@ -198,7 +200,7 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
 def draw_outcomes(axis: Axis, lines: Sequence[Line]) -> Figure:
     """Draw a map of one axis: the outcome of each cell as a colour, with its relative error as a power of ten.
 
-    axis : its values are the columns, in order.
+    axis : the parameter that is varied; its values are the columns, in order.
     lines : finished cells of the axis; each method, law, dimension, device and precision among them has a row.
     """
     tried, rows = {line["value"] for line in lines}, sorted(dict.fromkeys(map(_name, lines)))

@@ -36,9 +36,9 @@ SLIPLESS, SLIPPING, UNCLEAR = range(3)  # states of contacts, the first two as i
 class Truth:
     """An enclosure of the least objective (power or potential) of a sample, by decimals of 140 digits.
 
-    lower, upper : its bounds, energy/time.
-    state : for each axis an array with the state of each contact: SLIPLESS at every minimum, SLIPPING in the middle of
-        the minima, or UNCLEAR; empty where states are not known.
+    lower, upper : bounds of the least objective, energy/time.
+    state : states of the contacts, an array for each axis: SLIPLESS at every minimum, SLIPPING in the middle of the
+        minima, or UNCLEAR; empty where states are not known.
     unit : energy/time. If the least objective is 0, errors are given relative to it. It is the cost if all contacts
         slipped by the jump (by the unit of spins, without a jump).
     """
@@ -55,9 +55,11 @@ def _decimals(values: np.ndarray) -> np.ndarray:
 
 
 def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays (E,), a and c, energy/time: a contact with the slip d costs a |d| + c |d|^2 / 2.
+    """Return two arrays (E,), a and c, energy/time, of some contacts: a contact with the slip d costs a |d| + c |d|^2 /
+    2, where d is measured in the unit of spins (`unit_of`).
 
-    some : the contacts wanted.
+    scene : one sample.
+    some : slice of the contacts that are wanted.
     """
     speed = Decimal(scene.radius) * unit_of(scene)
     values, *second = (_decimals(of[0, some]) for of in scene.named_coefficients.values())
@@ -67,7 +69,9 @@ def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndar
 
 
 def unit_of(scene: Scene) -> Decimal:
-    """Return the unit of spins, 1/time: the jump, or 1 where bearing states are imposed."""
+    """Return the unit of spins, 1/time: the difference of the imposed spins of top and bottom, or 1 where bearing
+    states are imposed.
+    """
     if scene.top is not None:
         return Decimal(1)
     return abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
@@ -285,7 +289,7 @@ def _nothing(scene: Scene) -> Truth:
 def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
     """Return the state of each contact, an array for each axis; empty for a law without friction.
 
-    sample : with the spins at the end of the central path.
+    sample : the sample; its spins are those at the end of the central path.
     barrier : weight of the barrier there, energy/time.
 
     A contact slips if its slip is clearly above 0 and its friction is at the limit; it is slipless if its slip is 0 and

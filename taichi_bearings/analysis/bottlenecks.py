@@ -111,8 +111,8 @@ class Bottlenecks:
 
     @cached_property
     def betweenness(self) -> Betweenness:
-        """The loads of links and spheres by shortest paths, for which only links of the backbone have to be
-        searched.
+        """How many shortest paths from bottom to top run through each link (slipless contact) and each sphere. Only
+        links of the backbone have to be searched for that.
         """
         return betweenness(self.network, self.backbone)
 

@@ -159,7 +159,7 @@ class RigidDomains:
 def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:
     """Return the rigid domains of a sample of a lattice: spheres whose spins slipless contacts force to be equal.
 
-    network : its slipless contacts.
+    network : the slipless contacts of the sample.
     staggered : (C, spheres *N), spins with opposite signs for neighbours, measured from the bottom, 1/time.
     spin_axes : numbers of the C components.
     """

@@ -59,7 +59,7 @@ class PowerHistogram:
     slip_threshold : largest slip speed, length/time, up to which contacts counted as slipless in one of the runs.
     samples : number of samples that are pooled.
     units : unit of the power, as a text.
-    left_out : for each reason, how many other samples were left out.
+    left_out : number of other samples that were left out, by reason.
 
     With several samples the errors are those of sums, or of ratios of sums, over independent samples; samples with the
     same coefficients count as one. With a single sample they are those of contacts that slip independently (Poisson).
@@ -172,7 +172,7 @@ def pool(
     units : unit of the power, as a text.
     disorder : (S,) equal numbers for samples with the same coefficients, which depend on each other; None if all are
         independent.
-    left_out : for each reason, how many further samples were left out; None for none.
+    left_out : number of further samples that were left out, by reason; None for none.
     """
     # samples of one disorder are summed first; errors are those of sums, and of their ratios, over independent samples
     own = of.count if disorder is None else _by_disorder(of.count, disorder)

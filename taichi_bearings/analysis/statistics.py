@@ -44,8 +44,8 @@ class Estimate:
 class Census:
     """Numbers of samples that were used and that were not.
 
-    used : how many were.
-    left_out : for each reason, in words that follow a number ("failed"), how many were left out.
+    used : number of samples that were used.
+    left_out : number of those that were left out, by reason, in words that follow a number ("failed").
     """
 
     used: int
@@ -75,6 +75,7 @@ class Census:
         return f"{format(self.used, ',') if self.used else 'none'} of {self.asked:,} samples"
 
     def __str__(self) -> str:
+        """Return the numbers in words, such as ``57 of 60 samples (3 failed)``."""
         return f"{self.share} ({self.reasons})" if self.left_out else self.share
 
 

@@ -193,16 +193,16 @@ class Structure:
         return np.asarray(self.answer.snapshots.spin[:, 0])
 
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
-        """Return the slip speeds (contacts E,), length/time, of all contacts at other laboratory spins.
+        """Return the slip speeds (contacts E,), length/time, that all contacts would have at other spins.
 
-        spin : in the shape of the attribute `spin`.
+        spin : laboratory spins, 1/time, of discs (nx, ny) or (N,), of spheres (nx, ny, nz, 3) or (N, 3).
         """
         return self.whole.slips(self.speeds(spin))
 
     def speeds(self, spin: np.ndarray) -> np.ndarray:
         """Return radius * spin of all spheres, (spheres N, components C), length/time.
 
-        spin : laboratory spins, in the shape of the attribute `spin`.
+        spin : laboratory spins, 1/time, of discs (nx, ny) or (N,), of spheres (nx, ny, nz, 3) or (N, 3).
         """
         return np.asarray(spin.reshape(self.whole.spheres, -1) * self.whole.radius[:, None])
 

@@ -67,8 +67,11 @@ class Geometry:
         return cls(sphere, places, ends, len(place))
 
     def on_points(self, columns: Mapping[str, Finding]) -> dict[str, Finding]:
-        """Return columns of the spheres as columns of the points. Where there are images, the column `image` marks
-        them.
+        """Return columns of the spheres as columns of the points. A point that is an image (a sphere drawn once more on
+        the other side of a periodic lattice) has the values of its sphere; if there are images, the column `image` is
+        True for them.
+
+        columns : values of the spheres with units, by name.
         """
         found = {name: replace(column, values=column.values[self.sphere]) for name, column in columns.items()}
         if len(self.sphere) > self.spheres:

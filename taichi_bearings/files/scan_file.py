@@ -44,7 +44,7 @@ CONTACT_SETS = {  # name -> description, in the order of COUNTED_STATES
 def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, Sequence[int]]) -> SampleCounts:
     """Return the counts of all samples in the same bins, from the lowest to the highest bin that any sample has.
 
-    bins : for each sample, slipping contacts by the number i of the bin [10^(i/20), 10^((i + 1)/20)).
+    bins : one for each sample: number of slipping contacts by the number i of the bin [10^(i/20), 10^((i + 1)/20)).
     contacts : numbers of contacts, one a sample, by the state that CONTACT_SETS names.
     """
     met = [number for sample in bins for number in sample]

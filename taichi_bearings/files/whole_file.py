@@ -178,7 +178,7 @@ def put(group: h5py.Group, name: str, values: object, unit: str, text: str, **pa
 def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
     """Write attributes of a group or a file.
 
-    values : by name.
+    values : the attributes, by name.
 
     None becomes an empty text, and not-a-number within a list of numbers. Bytes of a text that are not UTF-8, as in
     names of files, are escaped.

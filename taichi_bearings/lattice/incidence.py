@@ -29,7 +29,7 @@ def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) 
     minus the transpose of :func:`difference`.
 
     total : (*N), or with more axes before, N the shape of the lattice; changed.
-    force : in the shape of the contacts along the axis.
+    force : forces in the shape of the contacts along the axis.
     axis : number of the axis.
     """
     low, high = lattice.along(axis)

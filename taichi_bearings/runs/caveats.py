@@ -36,7 +36,7 @@ def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """Return all warnings about an answer as sentences, each for all of its samples together.
 
     solution : the answer to all samples of a lattice or a packing.
-    settings : those of its run.
+    settings : settings of the run.
     """
     of_packings = (_without_power, _too_wide, _not_proven, _contacts_found_and_idle, _tied)
     is_lattice = solution.scene.network.lattice is not None
@@ -49,7 +49,7 @@ def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
     proven to hold and the smallest one that it is proven not to hold.
 
     solution : the answer to all samples, with findings on the torque if one was given.
-    settings : those of the run, with the torque.
+    settings : settings of the run, with the torque.
     """
     found = solution.findings
     if settings.torque is None or "yields" not in found:
@@ -82,7 +82,7 @@ def _contacts_found_and_idle(solution: Solution, settings: RunSettings) -> Itera
     if there are any.
 
     solution : the answer for the packing, with all samples.
-    settings : those of the run; they tell where the contacts come from.
+    settings : settings of the run; they tell where the contacts come from.
     """
     network, pressing = solution.scene.network, solution.scene.sample(0).normal_force
     if settings.has_table and settings.contacts is None:
@@ -116,7 +116,7 @@ def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
     small that they may be rounding alone, or the method got no closer.
 
     solution : the answer for the packing, with all samples.
-    settings : those of the run, with the tolerance.
+    settings : settings of the run, with the tolerance.
     """
     short = ~(solution.gap <= settings.tolerance)
     if not short.any() or solution.status is not Status.STALLED:
@@ -183,7 +183,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
     or the simulated time of a dynamics and the torques that were left over if its motion was not at rest.
 
     solution : the answer to all samples of a lattice.
-    settings : those of the run, with the tolerance and the duration that were asked for.
+    settings : settings of the run, with the tolerance and the duration that were asked for.
     """
     reason, history = UNFINISHED.get(solution.status), solution.history
     if reason is None:
@@ -243,7 +243,7 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
     faster than the fastest slipless one.
 
     solution : the answer to all samples.
-    settings : those of the run, with the tolerance.
+    settings : settings of the run, with the tolerance.
     """
     near = (solution.gap <= settings.tolerance) & ~solution.states_proven
     if not solution.scene.law.holds or not near.any():

@@ -131,7 +131,7 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> i
 
     settings : settings of the run.
     row : class of the method.
-    scene : its lattice.
+    scene : lattice of the run.
     """
     limit = settings.iterations
     if not row.is_dynamics or settings.duration is None:

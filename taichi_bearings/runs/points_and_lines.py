@@ -55,7 +55,7 @@ class PointsAndLines:
     spheres, contacts : columns (N, ...) of the N spheres, and (E,) of the E contacts, by name, with units.
     drawn : what is known of the structure: domains, network, path.
     time : simulated time at the end of a dynamics, else None.
-    moments : its snapshots before the end, None if there are none.
+    moments : snapshots of the sample before the end, None if there are none.
     """
 
     structure: Structure

@@ -212,7 +212,9 @@ class Result:
         """The course of the solve: columns (checks,) by name; with several samples (samples R, checks), except for
         iteration, seconds and time, which samples that are solved together share.
 
-        iteration : iterations done. seconds : wall time, s. time : simulated time of a dynamics.
+        iteration : iterations done.
+        seconds : wall time, s.
+        time : simulated time of a dynamics.
         power, lower_bound : energy/time. largest_balance_residual : force * length. slipping : number of contacts that
         slip. kinetic_energy, spring_energy, injected_energy, dissipated_energy : energy, and energy_residual, relative:
         the energy balance of a dynamics that keeps one.
@@ -316,6 +318,7 @@ class Result:
         return (self[number] for number in range(len(self)))
 
     def __repr__(self) -> str:
+        """Return what was solved, by which method and how well, in one line."""
         what = self.packing or f"{'x'.join(map(str, self.scene.network.shape))} {self.scene.law}"
         words = f"<Result {what}, {self.method}"
         if len(self) > 1:
@@ -464,6 +467,6 @@ def together(ones: Sequence[Mapping[str, object]]) -> Json:
     """Return the numbers of all samples by name: lists with one entry each, or, for a single sample, its numbers as
     they are.
 
-    ones : for each sample, its numbers by name.
+    ones : numbers of each sample, by name.
     """
     return dict(ones[0]) if len(ones) == 1 else {key: [one[key] for one in ones] for key in ones[0]}

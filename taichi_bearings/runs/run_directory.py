@@ -68,7 +68,7 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
     """Yield a new run directory. It is written under a hidden name, and appears under the name `path` when it is
     published.
 
-    path : its name.
+    path : name that the directory gets.
     force : True to replace a run directory that exists, if no process works in it. Anything else that has the name is
         never replaced.
 

@@ -286,6 +286,11 @@ class RunSettings:
     owned: tuple[tuple[str, Any], ...] = ()
 
     def __init__(self, owned: tuple[tuple[str, Any], ...] = (), **given: object) -> None:
+        """Read and check all settings; those that are not given have their defaults.
+
+        owned : names and values of options of methods, which are no fields of this class.
+        given : values by key, as texts or numbers. An unknown key raises TypeError, a wrong value InputError.
+        """
         given = dict(owned) | given
         values = {key: item.read(key, given.pop(key, item.default)) for key, item in settings_table().items()}
         if given:

@@ -178,7 +178,7 @@ def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> floa
     Q / 2; so the torque is at most P_f + 2 a Q.
 
     scene : one sample.
-    torque : its size, force*length, above what friction holds.
+    torque : size of the torque, force*length, above what friction holds.
     least : a factor that is smaller than a.
     solve : function that solves another scene in the same way.
     """

@@ -175,9 +175,12 @@ class NewProof:
         """What is proven, by name; each value is a list if there are several samples.
 
         power, upper_bound, lower_bound, largest_balance_residual : energy/time, and force * length for the last.
-        gap : relative. balanced : True if what torques were left over lowers the bound by no more than TORQUE_COST.
-        inside_discs : True if all forces are within the friction limit. states_proven : numbers of contacts by kind.
-        minimum_is_unique : True, False or None. unproven_because, proof : words.
+        gap : relative gap.
+        balanced : True if what torques were left over lowers the bound by no more than TORQUE_COST.
+        inside_discs : True if all forces are within the friction limit.
+        states_proven : numbers of contacts by kind.
+        minimum_is_unique : True, False or None.
+        unproven_because, proof : words.
         """
         several = self.run.solution.scene.replicas > 1
         found = self._nothing if self.possible is None else self._of_samples
@@ -356,8 +359,8 @@ def _allowed(name: str, said: Any, true: Any) -> bool:
     """Return True if the value of an attribute agrees with the true one: in type, and for numbers up to rounding.
 
     name : name of the attribute.
-    said, true : its value in the file, and the one that was proven anew; None if nothing was proven, which files write
-        as "" or not-a-number.
+    said, true : value of the quantity in the file, and the one that was proven anew; None if nothing was proven, which
+        files write as "" or not-a-number.
 
     A bound may be off only to the side on which it still holds: a lower bound may be smaller than the true one, an
     upper bound larger.

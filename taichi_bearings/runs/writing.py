@@ -81,7 +81,7 @@ def self_contained(
 def publish(directory: RunDirectory, found: "Result") -> "Result":
     """Write a result into a new run directory, give the directory its name, and return the result with that path.
 
-    directory : as it is being written, under a hidden name.
+    directory : the run directory, which is being written under a hidden name.
     found : the result.
     """
     found = replace(found, path=directory.path)

@@ -165,7 +165,7 @@ class WorkLeft:
     def __init__(self, samples: Sequence[Sample], structure: bool = False) -> None:
         """Group the samples into kinds that cost alike.
 
-        samples : those without a result yet.
+        samples : samples without a result.
         structure : True if the structure of each is analysed as well.
         """
         self.structure, self.kinds = structure, dict[tuple[object, ...], Kind]()
@@ -180,7 +180,7 @@ class WorkLeft:
         """Count a sample as finished, and learn from its time.
 
         sample : the sample.
-        record : its result.
+        record : record of the sample, with its result.
         """
         kind, seconds = self.kinds[kind_of(sample.settings)], record["scalars"].get("seconds")
         kind.remaining -= 1

@@ -213,7 +213,7 @@ def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request
     are in one.
 
     scan : a stored scan.
-    table : its samples by column.
+    table : samples of the scan, by column.
     request : what is drawn.
     """
     reasons = np.full(scan.samples, "", dtype=object)
@@ -250,7 +250,7 @@ def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
 def curves_of(points: Points, request: Request) -> list[Curve]:
     """Return the curves to be drawn, one for each combination of values of the columns in `request.by`.
 
-    points : for each such combination the points of its curve, with the numbers to draw.
+    points : points of each curve, with the numbers to draw, by such combinations.
     """
     if len(points) > MOST_CURVES:
         raise InputError(
@@ -270,7 +270,7 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points,
     """Return labels, legend and title of the figure; the title says over what was averaged, and what all samples share.
 
     scan : where the samples come from.
-    columns : their table.
+    columns : table of the samples.
     points : what is drawn, by curve.
     request : which columns are shown.
     """
@@ -301,7 +301,7 @@ def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: 
     that the scan or a condition of the request fixes. Columns that the figure shows are left out.
 
     scan : where the samples come from.
-    columns : their table.
+    columns : table of the samples.
     request : which columns are shown.
     """
     try:
@@ -326,8 +326,9 @@ def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: 
 def named(key: str, value: object) -> str:
     """Return a value of a column as figures and options name it.
 
-    key : name of the column. value : its text or number. Vectors, which tables write with x between their numbers, have
-    commas, and a semicolon before the rate C of a bearing state.
+    key : name of the column.
+    value : text or number in the column. Vectors, which tables write with x between their numbers, get commas, and a
+        semicolon before the rate C of a bearing state.
 
     >>> named("direction", "1x1x0"), named("top", "1x1x0x0.2"), named("shape", "4x4"), named("damping", 3162.27766)
     ('1,1,0', '1,1,0;0.2', '4x4', '3162.28')

@@ -28,7 +28,7 @@ STATES = "states"  # folder of the full states
 
 
 class Interrupted(SystemExit):
-    """The solve was interrupted from outside: what it reached is no result, and the worker ends."""
+    """Raised if the solve was interrupted from outside: what it has reached is no result, and the worker ends."""
 
 
 def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path | None = None) -> list[Json]:

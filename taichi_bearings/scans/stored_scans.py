@@ -158,7 +158,7 @@ def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
     lacks, as that of a failed sample does.
 
     sample : the sample with its settings.
-    record : its record in the journal.
+    record : record of the sample in the journal.
     """
     found, settings = dict(record["scalars"]), sample.settings
     known = set(SETTING_COLUMNS if settings.packing is None else ("law", "seed")) - found.keys()

@@ -357,7 +357,7 @@ class Bearing(ABC):
     def sample(self: Kind, number: int) -> Kind:
         """Return a bearing with one of the R samples alone.
 
-        number : that of the sample, from 0.
+        number : number of the sample, from 0.
         """
         return self if self.replicas == 1 else self._as_samples(number, self.seeds[number : number + 1])
 

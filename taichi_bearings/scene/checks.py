@@ -61,7 +61,7 @@ def places(values: ArrayLike) -> np.ndarray:
 def _array(name: str, values: ArrayLike) -> np.ndarray:
     """Return the values as an array; raise InputError where they make none, as lists of unequal lengths do.
 
-    name : for messages.
+    name : name of the argument, for messages.
     """
     try:
         return np.asanyarray(values)
@@ -188,7 +188,7 @@ def pressing(values: ArrayLike, contacts: int) -> np.ndarray:
     """Return the normal forces (contacts E,), force, checked, with 0 in place of negative ones. A warning tells of
     these: such contacts pull and bear no friction.
 
-    values : as the user gave them, (E,), or one number for all contacts.
+    values : values that the user gave, (E,), or one number for all contacts.
     contacts : their number E.
     """
     array = own_array("values of normal_force", values)
@@ -229,7 +229,7 @@ def normals(values: ArrayLike, packing: "Packing") -> tuple[np.ndarray, float]:
     their lengths had before.
 
     values : normals of the user.
-    packing : whose centres and contacts, which say D and E, are checked already.
+    packing : the packing; its centres and contacts, which say D and E, are checked already.
     """
     normal, shape = own_array("normals", values), (packing.contacts, packing.dimension)
     normal = normal.reshape(shape) if normal.size == 0 == packing.contacts else normal

@@ -130,7 +130,7 @@ class Distribution:
         """Return an array of this shape with numbers drawn from the distribution.
 
         rng : generator of random numbers.
-        shape : that of the array.
+        shape : shape of the array.
         """
         _, drawn = DISTRIBUTIONS[self.name]
         return drawn(rng, shape, *self.parameters)

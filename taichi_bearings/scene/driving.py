@@ -140,7 +140,7 @@ class Driving:
         """Return spins (spheres *N) for a component that is not solved for, in the form in which solvers compute: 0
         here.
 
-        component : its number, 0 to 2; not used here.
+        component : number of the spin component, 0 to 2; not used here.
         """
         return np.zeros(self.shape)
 
@@ -392,7 +392,7 @@ class Planes(Driving):
     def by_spins(cls, lattice: Lattice, top: float, bottom: float, direction: tuple[float, float, float]) -> "Planes":
         """Return the driving of planes that turn about one axis (paper, Eq. 1).
 
-        lattice : whose first and last planes are driven.
+        lattice : the lattice, whose first and last planes are driven.
         top, bottom : their spins, 1/time.
         direction : the axis, of any length but 0; ignored in 2D, where spins point along z.
         """
@@ -410,7 +410,7 @@ class Planes(Driving):
         """Return the driving of planes in bearing states: staggered spins A + C x at position x, at which nothing
         slips.
 
-        lattice : whose first and last planes are driven.
+        lattice : the lattice, whose first and last planes are driven.
         top, bottom : (A_x, A_y, A_z, C) of the plane, or in 2D (A_z,); A in 1/time, C in 1/(time length).
         """
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (top, bottom))
@@ -487,7 +487,7 @@ class Planes(Driving):
         the height from 0 at the bottom to the imposed spin of the top, 1/time. In a component that `minimum_spin_axes`
         leaves out no contact slips by them. The shape is that of the lattice, or broadcasts to it.
 
-        component : its number.
+        component : number of the spin component.
         """
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
 

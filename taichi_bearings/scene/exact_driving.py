@@ -35,7 +35,7 @@ class ExactDriving:
     def by_spins(cls, lattice: Lattice, top: float, bottom: float, direction: tuple[float, ...]) -> "ExactDriving":
         """Return the driving of planes that turn about one axis.
 
-        lattice : whose first and last planes are driven.
+        lattice : the lattice, whose first and last planes are driven.
         top, bottom : spins of the two planes, 1/time.
         direction : the axis, of any length but 0; ignored in 2D, where spins point along z.
         """
@@ -50,7 +50,7 @@ class ExactDriving:
     def by_states(cls, lattice: Lattice, top: tuple[float, ...], bottom: tuple[float, ...]) -> "ExactDriving":
         """Return the driving of planes in bearing states: staggered spins A + C x at position x.
 
-        lattice : whose first and last planes are driven.
+        lattice : the lattice, whose first and last planes are driven.
         top, bottom : (A_x, A_y, A_z, C), in 2D (A_z,); A in 1/time, C in 1/(time length).
         """
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (bottom, top))

@@ -52,8 +52,9 @@ class Law:
     F is the size of the force at a contact that slips with speed v; the holding force is the largest one that it bears
     without slipping. The potential of the law is the integral of F from 0 to v.
 
-    name : as users write it in the option `law`.
-    quantities : its one or two coefficients. Users give the first as `coefficient`, the second as `viscosity`.
+    name : name that users write in the option `law`.
+    quantities : the one or two coefficients of the law. Users give the first as `coefficient`, the second as
+        `viscosity`.
     minimises : "power" or "potential", of which lower bounds and gaps are: the objective.
     share : the objective divided by the potential.
     """

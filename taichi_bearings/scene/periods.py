@@ -17,7 +17,7 @@ class Box:
 
     origin : (3,), length, the corner from which the edges start.
     edges : (3, 3), length, one edge vector in each row.
-    periodic : for each edge True if it is a period; None if the file does not say.
+    periodic : list with True for each edge that is a period; None if the file does not say.
     """
 
     origin: np.ndarray
@@ -30,7 +30,7 @@ class Box:
 
         rows : (3, 2), low and high end along each axis; or (3, 3), the bounds of a tilted box with its tilts xy, xz and
             yz; or (3, 4), one edge vector and a component of the origin in each row.
-        periodic : for each edge, whether it is a period; None if not known.
+        periodic : list with True for each edge that is a period; None if that is not known.
         """
         if not (np.abs(rows) <= MOST_SIDE).all():
             return None

@@ -169,8 +169,8 @@ class Scene(Bearing):
     def drawn_from(self, distributions: Mapping[str, str]) -> "Scene":
         """Record the distributions from which the coefficients were drawn, and return this scene.
 
-        distributions : by the name of the option of `bearings run`; an empty mapping for coefficients that were not
-            drawn. Copies of the scene with other values do not inherit the record.
+        distributions : the distributions by the name of the option of `bearings run`; an empty mapping for coefficients
+            that were not drawn. Copies of the scene with other values do not inherit the record.
         """
         object.__setattr__(self, "drawn", distributions)
         return self
@@ -415,7 +415,7 @@ def _drawn(lattice: Lattice, source: Draw, seeds: tuple[int, ...], second: bool)
     """Return coefficients drawn at random, one array for each axis, with a leading axis of samples if there are several
     seeds.
 
-    lattice : for whose contacts they are.
+    lattice : lattice of the contacts.
     source : distribution, a function (rng, shape) -> array.
     second : True for the second coefficient of a law that has two, the viscosity.
     """

@@ -276,6 +276,7 @@ class Solution:
     running: Runtime = HOST
 
     def __post_init__(self) -> None:
+        """Make all arrays read-only, and raise BearingsError if a lower bound lies above what it bounds."""
         kept = () if self.snapshots is None else (self.snapshots.time, self.snapshots.spin)
         read_only((*(getattr(self, item.name) for item in fields(self)), *kept))
         for value, bound, gap in zip(self.objective, self.lower_bound, self.gap, strict=True):
@@ -401,7 +402,7 @@ class Solution:
         """Return a copy with another answer for one sample.
 
         number : number of the sample.
-        one : its new answer.
+        one : new answer of the sample.
         last : the answer of the search that was made last, from which seconds, status and interruption are taken.
         """
         spent = self.seconds + last.seconds
@@ -426,8 +427,8 @@ class Solution:
 def stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Return arrays by name, those of all samples stacked along a new first axis.
 
-    each : for each sample, its arrays by name. Arrays shorter than the longest are filled up with their last entry. A
-        sample that lacks an array gets not-a-number.
+    each : arrays of each sample, by name. Arrays shorter than the longest are filled up with their last entry. A sample
+        that lacks an array gets not-a-number.
     """
     found = {}
     for name in {name: None for one in each for name in one}:

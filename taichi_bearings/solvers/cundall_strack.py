@@ -397,7 +397,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
 def _mean_over_step(derivatives: list[np.ndarray]) -> np.ndarray:
     """Return the mean of a quantity over the next step of Gear's method.
 
-    derivatives : its scaled derivatives (n-th time derivative times (time step)^n / n!), the 0th first.
+    derivatives : scaled derivatives (n-th time derivative times (time step)^n / n!), the 0th first.
     """
     return np.asarray(np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
 

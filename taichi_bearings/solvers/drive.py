@@ -105,9 +105,9 @@ def solve(
     """Run a method on a scene until the stopping rule ends it, and return the answer with all that is proven of it.
 
     scene : a lattice, or a packing, which takes no slip threshold.
-    method : built from a row of the table of methods.
+    method : the method with its options, not yet begun.
     spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
-    stop : when to end; default `StopRule()`.
+    stop : limits and tolerance at which to end; default `StopRule()`.
     monitors : functions that are called with a `Report` each time that the progress is read.
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless. Default: the smallest slip that
         the method can resolve.
@@ -133,7 +133,7 @@ def solve(
 class _Asked:
     """What was asked of a solve, the same for all samples.
 
-    stop : when to end.
+    stop : limits and tolerance at which to end.
     monitors : functions that are called with a `Report` each time that the progress is read.
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless; None for the smallest slip that
         the method can resolve.
@@ -176,7 +176,7 @@ def _apart(
     method : the method, which is copied for each sample.
     spin : (R samples, N spheres, 3), of discs (R, N), spins to start from, 1/time.
     checkpoints : where the state is saved, or None.
-    asked : when to end, which monitors to call, and what is recorded.
+    asked : limits, tolerance, monitors and times of recording that were asked for.
     """
     from taichi_bearings.solvers.together import samples_at_once  # and with it the lists of packings
 
@@ -207,7 +207,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
     The times in each answer are those of all samples divided by their number.
 
     samples : the scenes, each with its method and its spins to start from.
-    asked : when to end, which monitors to call, and what is recorded.
+    asked : limits, tolerance, monitors and times of recording that were asked for.
     """
     began, threshold = time.perf_counter(), asked.slip_threshold
     options = samples[0].method.options
@@ -322,7 +322,7 @@ class Course:
         """Begin at the start, or where a checkpoint leaves off; raise FileError if that does not fit the method.
 
         method : one whose `begin` was called.
-        stop : when to end.
+        stop : limits and tolerance at which to end.
         recording : simulated times at which a dynamics is recorded.
         checkpoints : where the state is saved, and from which to continue; None for none.
         interrupt : tells whether Ctrl-C was pressed.

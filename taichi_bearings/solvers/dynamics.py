@@ -131,14 +131,13 @@ class Dynamics(Method):
     inertia : moments of inertia of the free spheres, one number or (N,): mass * length^2 on a lattice; in a packing
         over the squared radius, mass.
 
-    With an energy balance, (R samples,) each:
+    Only with an energy balance:
 
-    energy_at_start : kinetic energy at time 0.
-    work : energy that the contacts have taken from the spins so far.
-    injected : energy that the driven spheres have given so far.
-
-    and imposed : (C components, R, E contacts), what the spins of the driven spheres alone add to the spin differences
-        of the contacts, 1/time.
+    energy_at_start : (R samples,), kinetic energy at time 0.
+    work : (R,), energy that the contacts have taken from the spins so far.
+    injected : (R,), energy that the driven spheres have given so far.
+    imposed : (C components, R, E contacts), what the spins of the driven spheres alone add to the spin differences of
+        the contacts, 1/time.
     """
 
     contacts: Stepped

@@ -55,7 +55,7 @@ class GridBundles(Part):
         """Prepare to solve: divide the planes (layers of each sample) of each spin component into bundles that are
         solved together.
 
-        contacts : those of the lattice.
+        contacts : the contacts of the lattice.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), spins, 1/time, from which those of the driven planes are
             taken.
         """

@@ -311,7 +311,7 @@ class StepsReached(PackingReached):
     def __init__(self, bounds: PackingBounds, of_acting: Packing, ended: Ended) -> None:
         """Judge the spins and the forces of a run that ended.
 
-        bounds : those that were proven on the way.
+        bounds : lower bounds that were proven on the way.
         of_acting : the packing without the contacts that take no part.
         ended : how the run ended, with the last state and the best forces.
         """

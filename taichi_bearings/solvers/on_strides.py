@@ -209,7 +209,7 @@ class OnStrides(Stepped, WithMinima):
     def common_inertia(self, inertia: Inertia) -> float:
         """Return the moment of inertia of all spheres as a number, which the kernel takes as one of its constants.
 
-        inertia : that moment, mass * length^2.
+        inertia : the moment of inertia, mass * length^2.
         """
         return float(inertia)
 

@@ -198,7 +198,7 @@ class OnSystem(WithMinima):
         sums of two doubles, and judged with the whole friction. This is repeated with the new power while it pays.
 
         number : number of the sample.
-        found : its answer so far.
+        found : answer to the sample so far.
         ended : how the run ended.
         """
         system, sample, tolerance = self.system, self.samples[number], ended.stop.tolerance
@@ -225,7 +225,7 @@ class OnSystem(WithMinima):
 class OneByOne(Part):
     """Solves the R samples of a packing exactly, one after the other. The only iteration solves all of them.
 
-    contacts : those of the samples.
+    contacts : contacts of the samples.
     solve : function that returns the minimum of the sample with a given number.
     ends : spins and forces of each of the R samples; all 0 before it is solved.
     solved : how many samples are solved.
@@ -235,7 +235,7 @@ class OneByOne(Part):
     def __init__(self, contacts: OnSystem, solve: Callable[[int], Found], method: str) -> None:
         """Begin with all samples at rest.
 
-        contacts : those of the samples.
+        contacts : contacts of the samples.
         solve : function that returns the minimum of the sample with a given number.
         method : name of the method.
         """

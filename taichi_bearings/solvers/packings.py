@@ -78,7 +78,7 @@ def least_power(
 
     scene : the packing, with its samples.
     method : "auto", or the name of a method; InputError is raised if it does not solve this packing.
-    stop : when to end.
+    stop : limits and tolerance at which to end.
     monitors : functions that are called with a report each time that the progress is read.
     checkpoints : where the state is saved, and from which to continue; None for none.
     """
@@ -90,7 +90,7 @@ def _able(scene: Bearing, method: str) -> str:
     """Return the name of the method that solves a packing; raise InputError if the one that is asked for does not.
 
     scene : the packing, of which the first sample is looked at.
-    method : its name, or "auto" for the quickest one.
+    method : name of the method, or "auto" for the quickest one.
 
     Exact cuts need a law with friction alone and contacts that each couple one spin component.
     """

@@ -34,8 +34,8 @@ class Recording:
     def of(cls, settings: Any) -> "Recording":
         """Return the times that the settings of a run ask for.
 
-        settings : with texts `record` and `snapshots`, such as "0.1,0.2" or "log:1e-4,10,50" (start, stop, count), or
-            None for no times.
+        settings : settings of a run, of which the texts `record` and `snapshots` are used, such as "0.1,0.2" or
+            "log:1e-4,10,50" (start, stop, count), or None for no times.
         """
         return cls(*(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots)))
 

@@ -176,7 +176,7 @@ class RigidLimitMethod(Dynamics):
         derivative, and the error is h / (h + h') of this difference.
 
         step : result of the step.
-        duration : its length h, time.
+        duration : length h of the step, time.
         """
         scene = self.scene
         impulse = duration * scene.slip_radius / self.inertia
@@ -189,7 +189,7 @@ class RigidLimitMethod(Dynamics):
         """Accept a step: its spins and forces, the energies that it moved, and whether the power fell in it.
 
         step : result of the step.
-        duration : its length, time.
+        duration : length of the step, time.
         time : simulated time at its end.
         """
         scene = self.scene

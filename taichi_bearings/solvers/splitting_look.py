@@ -159,7 +159,7 @@ class Look:
         Arrays have the shape (r, n, ...) of the piece, for r of the R samples. Lists have an array for each component
         that makes these contacts slip.
 
-        samples : which of the R samples the piece is of.
+        samples : slice of those of the R samples that the piece is of.
         weight : stiffness of these springs over `stiffness`.
         spins : two lists, the spin components of the lower and of the upper spheres, 1/time.
         trial : the components of the trial forces.

@@ -83,7 +83,7 @@ def is_certified(status: Status, gap: float, tolerance: float, has_duration: boo
     A dynamics that a limit or an interrupt has ended before the simulated time that was asked for is not certified,
     whatever its gap.
 
-    status : with which the loop ended.
+    status : status with which the loop ended.
     gap : the largest proven gap of the samples.
     tolerance : the gap that was asked for.
     has_duration : True if a simulated time was asked for.

@@ -73,7 +73,7 @@ def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:
     if the factor is too large to index.
 
     shape : shape of the lattice.
-    periodic : its periodic axes.
+    periodic : numbers of the periodic axes.
     """
     from taichi_bearings.lattice import Lattice
     from taichi_bearings.numerics.cholesky.size import factor_numbers
@@ -176,7 +176,7 @@ class MethodOptions:
         this because it needs more itself.
 
         shape : shape of the lattice.
-        periodic : its periodic axes.
+        periodic : numbers of the periodic axes.
         """
         return JUDGED_BYTES[len(shape)] * prod(shape)
 
@@ -314,7 +314,7 @@ class InteriorPoint(MethodOptions):
         answer.
 
         shape : shape of the lattice.
-        periodic : its periodic axes.
+        periodic : numbers of the periodic axes.
         """
         return max(_factorising_bytes(shape, periodic), super().bytes(shape))
 
@@ -421,7 +421,7 @@ class GradientDescent(MethodOptions):
 def _rest_tolerance(default: float) -> float:
     """Return the option `rest_tolerance`, the change of the power below which a dynamics counts as being at rest.
 
-    default : its value if not given.
+    default : value of the option if it is not given.
     """
     return how(
         default,
@@ -501,7 +501,7 @@ class RigidLimit(Motion):
         answer.
 
         shape : shape of the lattice.
-        periodic : its periodic axes.
+        periodic : numbers of the periodic axes.
         """
         return max(_factorising_bytes(shape, periodic), super().bytes(shape))
 
@@ -610,7 +610,7 @@ def row_of_packing(method: str) -> type[MethodOptions] | None:
     """Return the options class of a method that computes packings step by step from initial spins. Return None for a
     method that finds their minima directly, and for "auto".
 
-    method : its name, or "auto".
+    method : name of the method, or "auto".
 
     Raises InputError for a method that does not solve packings.
     """

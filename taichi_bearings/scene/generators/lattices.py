@@ -123,7 +123,7 @@ def _ends(place: np.ndarray, axis: int, side: int) -> np.ndarray:
     """Return a mask (spheres N,) of the spheres at the upper end of an axis (`side` 1) or at its lower end (`side` -1).
 
     place : (N, dimensions D), diameters.
-    axis : its number.
+    axis : number of the axis.
     """
     height = side * place[:, axis]
     return np.asarray(height > height.max() - 1e-6)

@@ -138,7 +138,7 @@ class _Reader:
         """Begin to read.
 
         path : path of the file, for messages.
-        lines : those that follow.
+        lines : the lines that follow.
         line : number of lines before.
         """
         self.path, self.lines, self.line, self.is_rounded = path, lines, line, False
@@ -146,7 +146,7 @@ class _Reader:
     def read(self, step: int, items: str, most: int, wanted: Callable[[Sequence[str]], list[str]], whole: int) -> Frame:
         """Return the timestep whose lines come next.
 
-        step : its number.
+        step : number of the timestep.
         items : "ATOMS", or "" for whatever a dump of local data calls its rows.
         most : largest number of rows that is read.
         wanted : function that is given the names of all columns and returns the names of those to read; the first

@@ -218,7 +218,7 @@ def _radii(frame: Frame, column: np.ndarray, asked: Asked) -> np.ndarray:
     """Return the radii (spheres N,), length.
 
     frame : the timestep of the atoms.
-    column : its column of radii or diameters, if it is needed.
+    column : (spheres N,), radii or diameters of the dump; not used if the user gives the radius.
     asked : options of the user, which may give one radius for all instead.
     """
     if asked.radius is None:
