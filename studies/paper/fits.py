@@ -41,7 +41,7 @@ class Fitted:
     error : standard error, from the scatter of the samples.
     systematic : largest change of the value if the fit begins one size lower, or one or two sizes higher.
     smallest : smallest size of the fit.
-    fits : for each smallest size that was tried, the value.
+    fits : results of all fits that were tried, by their smallest size.
     """
 
     value: float
@@ -65,7 +65,7 @@ class Fitted:
 class Law(Fitted):
     """A fitted law in which a power of the size appears.
 
-    goodness : probability of a misfit as large if the law holds.
+    goodness : probability of a misfit as large as this or larger if the law holds.
     amplitude : the factor of the power of the size.
     """
 
@@ -198,10 +198,10 @@ def _grown(
 
 @dataclass(frozen=True)
 class Limit(Law):
-    """The limit of a mean for infinite size: q(L) = value + amplitude L^-w with w = STATED.
+    """The limit of a mean for infinite size: the value in q(L) = value + amplitude L^-w with w = STATED.
 
-    systematic : as of :class:`Fitted`; it covers the change of the value with w of OTHERS, too, where these fit as
-        well.
+    systematic : largest change of the value if the fit begins at other sizes, or has another exponent w (OTHERS) that
+        fits as well.
     sizes : number of sizes in the fit.
     """
 

@@ -283,7 +283,7 @@ def measured(chosen: Iterable[RunSettings], numbers: Numbers, journal: Path) -> 
 
     chosen : settings of each sample.
     numbers : function that returns the columns of a row, by name, from the structure of a solved sample.
-    journal : file of finished samples, see :func:`computed`.
+    journal : file in which each finished sample is kept, and from which an interrupted study goes on.
     """
     return Table.of(computed([Part(sample_key(s), _measure, (s, numbers), s) for s in chosen], journal, "sample"))
 
@@ -324,7 +324,7 @@ def drawn(
     wanted : for each point, a tuple of parameters, the number of samples.
     block : number of samples that one call of `draw` computes.
     seed : first seed.
-    journal : file of finished blocks, see :func:`computed`.
+    journal : file in which each finished block is kept, and from which an interrupted study goes on.
 
     returns : for each point the arrays (samples,) by name.
     """

@@ -92,12 +92,12 @@ Change = Callable[[Case, Any, Row], Case]  # returns a case from the unchanged o
 class Axis:
     """A parameter that is taken to its extremes.
 
-    name : by which users choose the axis.
+    name : name by which users choose the axis.
     title : label of the axis in figures.
-    values : its values, which are the columns of the report.
+    values : the values that are tried, which are the columns of the report.
     change : function that makes a case from the unchanged one, for a value.
     rows : function that returns True for rows on which the axis is tried.
-    patience : factor of the time limit. With more than 1, the quick form takes the first values only (see FIRST).
+    patience : factor of the time limit. If it is above 1, the quick form tries only the first values, as many as FIRST says.
     """
 
     name: str

@@ -57,7 +57,8 @@ def _solve(cell: Cell) -> dict[str, Any]:
     """Return what a solve claims, in types that JSON has.
 
     status, reached, states_proven, seconds : attributes of the Result.
-    objective, lower_bound : energy/time; None where they are not finite. gap : relative.
+    objective, lower_bound : energy/time; None where they are not finite.
+    gap : relative gap.
     state : a digit for each contact, its state; "" where the truth of the cell has no states.
 
     Raises InputError if the cell needs more than MEMORY_SHARE of the free memory.
@@ -95,22 +96,21 @@ class Judge:
     truths: dict[Any, Truth] = field(default_factory=dict)
 
     def row(self, cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the row of the report on a cell: a method on a sample with one extreme value.
+        """Return the row of the report on a cell (a method on a sample with one extreme value of a parameter), by
+        column. Columns that are not known are None.
 
+        cell : the cell.
         record : what the worker has returned: the `answer` of the solve, its `refusal` in words, or its `crash` in
             words.
 
-        Columns of the row; those that are not known are None:
-
-        key, axis, value, and the fields of the method : which cell it is.
-
-        outcome : one of OUTCOMES.
-        reason : why it is wrong, refused or a crash; else "".
-        status, objective, gap, seconds, states_proven : status, objective, gap, seconds and states proven of the
-            answer. unit : energy/time, the unit of its objective.
-        truth, error : the true least objective, and the relative error of the answer.
-        states_wrong : number of slipless contacts that are said to slip and the other way round.
-        states_unproven : number of contacts without a proven state.
+        * key, axis, value, and what `Row` has: which cell it is.
+        * outcome: one of OUTCOMES.
+        * reason: why it is wrong, refused or a crash; else "".
+        * status, objective, gap, seconds, states_proven: those of the answer.
+        * unit: energy/time, the unit of its objective.
+        * truth, error: the true least objective, and the relative error of the answer.
+        * states_wrong: number of slipless contacts that are said to slip, and the other way round.
+        * states_unproven: number of contacts without a proven state.
         """
         unknown = ("error", "gap", "states_wrong", "states_unproven", "states_proven", "objective", "truth")
         row: dict[str, Any] = {

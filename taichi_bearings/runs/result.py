@@ -215,9 +215,11 @@ class Result:
         iteration : iterations done.
         seconds : wall time, s.
         time : simulated time of a dynamics.
-        power, lower_bound : energy/time. largest_balance_residual : force * length. slipping : number of contacts that
-        slip. kinetic_energy, spring_energy, injected_energy, dissipated_energy : energy, and energy_residual, relative:
-        the energy balance of a dynamics that keeps one.
+        power, lower_bound : power, and the best bound on the least power proven so far, energy/time.
+        largest_balance_residual : largest torque left on a free sphere, force * length.
+        slipping : number of contacts that slip.
+        kinetic_energy, spring_energy, injected_energy, dissipated_energy : energies of a dynamics that keeps a balance.
+        energy_residual : relative error of that balance.
         """
         columns = self.solution.history.items()
         return {name: values if values.ndim == 1 else self._of_samples(values.T) for name, values in columns}

@@ -330,7 +330,7 @@ class Network:
     def motions(self, slips: sparse.csr_array, sphere: np.ndarray, contact: np.ndarray, free: np.ndarray) -> Motions:
         """Return the motions without slip: spins that the matrix `slips` maps to 0.
 
-        slips : (rows, unknowns), sparse, from unknown spin components to slips, as :meth:`operator` returns it.
+        slips : (rows, unknowns), sparse, from unknown spin components to slips.
         sphere : (unknowns,), number of the sphere of each unknown.
         contact : (n,) numbers of contacts, of which those between two free spheres couple unknowns.
         free : (spheres N,) mask of the free spheres.

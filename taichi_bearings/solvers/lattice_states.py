@@ -32,6 +32,7 @@ MISSING_SLIP = 1e2  # a contact that misses its friction limit by a share x is t
 class LatticeReached(Reached):
     """What a method has reached in all samples of a lattice.
 
+    scene : the lattice with its R samples.
     final : the best state that it has reached.
     bound : (R samples,), the lower bound that the method knows.
     proof : (C components, R, E contacts), forces near those of the method that prove a bound by themselves.
