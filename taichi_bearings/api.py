@@ -337,7 +337,7 @@ def _monitors(callback: Callable[[Check], bool | None] | None) -> list[Monitor]:
         raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
 
     def plain(values: np.ndarray) -> Any:
-        """Return the values of all samples, (R,), or the number of a single one."""
+        """Return the values of all samples, (samples,), or the number of a single one."""
         return values if len(values) > 1 else float(values[0])
 
     def monitor(report: Report) -> bool | None:

@@ -110,13 +110,14 @@ def _iterations(answer: Answer) -> object:
 
 def _contacts(solution: Solution) -> int | np.ndarray:
     """Return the number of contacts that are present and have a free sphere: one number if all samples have the same,
-    else (R,)."""
+    else (samples R,).
+    """
     found = (solution.state != ContactState.DRIVEN).sum(axis=1)
     return int(found[0]) if (found == found[0]).all() else found
 
 
 def _decades(answer: Answer) -> np.ndarray:
-    """Return the decades (R,) between the largest slip of slipless contacts and the smallest of slipping ones.
+    """Return the decades (samples R,) between the largest slip of slipless contacts and the smallest of slipping ones.
 
     They are not-a-number for samples whose gap is above the tolerance, as they mean nothing there.
 
@@ -126,10 +127,11 @@ def _decades(answer: Answer) -> np.ndarray:
 
 
 def _normalised(answer: Answer) -> np.ndarray | None:
-    """Return the power over F_n R |omega_T| of a lattice, (R,); None where that is 0, with a viscosity, and for other
-    packings.
+    """Return the power over F_n R |omega_T| of a lattice, (samples R,); None where that is 0, with a viscosity, and for
+    other packings.
 
-    answer : a result of one or several samples."""
+    answer : a result of one or several samples.
+    """
     facts, solution = answer.solution.scene.facts, answer.solution
     unit = facts["normal_force"] * facts["radius"] * abs(facts["spin_top"]) if "spin_top" in facts else 0.0
     return solution.power / unit if solution.scene.law.is_rate_independent and unit > 0 else None

@@ -186,8 +186,8 @@ def draw_relaxation(of: Any) -> Figure:
 def _draw_curves(figure: Any, courses: Sequence[Any], least_power: float, cut_power: float) -> None:
     """Draw panels (a) and (b), power and excess of all relaxations against time.
 
-    courses : for each relaxation the times (T,), the powers (T,), and arguments of matplotlib's plot. P_0 is the first
-        power of the first one.
+    courses : for each relaxation the T times (T,), the powers (T,), and arguments of matplotlib's plot. P_0 is the
+        first power of the first one.
     least_power, cut_power : power of the minimum, and of the minimum cut.
     """
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.3, 1))

@@ -114,7 +114,7 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
     put into it: a tuple of
 
     * the lattice;
-    * the places (holes, D), the middles of its whole squares or hexagons;
+    * the places (holes, dimensions), the middles of its whole squares or hexagons;
     * a search tree of the centres of its discs or spheres;
     * the distance within which the discs around a place are found: those of its square or hexagon, and no others.
 

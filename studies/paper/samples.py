@@ -388,12 +388,14 @@ class Run:
 
     @property
     def ends(self) -> np.ndarray:
-        """(R,) power at the last recorded time over that at the first."""
+        """(samples R,) power at the last recorded time over that at the first."""
         return np.asarray(self.power[-1] / self.power[0])
 
     @property
     def largest_rise(self) -> np.ndarray:
-        """(R,) largest amount by which the power rises above its lowest value before, over the initial power."""
+        """(samples R,) largest amount by which the power rises above its lowest value before, over the initial
+        power.
+        """
         return np.asarray((self.power - np.minimum.accumulate(self.power)).max(axis=0) / self.power[0])
 
     def distance(self, other: "Run", at: np.ndarray) -> np.ndarray:
@@ -417,7 +419,7 @@ def relax(
 
     start : which spins to begin from: the name of an initial state, such as "random".
     springs : options of the dynamics; by default stiffness and damping of the paper.
-    times : (T,), times at which the powers are recorded.
+    times : (times,), times at which the powers are recorded.
 
     With rigid contacts the power F_n sum mu |v| would fall all the time. With springs it may rise: a contact that does
     not slip is held by spring and damper and creeps at a speed of up to mu F_n / A_t.

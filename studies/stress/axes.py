@@ -97,7 +97,8 @@ class Axis:
     values : the values that are tried, which are the columns of the report.
     change : function that makes a case from the unchanged one, for a value.
     rows : function that returns True for rows on which the axis is tried.
-    patience : factor of the time limit. If it is above 1, the quick form tries only the first values, as many as FIRST says.
+    patience : factor of the time limit. If it is above 1, the quick form tries only the first values, as many as FIRST
+        says.
     """
 
     name: str
@@ -285,10 +286,11 @@ def _common_state(_: Scene, value: float) -> dict[str, Any]:
 
 
 def _pivot(_: Scene, value: float) -> dict[str, Any]:
-    """Return bearing states A + C x, (A_x, A_y, A_z, C) by name, of a bottom at rest and a top whose spin along x
-    nearly vanishes at its second sphere along x.
+    """Return by name the imposed bearing states of bottom and top, (A_x, A_y, A_z, C) each; the spin at position x is A
+    + C x, with alternating signs. The bottom is at rest, and the spin of the top along x nearly vanishes at its second
+    sphere along x.
 
-    value : spin that is left over there, 1/time: the small sum A_x + C x, in which the two nearly cancel.
+    value : spin that is left over there, 1/time: the small sum A_x + C x, in which the two terms nearly cancel.
     """
     return {"top": (value - 1.0, 1.0, 0.0, 1.0), "bottom": (0.0,) * 4}
 

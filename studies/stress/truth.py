@@ -55,8 +55,8 @@ def _decimals(values: np.ndarray) -> np.ndarray:
 
 
 def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays (E,), a and c, energy/time, of some contacts: a contact with the slip d costs a |d| + c |d|^2 /
-    2, where d is measured in the unit of spins (`unit_of`).
+    """Return two arrays (contacts,), a and c, energy/time, of some contacts: a contact with the slip d costs a |d| + c
+    |d|^2 / 2, where d is measured in the unit of spins (`unit_of`).
 
     scene : one sample.
     some : slice of the contacts that are wanted.
@@ -148,7 +148,7 @@ class Sample:
         self.box = np.abs(parts)
 
     def slips(self) -> np.ndarray:
-        """Return the slips (E contacts, C) of the contacts, in units of spin."""
+        """Return the slips (E contacts, C components) of the contacts, in units of spin."""
         return (self.spin[self.up] - self.spin[self.low]) * self.felt
 
     def torques(self, force: np.ndarray) -> np.ndarray:

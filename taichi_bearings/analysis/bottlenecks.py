@@ -305,7 +305,7 @@ class _Level(NamedTuple):
     """The spheres at one distance from the sources of several searches that are made together, and the links that lead
     to them.
 
-    sphere, search : (K,), number of each sphere found, and of the search that found it.
+    sphere, search : (spheres found,), number of each sphere found, and of the search that found it.
     tail : for each link that leads here, index in the level before of its nearer sphere.
     head : for each such link, index in this level of its farther sphere.
     link : number of each such link.

@@ -34,7 +34,7 @@ class SampleCounts:
 
     @property
     def edges(self) -> np.ndarray:
-        """(B + 1,) powers where bins begin and end; empty if there is no bin."""
+        """(bins + 1,), powers where bins begin and end; empty if there is no bin."""
         bins = self.count.shape[1]
         return 10.0 ** ((self.first + np.arange(bins + 1 if bins else 0)) / self.bins_per_decade)
 

@@ -195,7 +195,7 @@ class SliplessNetwork:
 
     @cached_property
     def path(self) -> np.ndarray:
-        """Indices (L,) of the spheres along one of the shortest paths between two driven bodies.
+        """Indices (L,) of the L spheres along one of the shortest paths between two driven bodies.
 
         It leads from bottom to top on a lattice; among equally short paths it is the first that a breadth-first search
         finds. It is empty if there is no path, or more than MOST_BODIES bodies.

@@ -170,7 +170,11 @@ class Fields:
         self.load(name, np.zeros((components, *rows.shape)))
 
     def view(self, name: str) -> np.ndarray:
-        """Return a field of a lattice as (C, R samples, *N) in the memory of a CPU, not copied."""
+        """Return a field of a lattice as an array (C components, R samples, *N spheres) in the memory of a CPU, not
+        copied.
+
+        name : name of the field.
+        """
         return self._inside(name).reshape(-1, *self._place[name][2].shape)
 
     def _inside(self, name: str) -> np.ndarray:

@@ -150,7 +150,7 @@ class _Stored:
         return RigidDomains(axes, labels, domain.reshape(shape), spheres, mean, 0.0, lock, above[:, first].T)
 
     def _path(self) -> np.ndarray:
-        """Return the numbers (L,) of the spheres along the stored path."""
+        """Return the numbers (n,) of the n spheres along the stored path."""
         structure, count = self.structure, self.structure.whole.spheres
         if "path" not in self.group:
             return np.empty(0, dtype=int)

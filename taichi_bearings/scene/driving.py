@@ -411,7 +411,8 @@ class Planes(Driving):
         slips.
 
         lattice : the lattice, whose first and last planes are driven.
-        top, bottom : (A_x, A_y, A_z, C) of the plane, or in 2D (A_z,); A in 1/time, C in 1/(time length).
+        top, bottom : the numbers (A_x, A_y, A_z, C) of the plane, or in 2D (A_z,): the vector A in 1/time, the rate C
+            in 1/(time length).
         """
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (top, bottom))
         (high, rise), (low, fall) = ((np.array(state[:3]), np.array(state[3:])) for state in padded)

@@ -179,10 +179,10 @@ class Network:
 
     @cached_property
     def whole(self) -> sparse.csr_array:
-        """The sparse matrix K, (d * E, N * C), that turns radius * spin of all spheres into the slips of all contacts.
-
-        Column = sphere * C + component. Rows are the slips of the E contacts along their first tangents, then along the
-        second ones (d is the number of tangents, 1 of discs, 2 of spheres).
+        """The sparse matrix K, (d * E, N * C), that turns radius * spin of all N spheres into the slips of all E
+        contacts. It has a column sphere * C + component for each of the C spin components of a sphere. Its rows are the
+        slips of the contacts along their first tangents, then along the second ones; d is the number of tangents, 1 of
+        discs, 2 of spheres.
         """
         every = np.arange(self.spheres * self.components).reshape(-1, self.components)
         return self.operator(np.arange(self.contacts), every)

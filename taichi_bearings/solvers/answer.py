@@ -124,7 +124,7 @@ def answered(reached: Reached, ended: Ended, while_wanted: Callable[[], Abstract
     def with_states(known: np.ndarray | None) -> Solution:
         """Return the answer with final states.
 
-        known : (R samples, E), the states that are proven, or None.
+        known : (R samples, E contacts), the states that are proven, or None.
         """
         undecided = np.full(answer.state.shape, ContactState.UNDECIDED)
         seen, proven = reached.observed(answer, known), undecided if known is None else known

@@ -187,7 +187,7 @@ class Modes:
 
     @cached_property
     def roots(self) -> tuple[np.ndarray, np.ndarray]:
-        """The two complex rates (M,) of each mode, 1/time, the faster one first.
+        """The two complex rates, (modes M,) each, 1/time, the faster one first.
 
         They are the roots s of s^2 + decay s + oscillation = 0; a double root is split by a relative 1e-6, so that
         solutions can be divided by the difference of the roots.
@@ -198,8 +198,8 @@ class Modes:
 
     @cached_property
     def amplitude(self) -> np.ndarray:
-        """(M,), the largest spin that a mode can have while its contacts stick, over the largest spin of all; at most
-        1.
+        """(modes M,), the largest spin that a mode can have while its contacts stick, over the largest spin of all; at
+        most 1.
         """
         resistance = np.abs(self.damping + self.stiffness / self.roots[0])
         return np.minimum(1.0, self.limit / np.maximum(resistance, np.finfo(float).tiny))

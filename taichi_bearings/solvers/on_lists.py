@@ -303,7 +303,7 @@ class StepsReached(PackingReached):
     state: the contact forces; the states (slipping or not) of a dynamics; and the states of contacts in parts of the
     packing that nothing drives.
 
-    acting : (E,), numbers of the contacts that can dissipate, for which the method has forces.
+    acting : (E contacts,), numbers of the contacts that can dissipate, for which the method has forces.
     of_acting : the packing with these contacts alone.
     last : the last state.
     """

@@ -86,8 +86,8 @@ class PackingPaths(Paths):
         nothing is driven, all results are known: spins and forces 0.
 
         contacts : the contacts of the samples, A of which take part.
-        resisting : by the number of each sample that is solved, the coefficients of its law, arrays (A,); None for all
-            samples with their own coefficients.
+        resisting : coefficients of the law, arrays (A contacts,), by the number of each sample that is solved; None for
+            all samples with their own coefficients.
         """
         self.contacts, system = contacts, contacts.system
         if resisting is None:
@@ -115,7 +115,7 @@ class PackingPaths(Paths):
         """Return the friction limits and viscosities of one sample, scaled so that the largest is about 1: forces by a
         power of two near the largest force, speeds by `fastest`. Return None if no contact has friction.
 
-        of : coefficients of the law of the sample, a tuple of arrays (A,).
+        of : coefficients of the law of the sample, a tuple of arrays (A contacts,).
         """
         law, none = self.contacts.scene.law, np.zeros(len(self.contacts.system.numbers))
         held, viscosity = (none if v is None else v for v in (law.holding_force(of), law.viscosity(of)))

@@ -100,17 +100,21 @@ class Look:
 
     @cached_property
     def friction(self) -> Forces:
-        """(C, R, E), the trial forces, each cut off at its friction limit; 0 until `look` has filled it."""
+        """(C components, R samples, E contacts), the trial forces, each cut off at its friction limit; 0 until `look`
+        has filled it.
+        """
         return np.zeros((len(self.spin_axes), self.scene.replicas, self.scene.lattice.all_contacts))
 
     @cached_property
     def balanced(self) -> Forces:
-        """(C, R, E), the forces of the springs; 0 until `look` has filled it."""
+        """(C components, R samples, E contacts), the forces of the springs; 0 until `look` has filled it."""
         return np.zeros_like(self.friction)
 
     @cached_property
     def capped(self) -> Forces:
-        """(C, R, E), the forces of the springs, each cut off at its friction limit; 0 until `look` has filled it."""
+        """(C components, R samples, E contacts), the forces of the springs, each cut off at its friction limit; 0 until
+        `look` has filled it.
+        """
         return np.zeros_like(self.friction)
 
     @cached_property

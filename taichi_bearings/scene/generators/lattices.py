@@ -153,7 +153,10 @@ def _leads_up(vector: np.ndarray) -> bool:
 
 
 def _exact(vector: np.ndarray) -> np.ndarray:
-    """Return a unit vector (D,) with less rounding: components of equal size become equal, and those below 1e-9 0."""
+    """Return a unit vector with less rounding: components of equal size become equal, and those below 1e-9 become 0.
+
+    vector : (dimensions,), of length 1 but for rounding.
+    """
     components = np.where(np.abs(vector) < 1e-9, 0.0, np.round(vector, 12))
     return components / np.linalg.norm(components)
 

@@ -69,8 +69,8 @@ class _Heap:
         return vector
 
     def is_free(self, place: np.ndarray, size: float, since: int = 0) -> bool:
-        """Return True if a sphere of radius `size` at a place (D,) overlaps none of the spheres from number `since`
-        on.
+        """Return True if a sphere of radius `size` at a place (dimensions D,) overlaps none of the spheres from number
+        `since` on.
         """
         reach = (self.radius[since : self.count] + size) * (1 - CLAIMED_OVERLAP)
         return bool(((self.away(place, since) ** 2).sum(axis=1) >= reach**2).all())
