@@ -84,7 +84,8 @@ class ConicProgramme:
         return scene.impose_driving(scene.clip_to_box(staggered, axes), axes)
 
     def forces(self, z: np.ndarray) -> np.ndarray:
-        """Return contact forces (C, 1, E), staggered: C components of the forces on E contacts.
+        """Return contact forces (C components, 1, E contacts), in the form of solvers: with the sign of the lower
+        sphere of each contact; signs alternate between neighbours.
 
         z : (rows,), multipliers of the rows of the constraints.
         """

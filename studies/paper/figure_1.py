@@ -193,7 +193,8 @@ def viscous_numbers(solution: Solution) -> dict[str, Any]:
     """Return numbers of viscous samples, by name:
 
     samples : how many there are.
-    least_slip, largest_slip : least slip and largest slip of the contacts that can slip, in units of radius times jump.
+    least_slip, largest_slip : least slip and largest slip of the contacts that can slip, in units of radius times the
+        difference of the imposed spins.
     least_rise : least rise of the spin from layer to layer (see :func:`least_rise`).
     """
     scene = of_lattice(solution.scene)
@@ -203,11 +204,12 @@ def viscous_numbers(solution: Solution) -> dict[str, Any]:
 
 
 def least_rise(scene: Scene, spin: np.ndarray) -> float:
-    """Return the least change, from one layer to the next towards the top, of the mean spin of a layer, over the jump;
-    the least of all samples.
+    """Return the least change, from one layer to the next towards the top, of the mean spin of a layer; the least of
+    all samples, over the difference of the imposed spins. Spins are taken with opposite signs on neighbours, and along
+    the direction of that difference, so that 0 means no change and a negative number a step backwards.
 
-    spin : (R samples, *N, ...), laboratory frame. Spins are taken staggered (with opposite signs on neighbours) and
-        along the direction of the jump, so that 0 means no change and a negative number a step backwards.
+    scene : the lattice with its R samples.
+    spin : (R samples, *N, ...), laboratory frame, 1/time.
     """
     axes = scene.minimum_spin_axes
     top = scene.top_spin(axes).reshape(len(axes), -1)[:, 0]

@@ -123,10 +123,10 @@ def course_of(run: Run, seeds: Sequence[int], minima: Table) -> Table:
 
 
 def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
-    """Return a copy of staggered spins (3, R, nx, ny, nz) in which the spins about the height have mean 0 in each
-    layer that is not driven.
-
+    """Return a copy of some spins in which the spins about the height have mean 0 in each layer that is not driven.
     That mean makes no contact slip and never changes (docs/equations.md, 3), so states can only be compared without it.
+
+    staggered : (3 components, R samples, nx, ny, nz), spins with signs that alternate between neighbours.
     """
     rest = staggered.copy()
     free = rest[2, ..., 1:-1]
@@ -160,8 +160,9 @@ def draw_relaxation(of: Any) -> Figure:
         `power` and `cut_power`, energy/time; `fastest`, the larger one of the imposed spins, 1/time.
 
     (a) Power over its initial value, and (b) its excess over the least power, against time; an inset of (a) enlarges
-        the end, around the power of the minimum cut. (c) Spins of the dynamics with springs at the beginning and at the
-        end: staggered, over the larger imposed one, and without the mean of each layer about the height.
+    the end, around the power of the minimum cut. (c) Spins of the dynamics with springs at the beginning and at the
+    end: with signs that alternate between neighbours, over the larger imposed one, and without the mean of each layer
+    about the height.
     """
     figure, sample = new_figure(DOUBLE, 4.6), of.place
     parts: Any = figure.subfigures(1, 2, width_ratios=(1.12, 1.0), wspace=0.02)

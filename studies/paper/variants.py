@@ -111,7 +111,8 @@ def spread_numbers(structure: Structure) -> dict[str, Any]:
 
 
 def driven_numbers(structure: Structure) -> dict[str, Any]:
-    """Return the columns of one sample under a driving: those of :func:`.samples.shared_numbers`, and these.
+    """Return the columns of one sample under a driving: those that several studies have (side, seed, gap, ...), and
+    these. The jump is the difference of the imposed spins of top and bottom.
 
     slipless : list with an entry for each contact: 1 if it is slipless, else 0.
     power_over_jump : power over F_n R times the part of the jump across the height (times the whole jump, where it has
@@ -215,8 +216,8 @@ def draw_drivings(of: Any) -> Figure:
         C. Their columns are `angle`, degrees, `overlap` and `power_over_cut`.
 
     (a) Overlap of the slipless contacts with those under the reference, and (b) least power over that of the minimum
-        cut, both against the angle of the jump.
-    (c) Overlap of the slipless contacts with and without C, against C.
+    cut, both against the direction of the difference of the imposed spins. (c) Overlap of the slipless contacts with
+    and without C, against C.
     """
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 3)

@@ -161,8 +161,8 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
 def draw_yield_surface(named: Any) -> Figure:
     """Draw the figure of the torques that bearings of L^3 spheres withstand, averaged over samples.
 
-    T_x, T_y: torques on the top about x and y; T_c: the one that belongs to its bearing state C x (staggered spins that
-    point away from the middle and grow with the distance from it).
+    T_x, T_y: torques on the top about x and y; T_c: the one that belongs to its bearing state C x (spins, times
+    alternating signs, that point away from the middle and grow with the distance from it).
     * (a) Surface of (T_x, T_y), (b) of (T_x, T_c). Points: torques of the directions solved, an inner bound. Thin
       lines: their power, an outer bound. Circle and square, to compare: radius and side are T_x of the largest L.
     * (c) Share of the yield torque about one axis that is lost while the top rotates about the other ("crossed"), and

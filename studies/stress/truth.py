@@ -40,7 +40,7 @@ class Truth:
     state : states of the contacts, an array for each axis: SLIPLESS at every minimum, SLIPPING in the middle of the
         minima, or UNCLEAR; empty where states are not known.
     unit : energy/time. If the least objective is 0, errors are given relative to it. It is the cost if all contacts
-        slipped by the jump (by the unit of spins, without a jump).
+        slipped by the difference of the imposed spins (by the unit of spins, if there is none).
     """
 
     lower: Decimal

@@ -62,8 +62,8 @@ class Bearing(ABC):
     @property
     @abstractmethod
     def driving(self) -> Driving:
-        """The imposed spins, and how laboratory spins become carried ones, the numbers that solvers store: staggered
-        spins on lattices, radius * spin in other packings.
+        """The imposed spins, and how laboratory spins become the numbers that solvers store: on lattices spins with
+        signs that alternate between neighbours, less those of the bottom; in other packings radius * spin.
         """
 
     @property

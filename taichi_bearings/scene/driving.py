@@ -312,10 +312,10 @@ class Driving:
         return spin, rounding
 
     def absolute(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return spins in the form that solvers store, but measured from 0, as kinetic energies need them: on lattices
-        solvers measure them from the state of the bottom plane, which is added here.
+        """Return spins measured from 0, as kinetic energies need them. On lattices solvers store them less the spins of
+        the bottom plane, which are added here.
 
-        carried : spins as solvers store them, (C, samples R, spheres *N); so is the result.
+        carried : (C components, samples R, spheres *N), spins as solvers store them; the result has the same shape.
         spin_axes : numbers of the C components.
         """
         origin = self.origin(spin_axes)
@@ -437,7 +437,9 @@ class Planes(Driving):
 
     @property
     def slip_radius(self) -> float:
-        """Radius of the spheres, length: it turns a difference of staggered spins into a slip speed."""
+        """Radius of the spheres, length. The difference of the stored spins of two touching spheres, times it, is a
+        slip speed.
+        """
         return self.lattice.radius
 
     @property
@@ -466,10 +468,10 @@ class Planes(Driving):
         return [(..., 0), (..., -1)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
-        """Return the imposed spins of bottom and top, 1/time, in twice the precision: two pairs of doubles and what
-        their rounding leaves out, (C, *plane) each.
+        """Return the imposed spins of bottom and top in the form that solvers store, 1/time, in twice the precision:
+        two pairs of doubles and what their rounding leaves out, (C components, *plane) each. They are 0 on the bottom,
+        and on the top the difference of the imposed bearing states at its spheres.
 
-        Spins are staggered and measured from the bottom: 0 there, on the top the difference of the imposed states.
         spin_axes : numbers of the C components.
         """
         top = self.imposed_on_top(spin_axes)
@@ -529,7 +531,9 @@ class Planes(Driving):
 
     @cached_property
     def jump(self) -> float:
-        """Largest size, over the top plane, of the difference of the two imposed staggered spins, 1/time."""
+        """Largest size, over the top plane, of the difference of the imposed spins of top and bottom, without the signs
+        by which neighbours differ, 1/time.
+        """
         if self.in_units is not None:
             return float(self.unit[0][0])
         return float(np.linalg.norm(self.imposed_on_top(self.lattice.all_spin_axes)[0], axis=0).max())

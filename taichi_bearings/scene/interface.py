@@ -282,10 +282,10 @@ def cut_unit(scene: Scene) -> float:
 
 
 def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:
-    """Return carried spins (C, samples R, spheres *N), in the form that solvers store, of the two rigid domains at the
-    lightest interface of each sample.
-
-    C are the components in `bearing.minimum_spin_axes`. None if some sample has no such interface.
+    """Return the spins of the two rigid domains at the lightest interface of each sample, (C components, samples R,
+    spheres *N), in the form that solvers store: on lattices with signs that alternate between neighbours and less those
+    of the bottom, 1/time; in packings radius * spin. The components are `bearing.minimum_spin_axes`. None if some
+    sample has no such interface.
     """
     if bearing.network.lattice is not None:
         scene = of_lattice(bearing)

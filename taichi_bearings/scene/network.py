@@ -198,9 +198,9 @@ class Network:
         """Return vectors (tangents d, samples R, contacts E) across all contacts: slips, length/time; on lattices
         differences of spins, 1/time.
 
-        spins : (C, R, spheres *N). On lattices staggered spins; a slip is then the radius times the length of a vector,
-            and d is the number C of components in `spin_axes`. In other packings radius * spin in all components, and d
-            counts tangents.
+        spins : (C, R, spheres *N). On lattices spins with signs that alternate between neighbours; a slip is then the
+            radius times the length of a vector, and d is the number C of components in `spin_axes`. In other packings
+            radius * spin in all components, and d counts tangents.
         spin_axes : numbers of the C components.
         """
         if self.lattice is not None:

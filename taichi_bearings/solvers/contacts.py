@@ -241,7 +241,7 @@ class Stepped(Contacts):
 
     @abstractmethod
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
-        """Call a kernel as often, and with the constants, as a launch says.
+        """Call a kernel several times with the same constants.
 
         team : the threads that run it.
         sweeps : the kernel.

@@ -213,7 +213,8 @@ class Dynamics(Method):
     def add_energies(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
         """Add the energies of one step to the balance: the work of the contacts, and that of the driven spheres.
 
-        before, after : (C components, R samples, *N spheres), staggered spins at the two ends of the step, 1/time.
+        before, after : (C components, R samples, *N spheres), spins at the two ends of the step, with signs that
+            alternate between neighbours, 1/time; in a packing radius * spin.
         force : (C, R, E contacts), mean contact forces of the step.
         duration : length of the step, time.
         """

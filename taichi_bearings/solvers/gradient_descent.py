@@ -145,9 +145,8 @@ class GradientDescentMethod(Swept):
         self.fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
 
     def _largest_slip(self) -> float:
-        """Return a slip speed, length/time, that no contact exceeds.
-
-        Spins stay in their box; momentum carries each out of it by less than the width of the box.
+        """Return a slip speed, length/time, that no contact exceeds. Spins stay between the smallest and the largest
+        imposed one (their box); momentum carries each beyond by less than the width of the box.
         """
         low, high = self.scene.box(self.spin_axes)
         return 3 * self.scene.slip_radius * float(np.linalg.norm(np.subtract(high, low)))
@@ -173,8 +172,8 @@ class GradientDescentMethod(Swept):
             self.fields.clear("force_sum")
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next: an eighth of an epoch later, or about an eighth of
-        the run.
+        """Return the iteration at which to read the progress next: if spins are averaged, an eighth of an epoch later
+        (an epoch is a number of sweeps with one step length); otherwise later by about an eighth of the run so far.
 
         iteration : the one at which it is read now.
         """

@@ -132,9 +132,9 @@ class OnLists(Stepped):
         return self._sweeps(DescentLists, ())
 
     def run(self, team: Team, sweeps: Sweeps, launch: Launch) -> None:
-        """Call a kernel as often, and with the constants, as a launch says.
+        """Call a kernel several times with the same constants.
 
-        team : threads.
+        team : the threads that run it.
         sweeps : the kernel.
         launch : how often (`turns`) and with which constants (`numbers`).
         """

@@ -182,9 +182,9 @@ class OnStrides(Stepped, WithMinima):
         return team, made_once(DescentSweeps, self.spec, self.stencil, law)
 
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
-        """Call a kernel as often, and with the constants, as a launch says.
+        """Call a kernel several times with the same constants.
 
-        team : threads.
+        team : the threads that run it.
         sweeps : the kernel.
         launch : how often (`turns`), from which turn on (`first`), and with which constants (`numbers`).
         """
