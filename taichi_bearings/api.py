@@ -145,11 +145,11 @@ def solve_many(
         What is solved. `answer.scene`, or `answer.packing`, is the object that was given, so that answers can be told
         apart.
     method, tolerance, start
-        As of :func:`solve`.
+        The method, the relative gap at which a solve ends, and the initial spins, as of :func:`solve`.
     workers : int
         Largest number of processes; 0 for one process for each processor.
     **options
-        As of :func:`solve`; each process has one thread unless `threads` says otherwise.
+        Settings of a run, as of :func:`solve`; each process has one thread unless `threads` says otherwise.
 
     Returns
     -------

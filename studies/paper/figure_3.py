@@ -37,7 +37,7 @@ def study(folder: Path, effort: Effort) -> Found:
     """Find the minima of samples of the paper's size, for Fig. 3; return the spheres of the path of the one that is
     shown, the figure, and values for the claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed and number of samples.
     """
     table, shown = minima(folder, effort)
@@ -55,7 +55,7 @@ def planes(folder: Path, effort: Effort) -> Found:
     """Find for Fig. 4 the lattice planes that are drawn, and which contacts of the path lie in them; return the figure
     and values for the claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed and number of samples.
     """
     table, shown = minima(folder, effort)

@@ -38,7 +38,7 @@ def study(folder: Path, effort: Effort) -> Found:
     """Solve the samples of all scans, extrapolate their shares to infinite size, and return tables, figure and values
     for the claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed, number of samples, and whether it is the quick form.
     """
     settings = list(planned(QUICK, effort))

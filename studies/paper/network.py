@@ -40,9 +40,10 @@ VIEWED: dict[str, Callable[[Structure], Any]] = {
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Find certified cubes of all sizes; return table, figure and values for the claims.
+    """Solve cubes of several sizes, each sample to its certified minimum. Return table, figure and values for the
+    claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed and number of samples.
     """
     chosen = [

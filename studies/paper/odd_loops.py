@@ -245,7 +245,7 @@ def study(folder: Path, effort: Effort) -> Found:
     """Find the minima of bearings for several lattices, sizes, numbers of odd contacts and spins of the bottom; return
     table, figure and values for the claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed, number of samples, and whether it is the quick form.
     """
     shares, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)

@@ -75,7 +75,7 @@ def study(folder: Path, effort: Effort) -> Found:
     """Follow descents of the first sample for 10^4, 10^5 and 10^6 iterations, and find the minima of some samples;
     return table, figure and values for the claims.
 
-    folder : where finished descents and minima are kept meanwhile.
+    folder : folder where finished descents and minima are kept until the study ends.
     effort : first seed, number of samples, and whether it is the quick form.
     """
     lengths, budget = (QUICK_ITERATIONS, QUICK_BUDGET) if effort.quick else (ITERATIONS, BUDGET)

@@ -94,7 +94,7 @@ def study(folder: Path, effort: Effort) -> Found:
     """Find cut surfaces for several sizes and lowest frictions, and minima for several sides and heights; return
     tables, figure and values for the claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed, number of samples, and whether it is the quick form.
     """
     sizes = QUICK_SIZES if effort.quick else SIZES

@@ -84,7 +84,7 @@ def study(folder: Path, effort: Effort) -> Found:
     """Find the least power and the torque of samples of several sizes under all directions; return table, figure and
     values for the claims.
 
-    folder : where finished samples are kept meanwhile.
+    folder : folder where finished samples are kept until the study ends.
     effort : first seed, number of samples, and whether it is the quick form.
     """
     shares = {side: share for side, share in SHARES.items() if not effort.quick or side in QUICK_SIDES}

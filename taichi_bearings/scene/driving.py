@@ -53,8 +53,8 @@ class Driving:
     """Spins that are imposed on driven spheres one by one, and the form in which solvers store spins. An instance never
     changes.
 
-    Solvers store x = s l omega - x0 for each component of a spin omega. In this class x is the surface speed of the
-    sphere: l is its radius, s = 1 and x0 = 0. The subclass for lattices has other s, l and x0.
+    In this class solvers store radius * spin, the surface speed of a sphere. The subclass for lattices stores spins
+    with signs that alternate between neighbours, less those of the bottom.
 
     In methods `spin_axes` are numbers of spin components, 0 to 2, and a Pair is a number in twice the precision: the
     nearest double, and what its rounding leaves out.
@@ -76,8 +76,8 @@ class Driving:
 
     @property
     def sign(self) -> np.ndarray | None:
-        """(spheres *N) factor s, +1 or -1, of each sphere in the numbers s l omega - x0 that solvers store for spins
-        omega; None if s is 1 for all, as here.
+        """(spheres *N), +1 or -1, signs by which solvers multiply spins when they store them; None if all are 1, as
+        here. On lattices they alternate between neighbours.
         """
         return None
 
@@ -88,8 +88,8 @@ class Driving:
 
     @property
     def length(self) -> np.ndarray | None:
-        """(spheres *N) factor l of each sphere in the numbers s l omega - x0 that solvers store for spins omega, here
-        the radius; None if l is 1 for all.
+        """(spheres *N), lengths by which solvers multiply spins when they store them, here the radii; None if all are
+        1, as on lattices.
         """
         return self.network.radius
 
@@ -129,8 +129,8 @@ class Driving:
         return [(u, np.zeros_like(u))]
 
     def origin(self, spin_axes: tuple[int, ...]) -> Pair | None:
-        """Return the offset x0 of the numbers s l omega - x0 that solvers store for spins omega: None, as it is 0 here.
-        On lattices it is the state of the bottom, in twice the precision, (C, 1, spheres *N) or with axes of length 1.
+        """Return what solvers subtract from spins when they store them: None for nothing, as here. On lattices it is
+        the state of the bottom plane, in twice the precision, (C components, 1, spheres *N) or with axes of length 1.
 
         spin_axes : numbers of the C components; not used here.
         """
@@ -227,11 +227,11 @@ class Driving:
         return carried
 
     def carried(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return spins omega in the form that solvers store, s l omega - x0, (components C, samples R, spheres *N).
-        Driven spheres get their imposed values.
+        """Return spins in the form that solvers store, (components C, samples R, spheres *N). Driven spheres get their
+        imposed values.
 
-        * On a lattice it is the sign s = +1 or -1, which alternates between neighbours, times the spin, less the same
-          of the bottom, 1/time.
+        * On a lattice it is a sign that alternates between neighbours, times the spin, less the same of the bottom,
+          1/time.
         * In a packing it is the radius times the spin, length/time.
 
         spin : spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.

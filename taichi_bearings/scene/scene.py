@@ -124,7 +124,7 @@ class Scene(Bearing):
             "uniform:low,high", "lognormal:median,sigma", "power-law:low,high,exponent", "bimodal:low,high,fraction" or
             "constant:value", or a function (rng, shape) -> array of coefficients.
         law, spin_top, spin_bottom, direction
-            As of :class:`Scene`.
+            Contact law, imposed spins of both planes, 1/time, and the axis of these spins, as of :class:`Scene`.
         **others
             `replicas`, the number of samples; `viscosity`, the distribution of viscosities; and, as of :class:`Scene`,
             `normal_force`, `radius`, `periodic`, `top` and `bottom`.

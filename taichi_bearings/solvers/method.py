@@ -253,7 +253,7 @@ def contacts_of(scene: Bearing, spin: np.ndarray, options: "MethodOptions") -> C
     minima.
 
     spin : (R samples, *N spheres, 3), of discs (R, *N), spins to start from, 1/time.
-    options : the method. A dynamics may begin with spin components that no minimum needs.
+    options : options of the method. A dynamics may begin with spin components that no minimum needs.
     """
     if scene.network.lattice is not None:
         from taichi_bearings.solvers.on_strides import OnStrides
