@@ -275,7 +275,8 @@ class ContactSystem:
 
     @cached_property
     def transposed(self) -> sparse.csr_array:
-        """K^T, (unknowns, d*n), sparse. Letters: n contacts with up to d slip components."""
+        """K^T, (unknowns, d*n), sparse: gives torques from the forces of n contacts with up to d slip components, as K
+        gives slips from spins."""
         return self.operator.T.tocsr()
 
     def copies(self, count: int) -> "ContactSystem":

@@ -36,8 +36,8 @@ EPS = np.finfo(np.float64).eps
 
 @dataclass(frozen=True)
 class StageEnd:
-    """Spins and forces at the end of a stage: a step in time, or in the method of multipliers, of n contacts with up
-    to d slip components whose springs friction limits.
+    """Spins and forces at the end of a stage: a step in time of a dynamics, or a step of the method of multipliers. The
+    n contacts, with up to d slip components, have springs whose force friction limits.
 
     spins : (unknowns,), 1/time.
     force : (d, n), the whole force of each contact.

@@ -82,8 +82,8 @@ class LastDecades:
         return path
 
     def over(self, tied: Contraction) -> "LastDecades":
-        """Return this point of the path over the contacts and unknowns that are left when some contacts are tied: the
-        spins at their two ends are then equal, and they are left out.
+        """Return this point of the path for a smaller system. In it some contacts are tied, which makes the spins at
+        their two ends equal; these contacts are left out, and each set of equal spins is one unknown.
 
         tied : those contacts, and the system of the others, with one unknown for each set of spins that are equal.
         """

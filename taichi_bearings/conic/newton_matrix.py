@@ -24,19 +24,17 @@ Order = np.ndarray | Callable[[int], np.ndarray]
 
 
 class NewtonMatrix:
-    """Factorised matrices K^T S K of a contact system, in one sample or several. Patterns of entries are analysed once.
+    """Factorised matrices K^T S K of a contact system, in one sample or several. Here K is the matrix from spins to
+    slips, and the block diagonal matrix S holds the stiffnesses of the n contacts.
 
-    K is the matrix from spins to slips, S holds the stiffnesses of the n contacts. Several samples are one of two
-    things: side by side, with numbers (..., S) and one pattern for all, up to LANES of them; or parts of one system
-    that no contact joins, each with a pattern of its own. The result for a sample, bit by bit, does not depend on the
-    others.
+    There are two ways to treat several samples. They can be side by side, up to LANES of them, in arrays (..., S) with
+    one pattern of entries for all. Or they can be separate parts of one system, each with a pattern of its own. The
+    result for a sample, bit by bit, does not depend on the others. Patterns are analysed once, when the object is made.
 
     Stiffnesses over twenty decades can leave a pivot that rounding made negative. Then the diagonal is raised by as
-    little as helps (DIAGONAL_SHIFTS), and iterative refinement by the caller has to mend the rest.
+    little as helps (DIAGONAL_SHIFTS), and the caller has to refine solutions.
 
-    memory : work space that another matrix can share. Kept privately are, for each part, its Cholesky factorisation,
-        which of its entries change, and where these stand among the entries of all parts; and a sparse matrix, (entries
-        of all parts, numbers of all stiffnesses), that turns stiffnesses into entries.
+    memory : work space that another matrix can share.
     """
 
     def __init__(
@@ -56,6 +54,8 @@ class NewtonMatrix:
         engine : Engine.LAUNCH if there are to be several samples side by side; if None, the quickest.
         parts : for each sample the range of its unknowns, if samples are parts of the system; None for one pattern.
         """
+        # `_choleskys` : for each part its factorisation; `_entries` : for each part which entries change, and where
+        # they stand among those of all parts; `_map` : sparse matrix that turns `stacked` stiffnesses into entries
         self.memory, self._system, self._parts = memory or Memory(), system, parts or [slice(0, system.unknowns)]
         own_memory = self.memory if len(self._parts) == 1 else None
         # Each term of the matrix belongs to the sample of its first unknown.
@@ -205,8 +205,8 @@ class NewtonMatrix:
             cholesky.forget()
 
     def balanced(self, dual: np.ndarray, stiffness: np.ndarray, load: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return forces (d, n) that balance, up to rounding: `dual` plus the forces of springs at the contacts, after
-        their ends have moved until the torques of all forces are `load`.
+        """Return forces (d, n) whose torques are `load`, up to rounding: `dual` plus the forces of fictitious springs
+        at the contacts, which are stretched as far as that takes.
 
         dual : (d, n), forces to begin with.
         stiffness : (d, d, n), stiffness matrix of the spring at each contact.

@@ -186,7 +186,8 @@ class _PreciseSystem:
 
 
 def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
-    """Return the whole numbers by which a jump has to be multiplied to give some values; 0 where the jump is 0.
+    """Return the whole numbers by which the jump (difference of the imposed spins of top and bottom) has to be
+    multiplied to give some values; 0 where the jump is 0.
 
     values, jump : arrays of one shape.
     """

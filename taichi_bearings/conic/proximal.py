@@ -310,8 +310,8 @@ class ProximalSteps:
 
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:
-    """Return the excess of the cost over its dual (the lower bound that the forces prove), divided by what is allowed.
-    Up to 1 a step is solved.
+    """Return how far the cost of a point is above the lower bound that its forces prove, divided by what is allowed: a
+    step is solved if the result is at most 1.
 
     iterate : the point on the path that is judged.
     sharp : allowed excess over the work done on inertia.

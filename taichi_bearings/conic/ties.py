@@ -131,8 +131,9 @@ def _sometimes_zero_of_part(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the slips that vanish at some corners of the polyhedron first + rates @ y >= 0, and not at
     others.
 
-    first : (n,), 1 where a contact slips, else 0: slips in units of themselves.
-    rates : (n, k), their changes by k motions.
+    first : (n,), slips at one minimum, which is y = 0: 1 where a contact slips, as each slip is measured by its value
+        there, and 0 where it does not.
+    rates : (n, k), changes of the slips by k motions.
 
     If there are more than MOST_CORNERS candidates for corners, the mask is True for all: motions that mix so many
     contacts occur where friction is the same everywhere.

@@ -40,8 +40,9 @@ def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), s
     """Return the friction force along D, the difference of the spins of the upper and the lower sphere without its
     component along the contact: a list with an entry for each component.
 
-    Where the contact slips, |D| sharpness >= 1, its size is the friction limit; below that it grows in proportion to D,
-    which replaces the jump of paper Eq. (3) (with its two cases in the right order) by a steep line.
+    Where the contact slips, |D| sharpness >= 1, the size of the force is the friction limit; below that it grows in
+    proportion to D. So a steep line replaces the jump at D = 0 of paper Eq. (3), whose two cases are printed in the
+    wrong order.
 
     spin_difference : D, a list of one or two components, 1/time: numbers, or vectors for a block of contacts.
     coefficients : a list that begins with the friction limit mu F_n, force.

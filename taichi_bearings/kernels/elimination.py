@@ -308,8 +308,10 @@ def panel(
 
 @ti.func
 def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
-    """Eliminate the own unknowns of one front in place (Cholesky), PANEL columns at a time, and leave its update: the
-    matrix for the later unknowns of the front.
+    """Eliminate the own unknowns of one front in place (Cholesky), PANEL columns at a time, and leave its update.
+
+    A front is a dense matrix of unknowns that are eliminated together, its own, and of later ones that they are coupled
+    to; its update is what the elimination leaves as the matrix of the later ones.
 
     tables : integers that say where the entries of all fronts stand.
     at : position in `tables` of the row of integers of this front.

@@ -80,7 +80,8 @@ def triangle_backward(
 
 @ti.func
 def take_from_children(tables: ti.template(), at, vector: ti.template(), keeps_own: ti.template()):
-    """Add to the rows of one front what its children in the elimination tree have left for their borders.
+    """Add to the rows of one front what its children in the elimination tree have left for their borders. A front is a
+    group of unknowns that are eliminated together, with the later ones they are coupled to, its border.
 
     tables : integers that say where the entries of all fronts stand.
     at : position in `tables` of the row of integers of this front.
@@ -101,7 +102,8 @@ def take_from_children(tables: ti.template(), at, vector: ti.template(), keeps_o
 
 @ti.func
 def copy_border(tables: ti.template(), at, vector: ti.template(), to):
-    """Copy the unknowns of the border of one front, which its parent in the elimination tree has solved.
+    """Copy the unknowns of the border of one front, which its parent in the elimination tree has solved. A front is a
+    group of unknowns that are eliminated together, with the later ones they are coupled to, its border.
 
     tables : integers that say where the entries of all fronts stand.
     at : position in `tables` of the row of integers of this front.

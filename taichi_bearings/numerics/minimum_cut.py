@@ -110,8 +110,8 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
     weight : weights of the contacts of R lattices of shape N, one array (R, *contacts) for each axis.
     cut : lightest cuts for these weights, the answer of :func:`minimum_cut`.
 
-    Such a cut cannot hold all contacts of another one. So the lightest other one is the lightest of those that spare
-    some contact of `cut`. That takes a flow for each contact of the cut, so this is for small lattices.
+    No other cut of this kind contains all contacts of `cut`. So the lightest one is found by leaving out, in turn, each
+    of the contacts of `cut`: it is given an infinite weight. That takes a flow for each, so this is for small lattices.
     """
     sides, lattice = np.empty_like(cut.above), Lattice.of(weight)
     for replica in range(len(sides)):

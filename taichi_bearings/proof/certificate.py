@@ -76,9 +76,9 @@ def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
     """Return True if the gap of every sample is so wide that no contact state can follow from it.
 
     At any minimum a contact with the friction limit w and the friction f slips by no more than excess / (w - |f|).
-    Besides, no contact slips faster than the radius times the jump, as no spin of a minimum leaves the interval between
-    the spins of both planes. If the excess is at least the largest w times that speed, the first bound says no more
-    than the second for any contact, whatever f is.
+    Besides, no contact slips faster than the radius times the jump, the difference between the spins of both planes, as
+    no spin of a minimum leaves the interval between these. If the excess is at least the largest w times that speed,
+    the first bound says no more than the second for any contact, whatever f is.
 
     scene : R samples of a lattice. The answer is False unless its contacts have friction alone.
     excess : (R,) for R samples, power less its proven lower bound, energy/time."""

@@ -106,7 +106,7 @@ class Separation:
 
 
 def separate(scene: Bearing, slip: np.ndarray, state: np.ndarray) -> Separation:
-    """Compare the slips of slipless with those of slipping contacts, sample by sample.
+    """Return for each of R samples how far apart the slips of its slipless and of its slipping contacts are.
 
     scene : the R samples.
     slip : (R, E), slip speeds of the E contacts of R samples, length/time.

@@ -167,7 +167,7 @@ class Slipping:
 
     def change(self, slot: int) -> sparse.csr_array:
         """Return the matrix (n, unknowns) that gives one component of the change of each of n slips from the changes of
-        the unknowns, the spins of free domains. Its entries are 1, -1 and 0.
+        the unknowns, the spins of free domains (spheres that turn as one). Its entries are 1, -1 and 0.
 
         slot : 0 or 1, for the first or the second component in `felt`.
         """
@@ -178,8 +178,8 @@ class Slipping:
         return sparse.csr_array((signs, ends[kept], begin), shape=(len(ends), self.unknowns))
 
     def moved(self, step: np.ndarray) -> Slipping:
-        """Return a copy whose slips are those after the unknowns, spins of free domains, have changed by `step`
-        (unknowns,)."""
+        """Return a copy whose slips are those after the unknowns, spins of free domains (spheres that turn as one),
+        have changed by `step` (unknowns,)."""
         by = np.append(step, 0.0)
         difference = tuple(
             part + (Enclosure.exact(by[upper]) - Enclosure.exact(by[lower]))
@@ -224,14 +224,14 @@ def _slipping_components(network: JudgedNetwork, some: np.ndarray) -> np.ndarray
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
-    """Prove that one minimum is near the given spins.
+    """Prove that there is one minimum near given spins.
 
-    contacts : the n slipping contacts at the given spins, and the unknowns, spins of free domains, that change their
-        slips.
+    contacts : the n slipping contacts with their slips at these spins, and the unknowns that change them: spins of free
+        domains (spheres that turn as one).
 
-    Returns None if it is not proven. Else the contacts at spins close to the minimum, which are the given ones or those
-    after up to CURVATURE_TRIALS - 1 steps of Newton's method; and (n,), for each contact a bound on |slip at the
-    minimum - slip of the returned contact| / |slip|."""
+    Returns None if it is not proven. Else a pair: the contacts with their slips at spins close to the minimum, which
+    are the given ones or those after up to CURVATURE_TRIALS - 1 steps of Newton's method; and a bound (n,) on |slip at
+    the minimum - slip of the returned contact| / |slip|."""
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.place[0]))
     for number in range(CURVATURE_TRIALS):
@@ -284,7 +284,7 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
 @np.errstate(all="ignore")
 def rises(contacts: Slipping, relative_change: np.ndarray) -> bool:
     """Return True if the power is proven to have positive curvature along every motion of the unknowns, which are spins
-    of free domains, in a neighbourhood of given slips.
+    of free domains (spheres that turn as one), in a neighbourhood of given slips.
 
     contacts : the n slipping contacts, with the given slips and the unknowns.
     relative_change : (n,), the neighbourhood: all spins at which |slip - given slip| / |given slip| of each contact is
@@ -481,8 +481,9 @@ class Curvature:
         )
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
-        """Return the change (unknowns,) of the spins of free domains that makes the slope vanish to first order; None
-        if rounding hides the curvature. Nothing about it is proven.
+        """Return the step (unknowns,) of Newton's method: the change of the spins of free domains (spheres that turn as
+        one) that makes the slope of the power vanish to first order. None if rounding hides the curvature. Nothing
+        about it is proven.
 
         slope : (unknowns,), derivatives of the power by these spins."""
         root, factor = np.sqrt(self.form.squares), self.form.elimination.factorised()
@@ -494,10 +495,12 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     B @ v. Any regular B is valid. This one is chosen so that the curvature in the variables v has no tiny eigenvalue,
     although some contacts are very stiff.
 
-    Domains joined by contacts with tiny slips, which resist changes most, form a cluster. One domain of a cluster is
-    its head, and its change is a variable. For every other domain the variable is its change less that of its neighbour
-    on the way to the head, along a tree of the stiffest contacts. Then a motion of the whole cluster is one variable,
-    and strains no stiff contact.
+    Domains (spheres that turn as one) joined by contacts with tiny slips, which resist changes most, form a cluster.
+    One domain of a cluster is its head, and its change is a variable. For every other domain the variable is its change
+    less that of its neighbour on the way to the head, along a tree of the stiffest contacts. Then a motion of the whole
+    cluster is one variable, and strains no stiff contact.
+
+    contacts : the slipping contacts, and the unknowns, which are the changes of the spins of free domains.
     """
     # Graph of the stiff contacts between unknowns, all driven domains being one node and a source another.
     driven, source = contacts.unknowns, contacts.unknowns + 1

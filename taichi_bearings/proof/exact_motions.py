@@ -292,11 +292,12 @@ class _Solved:
     fewer: bool = False
 
     def columns(self, some: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Return for each of k choices the number (k,) of the column in which its motion is to be computed; and True if
-        a column may hold several choices of one part.
+        """Return for each of k choices (numbers from which all spins follow) the column (k,) in which its motion is to
+        be computed; and True if a column may hold several choices of one part.
 
-        Choices of different parts share columns, since parts do not touch. Choices of one part have a column each if
-        they are imposed spins, which move many spheres, if they are few, or if `fewer` is set; else they share columns.
+        Choices of different parts share columns, since parts (spheres that contacts connect) do not touch. Choices of
+        one part have a column each if they are imposed spins, which move many spheres, if they are few, or if `fewer`
+        is set; else they share columns.
 
         some : (k,), indices of the choices; either all are imposed spins, or none."""
         owner = self.choices.owner[some]
@@ -310,8 +311,9 @@ class _Solved:
         return slot % columns, True
 
     def motions(self, some: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Return the sum of the motions of the choices in each column, (f, columns), for the f unknowns in `follow`.
-        The residual is solved for once more, against rounding; entries that are not finite are set to 0.
+        """Return for each column the sum of the motions of its choices, (f, columns), for the f unknowns in `follow`. A
+        motion is what these unknowns have to be if its choice is 1 and all other choices are 0, so that no contact
+        slips. The residual is solved for once more, against rounding; entries that are not finite are set to 0.
 
         some : (k,), indices of the choices.
         column : (k,), the column of each."""
@@ -324,9 +326,10 @@ class _Solved:
         return np.where(np.isfinite(x), x, 0.0)
 
     def one_of_each_part(self, x: np.ndarray, some: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motions of single choices from columns that hold at most one choice of each part: an array (3,
-        entries) with, for each number that is not nearly 0, which of the f unknowns moves, the choice, and by how much.
-        As a second result return an empty array (0,): no choice is left to be solved for again.
+        """Return the motions of single choices (numbers from which all spins follow) from columns that hold at most one
+        choice of each part (spheres that contacts connect). The result is an array (3, entries) with, for each number
+        that is not nearly 0: which of the f unknowns moves, the choice, and by how much. As a second result return an
+        empty array (0,): no choice is left to be solved for again.
 
         x : (f, columns), the sums of motions.
         some : (k,), indices of the choices.
@@ -339,9 +342,10 @@ class _Solved:
         return np.stack([at[there], own[there], x[at[there], among[there]]]), some[:0]
 
     def split(self, x: np.ndarray, some: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motions of single choices from columns that hold several choices of a part: an array (3, entries)
-        with, for each number that is not nearly 0, which of the f unknowns moves, the choice, and by how much. As a
-        second result return the choices that are left, since their motions could not be told apart.
+        """Return the motions of single choices (numbers from which all spins follow) from columns that hold the sum of
+        several. The result is an array (3, entries) with, for each number that is not nearly 0: which of the f unknowns
+        moves, the choice, and by how much. As a second result return the choices that are left, since their motions
+        could not be told apart.
 
         In a column, moving spheres that contacts connect form a set. If a set contains one choice, its motion makes no
         contact slip and is 1 at this choice alone; so it is the motion of this choice. The choices of sets with several

@@ -152,14 +152,14 @@ class JudgedNetwork:
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C components, m) mask, True where component k of the spins makes a contact slip. It has a meaning only where
+        """(C, m) mask, True where one of C spin components makes one of m contacts slip. It has a meaning only where
         each component of a slip depends on one component of the spins: discs, and normals along the axes."""
         return self.graph.slips_with
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """(C components, m) mask, True where a contact can dissipate at a minimum (`counts`) and component k of the
-        spins makes it slip. It has a meaning only for discs and for normals along the axes."""
+        """(C, m) mask, True where one of m contacts can dissipate at a minimum (`counts`) and one of C spin components
+        makes it slip. It has a meaning only for discs and for normals along the axes."""
         return self.counts & self.slips_with
 
     @cached_property
@@ -403,8 +403,8 @@ class Motion:
         return Domains(self)
 
     def joins(self, k: int) -> bool:
-        """Return True if component k of the spins makes any of the resting contacts slip, so that it joins spheres to
-        domains."""
+        """Return True if spin component k makes any of the resting contacts slip when their spheres turn differently.
+        Then these contacts join spheres in this component, which turn as one."""
         return bool((self.rests & self.network.slips_with[k]).any())
 
     def domains(self, k: int) -> np.ndarray:

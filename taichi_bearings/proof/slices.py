@@ -173,10 +173,11 @@ class Grid(Listed):
         return [slot for slot, k in enumerate(self.samples.components) if k != axis]
 
     def imposed(self, component: int) -> Enclosure:
-        """Return the imposed spin times radius (n,) of one spin component, measured from the bottom: 0 except on the
-        top plane, where it is the jump times the sign of the sublattice.
+        """Return for each of n spheres the imposed spin times radius in one component, measured from the bottom, an
+        enclosure (n,). On the top plane it is the jump (imposed spin of the top less that of the bottom, both times the
+        sign of the sublattice) times the sphere's sign; elsewhere 0.
 
-        component : its axis, 0 to 2."""
+        component : axis of the spin component, 0 to 2."""
         found, jump = nothing(self.spheres), self.samples.jump_at(component)
         for whole, part, sign in zip(found.parts, jump.parts, (1, 1, 0), strict=True):
             signs = self.samples.sublattice[..., -1] if sign else 1.0

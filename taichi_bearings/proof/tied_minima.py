@@ -344,9 +344,9 @@ class BetweenTwo:
         return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
 
     def lie_between(self, contacts: Slipping, relative_change: np.ndarray) -> bool:
-        """Return True if all these domains are proven to lie between their two neighbours at the minimum, too: from the
-        slips in `contacts` to those at the minimum none of their slips changes its sign along the component in which
-        they are held.
+        """Return True if all these domains (groups of spheres) are proven to lie between their two neighbours at the
+        minimum, too: from the slips in `contacts` to those at the minimum none of their slips changes its sign along
+        the component in which the domain is held.
 
         contacts : the slipping contacts at spins close to the minimum.
         relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|."""
@@ -451,9 +451,9 @@ class Saturated:
         return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
 
     def missing_friction(self) -> dict[int, np.ndarray]:
-        """Return a dictionary: for each spin component k that matters a bound (spheres,), in units of force, on the
-        error of the torque over radius on each sphere if its saturated contacts are taken to exert their stored
-        friction in place of exactly mu F_n along one component."""
+        """Return a dictionary: for each spin component k that matters a bound (spheres,), in units of force, on what is
+        wrong with the torque over radius on each sphere. Saturated contacts should exert exactly mu F_n along one
+        component; their stored moments differ a little, and the sizes of the differences are added up."""
         own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
@@ -475,7 +475,6 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
     components = len(network.needed)
     own = np.append(contacts.own, in_c)
     lower, upper = network.graph.contact[:, own]
-
     signs_of_c = np.array([np.sign(saturated.friction(slot).high) * network.sign[k][network.graph.contact[1, in_c]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     signs = np.array([np.sign(part.high) for part in contacts.difference])

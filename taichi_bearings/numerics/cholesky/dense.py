@@ -128,7 +128,8 @@ class DenseFront:
         return tasks + [Task(1, -self.cost, partial(self._work, calls)) for calls in self._sheets]
 
     def get_ready(self) -> None:
-        """Make the front ready to be eliminated again, before its tasks are begun: no panel counts as done."""
+        """Make the front ready to be eliminated again, before its tasks are begun: no panel (group of own columns)
+        counts as done."""
         self._stopped = False
         for done in self._done:
             done.clear()

@@ -392,7 +392,8 @@ class _BatchWork:
         self._tasks = [task.work for task in sorted(tasks, key=lambda task: (task.urgency, task.position))]
 
     def eliminate(self) -> bool:
-        """Eliminate all fronts of the batch, on several threads if that pays; False if a pivot is not positive."""
+        """Eliminate all fronts (dense blocks) of the batch, on several threads if that pays. Return False if a pivot is
+        not positive."""
         for front in self._fronts:
             front.get_ready()
         threads = min(runtime.current().threads, len(self._tasks))

@@ -112,7 +112,8 @@ class Pattern(SparsePattern):
 
     @property
     def operations_of_fronts(self) -> np.ndarray:
-        """(fronts,) floating-point multiplications and additions of each front in one factorisation."""
+        """(fronts,), how many multiplications and additions of doubles each front (group of unknowns that are
+        eliminated together) takes in one factorisation."""
         own, width = self.own.astype(float), self.width
         return own**3 / 3 + own**2 * width + own * width**2
 

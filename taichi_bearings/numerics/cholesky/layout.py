@@ -154,7 +154,7 @@ class Layout:
 
 
 def whole(count: np.ndarray, unit: int) -> np.ndarray:
-    """Return `count`, an array of whole numbers, with each rounded up to a multiple of `unit`."""
+    """Return whole numbers `count`, of any shape, each rounded up to a multiple of `unit`."""
     return -(-count // unit) * unit
 
 
