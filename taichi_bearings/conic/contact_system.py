@@ -60,7 +60,6 @@ class ContactSystem:
     known : (N, C), u = radius * spin where it is not unknown.
     sign : (N, C), factors +1 and -1 that turn u into unknowns; None for all 1.
     motions : number of motions without slip before one spin of each was held; None if undecided.
-    kept : what methods have computed from the network alone, by key, to be used again for other frictions on it.
     """
 
     unknowns: int
@@ -77,7 +76,6 @@ class ContactSystem:
     known: np.ndarray = field(default_factory=_nothing)
     sign: np.ndarray | None = None
     motions: int | None = None
-    kept: dict[object, Any] = field(default_factory=dict, compare=False)
 
     @classmethod
     def of(cls, bearing: Bearing) -> "ContactSystem":

@@ -148,14 +148,19 @@ class Descent:
         """
         if not self.small:
             return SETTLING_GAP
-        gap = SETTLING_GAP_FACTOR / self.spheres**2
-        return min(gap * (EARLIER_FACTOR if self._tries_twice else 1.0), FIRST_SETTLING_GAP)
+        return min(self._small_gap * (EARLIER_FACTOR if self._tries_twice else 1.0), FIRST_SETTLING_GAP)
+
+    @property
+    def _small_gap(self) -> float:
+        """Relative gap at which contacts of a small sample that seem to stick mostly do: it falls with the number of
+        spheres, as the smallest slips do."""
+        return SETTLING_GAP_FACTOR / self.spheres**2
 
     @property
     def _tries_twice(self) -> bool:
         """True if there are two trials to settle the contact states of a sample before its path ends: in small samples,
         if the second trial comes well before double precision ends."""
-        return self.small and SETTLING_GAP_FACTOR / self.spheres**2 / RETRY_FACTOR > LEAST_SECOND_GAP
+        return self.small and self._small_gap / RETRY_FACTOR > LEAST_SECOND_GAP
 
     def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
         """Update a sample after a step: its number of steps and relative gap, and whether it is done (`done`) or its

@@ -157,15 +157,21 @@ class Surroundings:
 
     system : the contacts of one sample, as a function of its unknown spins.
     order : (unknowns,), numbers of the unknowns in the order in which a factorisation eliminates them.
-    matrix : Newton matrix of one sample, or of several at once.
+    newton : Newton matrix of one sample, or of several at once; None where nothing has to be solved.
     top : for each spin of a sample the imposed spin of the top sphere above it, as a sum of two doubles; None where
         imposed spins are doubles.
     """
 
     system: ContactSystem
     order: np.ndarray
-    matrix: NewtonMatrix
+    newton: NewtonMatrix | None
     top: Pair | None
+
+    @property
+    def matrix(self) -> NewtonMatrix:
+        """The Newton matrix: the field `newton`, where something has to be solved."""
+        assert self.newton is not None
+        return self.newton
 
 
 def resolve(

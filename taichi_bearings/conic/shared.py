@@ -1,65 +1,129 @@
-"""Makes what all samples on a network share: its rows (slips as functions of spins), an order of elimination, and the
-matrix of Newton steps.
+"""Makes what all samples on a network share, and keeps that of the last network: its rows (slips as functions of
+spins), an order of elimination, and the matrix of Newton steps.
 
 Samples of one network differ only in the friction of their contacts. So what follows from the network alone is made
 once, and small samples are factorised side by side.
 """
 
 import threading
-from typing import cast
+from collections.abc import Callable
 
 import numpy as np
 
 from taichi_bearings.conic.cones import isotropic
-from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.contact_system import ContactSystem, lattice_system
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Surroundings
-from taichi_bearings.numerics.cholesky import Engine
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.cholesky import Engine, dissect
 from taichi_bearings.numerics.cholesky.tuning import LAUNCH_UNKNOWNS
 from taichi_bearings.scene.bearing import Bearing
 
 KEPT_UNKNOWNS = 30_000  # from so many unknowns on the matrix of a network is not kept for its other samples (memory)
 SMALL_SPHERES = 5_000  # over signed spins systems with fewer spheres count as small, see `is_small`
 
+Made = tuple[ContactSystem, Surroundings | None]
+"""The contact system of a network, and what its samples share; None for the second where it is not made yet."""
+
+
+class LastNetwork(threading.local):
+    """What a thread keeps of the network that it has solved last. Each thread has its own, as the numbers of a
+    factorisation are stored in the Newton matrix.
+
+    of : what says which network it is, first something compared by ==, then arrays; None before the first.
+    made : its contact system and, unless that is large or not made yet, what its samples share.
+    """
+
+    of: tuple[object, tuple[np.ndarray, ...]] | None = None
+    made: Made | None = None
+
+    def find(self, of: object, arrays: tuple[np.ndarray, ...], make: Callable[[], Made]) -> Made:
+        """Return what is kept, if the network is the last one, else what `make` makes of it, which is kept instead. The
+        memory of the last network is free before.
+
+        of, arrays : what says which network it is.
+        """
+        known = self.of
+        same = known is not None and known[0] == of and all(map(np.array_equal, known[1], arrays))
+        if not same or self.made is None:
+            self.forget()
+            self.made = make()
+            self.of = of, arrays
+        return self.made
+
+    def forget(self) -> None:
+        """Free the memory of what is kept."""
+        self.of = self.made = None
+
+
+last = LastNetwork()
+
 
 def system_of(bearing: Bearing) -> ContactSystem:
     """Return the contact system of a bearing (slips as functions of the unknown spins), with so many spins held at 0
-    that the spheres have no motion left at which no contact slips.
+    that the spheres have no motion left at which no contact slips. If only coefficients differ from the bearing of the
+    last call, as between seeds, it is the one returned then.
 
-    Such motions make the Newton matrix singular. Where normals have any direction there mostly are none, and one
+    Motions without slip make the Newton matrix singular. Where normals have any direction there mostly are none; one
     factorisation, which is needed anyhow, shows it. Only where it does not are motions looked for, by elimination.
 
     bearing : spheres, contacts, and what is driven.
     """
-    system = ContactSystem.before_motions(bearing)
-    if system.motions is not None or not system.unknowns:
-        return system
-    made = _made(system)
-    if not made.matrix.is_regular(isotropic(system.offset, np.ones(len(system.numbers)))):
-        return system.without_motions()
-    found = system.with_motions(0)
-    found.kept[_name()] = made
-    return found
+
+    def make() -> Made:
+        """Return the system newly made, and what its samples share if the factorisation needed it."""
+        system = ContactSystem.before_motions(bearing)
+        if system.motions is not None or not system.unknowns:
+            return system, None
+        made = _made(system)
+        if not made.matrix.is_regular(isotropic(system.offset, np.ones(len(system.numbers)))):
+            return system.without_motions(), None
+        return system.with_motions(0), made
+
+    network = bearing.network
+    spheres = network.center, network.radius, network.body, bearing.driven_speed
+    return last.find("contacts", (*spheres, network.contact, network.normal, bearing.acting), make)[0]
 
 
 def surroundings_of(system: ContactSystem) -> Surroundings:
     """Return what all samples on the network of a contact system share: the system itself, or where possible over spins
     with signs, so that slips are differences; an order in which its unknowns are eliminated; and its Newton matrix.
 
-    It is made once in each thread, as the numbers of a factorisation are stored in the matrix, and kept in
-    `system.kept` for later calls, unless there are KEPT_UNKNOWNS or more unknowns.
+    It is kept for later calls, of other samples, if the system is the last that :func:`system_of` has returned in this
+    thread, and has fewer than KEPT_UNKNOWNS unknowns.
 
     system : the contacts, over plain spins.
     """
-    name = _name()
-    found = cast(Surroundings | None, system.kept.get(name))
-    if found is None:
-        found = _made(system.signed() or system)
-        system.kept.clear()
-        system.kept[name] = found
+    kept, known = last.made or (None, None)
+    found = known if kept is system and known is not None else _made(system.signed() or system)
+    if kept is system:
+        last.made = system, found if system.unknowns < KEPT_UNKNOWNS else None
+    return found
+
+
+def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: np.ndarray, small: bool) -> Surroundings:
+    """Return what all samples of a lattice share: contact system over staggered spins, order of elimination, and Newton
+    matrix; no matrix if top and bottom have the same spins, so that nothing has to be solved.
+
+    It is kept for other samples if there are fewer than KEPT_UNKNOWNS unknowns.
+
+    lattice : the spheres and contacts.
+    spin_axes : numbers of the axes of the C spin components that are computed.
+    top : (C, *plane), imposed spins of the top plane less those of the bottom, in the unit of spins on the path.
+    small : True to factorise several samples in one launch.
+    """
+
+    def make() -> Made:
+        """Return all of it newly made."""
+        system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
+        matrix = NewtonMatrix(system, order, engine=Engine.LAUNCH if small else None) if top.any() else None
+        return system, Surroundings(system, order, matrix, None)
+
+    system, found = last.find((lattice, spin_axes, small), (top,), make)
+    assert found is not None
     if system.unknowns >= KEPT_UNKNOWNS:
-        system.kept.clear()
+        last.forget()
     return found
 
 
@@ -73,11 +137,6 @@ def is_small(system: ContactSystem) -> bool:
     if system.sign is None:
         return system.unknowns < LAUNCH_UNKNOWNS
     return len(np.unique(system.sphere)) < SMALL_SPHERES
-
-
-def _name() -> tuple[str, int]:
-    """Return the key in `ContactSystem.kept` under which the present thread finds its :class:`Surroundings`."""
-    return "surroundings", threading.get_ident()
 
 
 def _made(rows: ContactSystem) -> Surroundings:

@@ -4,27 +4,25 @@ Letters: R samples, E contacts of the lattice, n contacts among them that a free
 *Staggered* spins have signs by which neighbours differ, and are measured from the bottom plane.
 """
 
-import threading
 from contextlib import suppress
-from functools import lru_cache
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from taichi_bearings.conic.central_path import flowing
 from taichi_bearings.conic.cones import length
-from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import free_spins, place_free_spins
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.descent import DISTANT_GAP, Sample
 from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
-from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
-from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
+from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS
+from taichi_bearings.conic.resolution import DECIDED_RATIO
 from taichi_bearings.conic.rows import compile_passes
+from taichi_bearings.conic.shared import surroundings_of_lattice
 from taichi_bearings.conic.strong_contacts import weakened
 from taichi_bearings.kernels.elimination import LANES
-from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, dissect
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly, multiply
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
@@ -33,7 +31,6 @@ from taichi_bearings.solvers.paths import Paths
 from taichi_bearings.solvers.table import InteriorPoint
 
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
-KEPT_SITES = 10_000  # spheres up to which the parts that all samples of a lattice share are kept for later runs
 
 
 def _states(sample: Sample) -> np.ndarray:
@@ -54,43 +51,6 @@ def _states(sample: Sample) -> np.ndarray:
     if point.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
         slip = slip * (1 + point.viscosity / point.friction)
     return np.select([slip > DECIDED_RATIO * margin, margin > DECIDED_RATIO * slip], [slipping, slipless], undecided)
-
-
-_Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where nothing is to be solved
-
-
-def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
-    """Return what all samples of a lattice have in common: the contact system, the order of elimination, and the Newton
-    matrix.
-
-    For small lattices, of which many are solved, they are kept for the next call. Each thread has its own, as the
-    matrix holds the numbers of its factorisation.
-
-    spin_axes : numbers of the axes of the C spin components that are computed.
-    jump : imposed spins of the top plane less those of the bottom, (C, *plane), in the unit of spins on the path, as
-        the bytes of an array, which can be the key of a cache.
-    """
-    if lattice.sites < KEPT_SITES:
-        return _new_skeleton(threading.get_ident(), lattice, spin_axes, jump)
-    _new_skeleton.cache_clear()
-    return _new_skeleton.__wrapped__(0, lattice, spin_axes, jump)
-
-
-@lru_cache(maxsize=1)
-def _new_skeleton(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
-    """Return the contact system, the order of elimination and the Newton matrix of a lattice. The matrix is None if the
-    planes have the same spins, so that nothing has to be solved.
-
-    thread : number of the thread that uses them, as a key of the cache.
-    spin_axes : numbers of the axes of the spin components that are computed.
-    jump : imposed spins of the top plane less those of the bottom, (C components, *plane), in the unit of spins on the
-        path, as the bytes of an array.
-    """
-    top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
-    system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
-    if not top.any():  # the planes have the same spins: nothing has to be solved
-        return system, order, None
-    return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < BATCHED_SITES else None)
 
 
 class LatticePaths(Paths):
@@ -120,17 +80,17 @@ class LatticePaths(Paths):
         # imposed spins of the top less those of the bottom, in `unit`, as sums of two doubles (C, *plane)
         top, self.unit = scene.driving.top_in_units(spin_axes), float(scene.driving.unit[0][0])
         self.frustrated = bool(top[0].any())
-        self.system, order, matrix = _skeleton(scene.lattice, spin_axes, top[0].tobytes())
+        small = scene.lattice.sites < BATCHED_SITES  # samples so small are stepped several at a time
+        shared = surroundings_of_lattice(scene.lattice, spin_axes, top[0], small)
+        self.system = shared.system
         sphere = (len(spin_axes), 1, *scene.lattice.shape)
         # spin of the top above each free sphere, as a pair of doubles
         high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)
-        shared = Surroundings(self.system, order, matrix, (high, low))
-        small = scene.lattice.sites < BATCHED_SITES  # samples so small are stepped several at a time
-        super().__init__(shared, scene.lattice.sites, small, settles=True, asked=settle)
+        super().__init__(replace(shared, top=(high, low)), scene.lattice.sites, small, settles=True, asked=settle)
         if self.frustrated:
             together = LANES if small and scene.replicas > 1 else 1
             compile_passes(together)  # all before the clock starts, but for what a last sample needs if left alone
-            matrix.compile(together)
+            shared.matrix.compile(together)
         # the spins to start from, within the interval of the driven ones, and those of the free spheres in `unit`
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
         start = free_spins(inside / (self.unit or 1.0))

@@ -12,6 +12,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.conic.rolling import rolled
+from taichi_bearings.conic.shared import system_of
 from taichi_bearings.interrupts import GivenUp, look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces
@@ -24,7 +25,6 @@ from taichi_bearings.solvers.found import Found
 from taichi_bearings.solvers.packing_paths import MOST_STEPS, PackingPaths, viscous_spins
 from taichi_bearings.solvers.packing_states import PackingReached
 from taichi_bearings.solvers.part import Part
-from taichi_bearings.solvers.sample_system import system_of_sample
 from taichi_bearings.solvers.stopping import ended_as
 
 ENOUGH_FRICTION = 1e3  # friction beyond which a contact hardly slips, in units of power over fastest driven surface
@@ -50,7 +50,7 @@ class OnSystem(WithMinima):
         self.scene, self.spin_axes = packing, packing.minimum_spin_axes
         self.samples = [packing.sample(number) for number in range(packing.replicas)]
         with one_thread():
-            self.system = system_of_sample(self.samples[0])
+            self.system = system_of(self.samples[0])
         # the spins and forces that were judged last, and what they prove
         self._judged: tuple[Sequence[Found], PackingReached] | None = None
 

@@ -215,7 +215,7 @@ class OperatorSplittingMethod(Method):
                 self.balance.solve()
         stiffness, (potential, trial) = self._along_lattice(self.stiffness), self._seen("potential", "trial")
         staggered = scene.impose_driving(potential / stiffness, axes)
-        look = Look(scene, self.stencil, self.layout, axes, staggered, trial, self.stiffness, self.weights)
+        look = Look(scene, self.stencil, self.layout, axes, staggered, trial, (self.stiffness, self.weights))
         found = look.look(self.balance.each)
         balanced, bound = found.balanced, found.bound
         if self.fields.dtype != np.float64:  # in single precision they are balanced once more

@@ -105,8 +105,8 @@ class PackingPaths(Paths):
         if self.strengths:
             shared = surroundings_of(system)
             path = shared.system.in_units(self.fastest)
-        else:  # no path, so that neither order nor matrix is used (the types demand a matrix)
-            shared, path = Surroundings(system, np.zeros(0, dtype=int), None, None), system  # type: ignore[arg-type]
+        else:  # no path, so that neither order nor matrix is used
+            shared, path = Surroundings(system, np.zeros(0, dtype=int), None, None), system
         settles, spheres = path.sign is not None, len(np.unique(system.sphere))
         super().__init__(replace(shared, system=path), spheres, is_small(path), settles)
         self.samples = [_begun(system, path, of, shared.matrix) for of in self.strengths.values()]
@@ -184,12 +184,11 @@ class PackingPaths(Paths):
         path = self._path_of(number)
         if path.resolved is not None:
             return self._end(number)
-        point = path.iterate
-        contacts, of, sign = point.system, self.strengths[number], point.system.sign
-        # on the path spins may have signs that alternate between neighbours, and forces are minus the dual
-        spins = point.spins if sign is None else sign[self.contacts.system.moved >= 0] * point.spins
-        force = along_tangents(self.contacts.system, contacts, -path.unit * point.whole_dual) * of.force_unit
-        return Found(spins * self.fastest, force, "interior-point", steps=path.steps)
+        of = self.strengths[number]
+        spins, _, force = _in_units_of_packing(
+            self.contacts.system, path, of, self.fastest, (path.iterate.spins, None), path.iterate.whole_dual
+        )
+        return Found(spins, force, "interior-point", steps=path.steps)
 
     def progress(self) -> Progress:
         """Return the progress of all samples: their minima with proven bounds, once all are found; before that their
@@ -246,18 +245,36 @@ def _ended(system: ContactSystem, path: Sample, of: Strengths, matrix: NewtonMat
     else:
         spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
         ties = settled.known_to_slip_sometimes | settled.at_limit
-    rest = None if settled is None else settled.rest
-    if contacts.sign is not None:
-        sign = contacts.sign[system.moved >= 0]
-        spins, rest = sign * spins, None if rest is None else sign * rest
     # from the contacts of the path to all A, and from its units to those of the packing
     own = np.searchsorted(system.numbers, contacts.numbers)
     slips, opens, tie = (
         None if kind is None else _everywhere(own, kind, len(of.friction)) for kind in (slipping, open_, ties)
     )
+    rest = None if settled is None else settled.rest
+    spins, rest, force = _in_units_of_packing(system, path, of, fastest, (spins, rest), dual)
+    return Found(spins, force, "interior-point", slips, tie, path.steps, open=opens, rest=rest)
+
+
+def _in_units_of_packing(
+    system: ContactSystem, path: Sample, of: Strengths, fastest: float,
+    spins: tuple[np.ndarray, np.ndarray | None], dual: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:  # fmt: skip
+    """Return spins and forces on a path in the units of the packing, without the signs by which neighbours differ on
+    the path: u (unknowns,), length/time; what u lacks to be known in twice the precision, or None; and the forces (d
+    tangents, A contacts of the packing).
+
+    system : the contacts of the packing.
+    path : the sample on its path, which says which contacts and signs the path has, and its unit of force.
+    of : the unit of force of these units.
+    fastest : unit of the products of spin and radius on the path, length/time.
+    spins : (unknowns,) each, of the path: spins, and what they lack to be known in twice the precision, or None.
+    dual : (components, n), minus the forces on the n contacts of the path.
+    """
+    contacts = path.iterate.system
+    sign = 1.0 if contacts.sign is None else contacts.sign[system.moved >= 0]
+    high, low = spins
     force = along_tangents(system, contacts, -path.unit * dual) * of.force_unit
-    rest = None if rest is None else rest * fastest
-    return Found(spins * fastest, force, "interior-point", slips, tie, path.steps, open=opens, rest=rest)
+    return sign * high * fastest, None if low is None else sign * low * fastest, force
 
 
 def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:

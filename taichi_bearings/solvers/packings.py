@@ -1,7 +1,6 @@
 """Minima of packings: the method for each, and the samples that are solved side by side."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
@@ -9,7 +8,6 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.scene import Bearing, Solution
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve, uninterrupted
-from taichi_bearings.solvers.sample_system import system_of_sample
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, InteriorPoint
 from taichi_bearings.words import shown
@@ -94,10 +92,11 @@ def _able(scene: Bearing, method: str) -> str:
 
     Exact cuts need a law with friction alone and contacts that each couple one spin component.
     """
-    packing: Any = scene.sample(0)
+    from taichi_bearings.conic.shared import system_of  # and with it Taichi's kernels
+
     runtime.current()
     with one_thread():
-        system = system_of_sample(packing)
+        system = system_of(scene.sample(0))
     exact = scene.law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
     able = ["planar-cut"] * exact + ["interior-point" if scene.law.holds else "linear-solver"]
     if method not in ("auto", *able):

@@ -10,8 +10,6 @@ site, one for each axis and each spin component that makes the contacts along it
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +54,10 @@ class Sums(NamedTuple):
     creep: float  # length/time, the fastest slip of a contact whose trial force is within its friction limit
 
 
-@dataclass(frozen=True, eq=False)
+Task = Callable[[], "Sums"]
+"""Looks at one piece of the contacts: writes their forces and returns the sums of the piece."""
+
+
 class Look:
     """An iterate of operator splitting, whose forces, power and lower bound are to be computed.
 
@@ -64,23 +65,32 @@ class Look:
     friction limit. Shapes: R samples, E contacts, C spin components, and V force components at a site, one for each
     axis and each spin component that makes its contacts slip.
 
-    scene : R samples of a lattice with friction.
-    stencil, layout : which components make contacts slip, and where the forces of contacts stand in `trial`.
-    spin_axes : axes of the C spin components.
-    staggered : (C, R, *N spheres), the spins of the iterate, with signs that alternate between neighbours, 1/time.
-    trial : (V, R, *N), the trial force of each contact, at its lower sphere.
-    stiffness : (R,), of springs sideways, force * time.
-    weights : stiffness of the springs along each axis of the lattice over `stiffness`.
+    friction, balanced, capped : (C, R, E), the trial forces, each cut off at its friction limit; the forces of the
+        springs; these cut off likewise. They are 0 until `look` has filled them.
     """
 
-    scene: Scene
-    stencil: Stencil
-    layout: Layout
-    spin_axes: tuple[int, ...]
-    staggered: np.ndarray
-    trial: np.ndarray
-    stiffness: np.ndarray
-    weights: tuple[float, ...]
+    def __init__(
+        self, scene: Scene, stencil: Stencil, layout: Layout, spin_axes: tuple[int, ...], staggered: np.ndarray,
+        trial: np.ndarray, springs: tuple[np.ndarray, tuple[float, ...]],
+    ) -> None:  # fmt: skip
+        """Take an iterate.
+
+        scene : R samples of a lattice with friction.
+        stencil, layout : which components make contacts slip, and where the forces of contacts stand in `trial`.
+        spin_axes : axes of the C spin components.
+        staggered : (C, R, *N spheres), the spins of the iterate, with signs that alternate between neighbours, 1/time.
+        trial : (V, R, *N), the trial force of each contact, at its lower sphere.
+        springs : stiffness (R,) of springs sideways, force * time; and over it that of those along each axis.
+        """
+        self.scene, self.stencil, self.layout, self.spin_axes = scene, stencil, layout, spin_axes
+        self.staggered, self.trial, (self.stiffness, self.weights) = staggered, trial, springs
+        self.friction, self.balanced, self.capped = (
+            np.zeros((len(spin_axes), scene.replicas, scene.lattice.all_contacts)) for _ in range(3)
+        )
+        largest = float(scene.inverse_limit.max(initial=0.0))
+        least = float(inverse(scene.inverse_limit).max(initial=0.0))
+        # function for the lengths of vectors, given as one or two arrays: a slower one where squares could overflow
+        self._length = _length if largest < 1 / LEAST_LIMIT and least < GREATEST_LIMIT else _safe_length
 
     def look(self, share: Callable[..., Iterable[Any]]) -> Looked:
         """Return friction and spring forces of the iterate, the power of its spins, and the lower bound that its forces
@@ -98,35 +108,7 @@ class Look:
         work, bound = work_and_bound_within(self.scene, self.balanced, self.capped, worst, self.spin_axes, PLAIN_SHARE)
         return Looked(self.friction, self.balanced, power, work, bound, creep)
 
-    @cached_property
-    def friction(self) -> Forces:
-        """(C components, R samples, E contacts), the trial forces, each cut off at its friction limit; 0 until `look`
-        has filled it.
-        """
-        return np.zeros((len(self.spin_axes), self.scene.replicas, self.scene.lattice.all_contacts))
-
-    @cached_property
-    def balanced(self) -> Forces:
-        """(C components, R samples, E contacts), the forces of the springs; 0 until `look` has filled it."""
-        return np.zeros_like(self.friction)
-
-    @cached_property
-    def capped(self) -> Forces:
-        """(C components, R samples, E contacts), the forces of the springs, each cut off at its friction limit; 0 until
-        `look` has filled it.
-        """
-        return np.zeros_like(self.friction)
-
-    @cached_property
-    def _length(self) -> Callable[[list[np.ndarray]], np.ndarray]:
-        """Function that computes the lengths of vectors, given as a list of one or two arrays, one for each component.
-        A slower one is taken if squares of forces could overflow.
-        """
-        largest = float(self.scene.inverse_limit.max(initial=0.0))
-        least = float(inverse(self.scene.inverse_limit).max(initial=0.0))
-        return _length if largest < 1 / LEAST_LIMIT and least < GREATEST_LIMIT else _safe_length
-
-    def _tasks(self, axis: int) -> list[Callable[[], Sums]]:
+    def _tasks(self, axis: int) -> list[Task]:
         """Return functions without arguments, one for each piece of the contacts along an axis. Each computes the
         forces of its piece, writes them into `friction`, `balanced` and `capped`, and returns the sums of the piece.
 
@@ -140,7 +122,7 @@ class Look:
         ]
         limit = lattice.by_axis(self.scene.acting_coefficient)[axis], lattice.by_axis(self.scene.inverse_limit)[axis]
 
-        def task(part: Part) -> Callable[[], Sums]:
+        def task(part: Part) -> Task:
             """Return the function that looks at one piece.
 
             part : slices of the samples and of the first axis of the lattice, which cut the piece out of arrays.

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
-from taichi_bearings.conic import descent
+from taichi_bearings.conic import descent, shared
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.solvers import nested_cuts, sample_system
+from taichi_bearings.solvers import nested_cuts
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import KNOWN_LAWS, some_of
 
@@ -135,7 +135,7 @@ def test_networks_along_the_axes_have_the_minimum_of_any_other(seed, unsettled, 
         monkeypatch.setattr(descent, "resolve", lambda iterates, *_: [None] * len(iterates))
     own = tb.solve(packing)
     monkeypatch.setattr(ContactSystem, "signed", lambda self: None)
-    monkeypatch.setattr(sample_system, "_last", None)  # with the signed rows that it has kept
+    shared.last.forget()  # with the signed rows that it has kept
     other = tb.solve(packing)
     assert own.status == "certified"
     assert own.gap < 1e-12

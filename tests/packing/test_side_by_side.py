@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
+from taichi_bearings.conic import shared
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.shared import system_of
-from taichi_bearings.solvers import packing_states, sample_system
+from taichi_bearings.solvers import packing_states
 from tests.packing.twins import random_packing
 
 ARRAYS = ("spin", "spin_rounding", "slip", "force", "friction", "state", "proven", "power", "lower_bound", "iterations")
@@ -43,7 +44,7 @@ def test_a_sample_has_the_same_bits_alone_and_beside_others(draw, monkeypatch):
     packings = [draw(seed) for seed in range(3)]
     block = tb.solve(tb.Packing.together(packings))
     for packing, beside in zip(packings, block, strict=True):
-        monkeypatch.setattr(sample_system, "_last", None)  # nothing is known of the network
+        shared.last.forget()  # nothing is known of the network
         alone = tb.solve(packing)
         for name in ARRAYS:
             assert np.array_equal(getattr(alone, name), getattr(beside, name)), name

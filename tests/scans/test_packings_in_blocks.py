@@ -5,6 +5,7 @@ from itertools import chain
 import numpy as np
 import pytest
 
+from taichi_bearings.conic import shared
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.runs import packing_run
 from taichi_bearings.runs.run_file import read_run
@@ -13,7 +14,7 @@ from taichi_bearings.scans.estimate import units_of
 from taichi_bearings.scans.sample import solve_samples, state_path
 from taichi_bearings.scans.scan import scan
 from taichi_bearings.scene.packing import Packing
-from taichi_bearings.solvers import on_system, sample_system
+from taichi_bearings.solvers import on_system
 from tests.scans.scan_faults import Here, die_of_several
 from tests.scans.test_scan import CLOCKS, assert_same_but_for_the_clock
 from tests.scans.test_scan_of_packings import save
@@ -33,7 +34,7 @@ def one_by_one(samples, *others):
     """Records of samples, each of a call of its own that knows nothing of the network."""
     found = []
     for sample in samples:
-        sample_system._last = None
+        shared.last.forget()
         found += solve_samples([sample], *others)
     return [without_clocks(record) for record in found]
 

@@ -89,7 +89,7 @@ def test_a_look_equals_sums_over_contacts_one_by_one(shape, direction, periodic,
     )
     stored, stiffness = method.stencil.forces_at_lower_sphere(trial, method.layout), strength * np.array([0.07, 0.19])
     weights = (1.0,) * lattice.height_axis + (0.25,)
-    look = Look(scene, method.stencil, method.layout, axes, spin, stored, stiffness, weights)
+    look = Look(scene, method.stencil, method.layout, axes, spin, stored, (stiffness, weights))
     found = look.look(map)
     power, friction, springs = np.zeros(2), np.zeros(size), np.zeros(size)
     pulls = {}
