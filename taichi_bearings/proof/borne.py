@@ -26,8 +26,7 @@ The proof
    lengths of c) + sum of |R_f| (bounds on f).
 4. G does not quite balance: it leaves residuals of R_f and R_c, and rounding. The torques of G - F* as they are exactly
    lie in the range of K^T, so they are orthogonal to Z: the parts of single loads along Z cancel in the sum over all
-   loads, and may be left out of each. The rest is taken away by a correction of G no larger than its size over the
-   least singular value of K that is not 0; exact_motions.py has a floor of it.
+   loads, and may be left out of each. The rest is taken away by a correction of G; exact_motions.py bounds its size.
 5. X falls into parts that share no free sphere. All contacts of a part rest if all of them stay below mu F_n.
 
 Example. A sphere of X has two contacts of X that have 3 and 1 of their friction left, F = 0, and both can bear the same
@@ -42,6 +41,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg import lu_factor, lu_solve
 
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import Bounds
@@ -53,6 +53,7 @@ from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor
 from taichi_bearings.proof.springs import numbered, slip_rows
 
 # Choices of which R_f and R_c to try. Nothing that is proven depends on them, as any are valid.
+MOST_LOADED_SPHERES = 5_000  # free spheres beyond which R_f and R_c take ten times as long as finding the minimum
 FORCES_AT_ONCE = 64  # other contacts for whose loads R_f is computed at once
 # number of trials of R_c; springs are weakened by (load of a contact / friction left) to this power from trial to trial
 MOST_TRIALS, SPARED = 10, 0.7
@@ -89,7 +90,8 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     # with damping eta (slip + far) more.
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
     number = numbered(unknown)
-    exact = ExactMotions.of(network, number, rests)
+    few = network.reached.sum() <= MOST_LOADED_SPHERES * network.count
+    exact = ExactMotions.of(network, number, rests) if few else ExactMotions.none(network)
     friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
     # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
     # below all their limits can replace the optimal one.
@@ -136,6 +138,12 @@ class ExactlyRolling:
         return sparse.csr_array(whole[at.ravel()][:, self.columns])
 
     @cached_property
+    def unit(self) -> np.ndarray:
+        """(n,), the units of the n unknowns in which friction that takes residuals away is bounded."""
+        number = self.friction_bounds.number
+        return self.friction_bounds.exact.unit[number >= 0][self.columns]
+
+    @cached_property
     def motions(self) -> sparse.csr_array:
         """Matrix (n, z): each column is a motion of the n unknown spin components in which no exactly rolling contact
         slips. There are z independent ones; all others are sums of them."""
@@ -143,6 +151,11 @@ class ExactlyRolling:
         if of is None:
             return sparse.csr_array((len(self.columns), 0))
         return sparse.csr_array(of.motion[:, : len(of.choices.chosen)])
+
+    @cached_property
+    def products(self) -> tuple[np.ndarray, np.ndarray]:
+        """The scalar products of the z motions in `motions`, a matrix (z, z), as its factors by SciPy's `lu_factor`."""
+        return lu_factor((self.motions.T @ self.motions).toarray())
 
     @cached_property
     def part(self) -> np.ndarray:
@@ -275,7 +288,8 @@ class ExactlyRolling:
         exactly rolling contact; and in any case all but the MOST_OTHERS contacts with the largest torques.
 
         most_change : (k,), bound on the change of the friction of each of the k contacts, force."""
-        squares = np.asarray(self.loads[0].power(2).sum(axis=0)).reshape(-1, 2).sum(axis=1) * most_change**2
+        loads = sparse.diags_array(self.unit) @ self.loads[0]
+        squares = np.asarray(loads.power(2).sum(axis=0)).reshape(-1, 2).sum(axis=1) * most_change**2
         order, floor = np.argsort(squares), self.friction_bounds.exact.floor[0]
         faint = np.zeros(len(most_change), dtype=bool)
         faint[order] = np.sqrt(np.cumsum(squares[order])) <= FAINT_LOADS * floor * self.margin.min()
@@ -287,10 +301,10 @@ class ExactlyRolling:
         friction limits. (Parts share no free sphere.)
 
         largest : (q,), bound on the size of the friction of each contact, but for a last correction.
-        residual : (n,), bound on the torque on each unknown which that correction has to balance. It changes friction
-            by at most the norm of these torques over the least singular value, other than 0, of the matrix of slips."""
+        residual : (n,), bound on the torque on each unknown which that correction has to balance; exact_motions.py
+            says how large it may have to be."""
         network, part = self.friction_bounds.network, self.part
-        corrected = np.sqrt(np.bincount(part, residual**2)) / self.friction_bounds.exact.floor[0] * UP
+        corrected = np.sqrt(np.bincount(part, (self.unit * residual) ** 2)) / self.friction_bounds.exact.floor[0] * UP
         of_sphere = np.zeros(len(network.free), dtype=np.intp)
         of_sphere[self.friction_bounds.sphere[self.columns]] = part
         first, second = network.graph.contact[:, self.contacts]
@@ -363,5 +377,5 @@ class SpringsUnderLoad:
         motions = self.loaded.motions
         if not motions.shape[1]:
             return load, np.zeros((0, load.shape[1]))
-        amounts = np.linalg.solve((motions.T @ motions).toarray(), motions.T @ load)
+        amounts = lu_solve(self.loaded.products, motions.T @ load)
         return load - motions @ amounts, amounts

@@ -53,7 +53,7 @@ from taichi_bearings.dissection import Part
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, length
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
-from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
+from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor, Samples
 
 MOST_RELATIVE_CHANGE = (
     0.25  # largest change of a slip, over its size, up to which a slip resists by 0.72 of its curvature
@@ -62,6 +62,9 @@ CURVATURE_TRIALS = 4  # number of trials, each but the first from spins that a s
 RIGID_STIFFNESS = 10.0  # stiffness mu F_n / |z| over the median, beyond which a contact holds a cluster together
 CURVATURE_SHARE = 1e-7  # first guess of tau, which most networks exceed by far
 LEAST_CURVATURE, POWER_ITERATIONS = 1e-14, 6  # curvature that rounding hides, and number of power iterations
+# random vectors that choose the unit of each unknown of a floor, and the largest such unit: larger ones would make more
+# of the rounding than is left of the floor
+DRAWN, MOST_UNIT = 16, 2.0**15
 TINY = np.finfo(np.float64).tiny
 
 
@@ -405,15 +408,15 @@ class Form:
         """(q,), factors by which the q scaled unknowns are multiplied to give the original ones."""
         return 1 / np.sqrt(self.squares)
 
-    def floor(self, sharp: bool = False) -> np.ndarray:
+    def floor(self) -> np.ndarray:
         """Return for each of R samples a number tau, (R,): all eigenvalues of A^T A are proven to be tau or more. A is
         the scaled matrix `rows`, or any other that differs from it by `doubt` at most. It is 0 where nothing is proven,
-        and infinite for a sample without unknowns.
+        and infinite for a sample without unknowns."""
+        return proven_floor(self.rows, self.doubt, self.elimination)
 
-        sharp : True to spend more time on a bound that is as large as possible; False to try CURVATURE_SHARE first,
-            which is enough for most networks.
-        """
-        return proven_floor(self.rows, self.doubt, self.elimination, sharp)
+    def floor_in_units(self) -> Floor:
+        """Return a floor of |A x|^2 in which each of the q scaled unknowns has a unit of its own."""
+        return Floor.of(self.rows, self.doubt, self.elimination)
 
 
 @dataclass(frozen=True)
@@ -589,57 +592,116 @@ def _curvature_rows(
     return found, unsure, np.concatenate(owner)
 
 
-def proven_floor(
-    rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination, sharp: bool = False
-) -> np.ndarray:
+def proven_floor(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination) -> np.ndarray:
     """Return for each of R samples a number tau, (R,): all eigenvalues of A^T A are proven to be tau or more. This
     holds for every matrix A whose entries differ from those of `rows` by `doubt` at most. It is 0 where nothing is
     proven, and infinite for samples without unknowns.
 
     rows, doubt : (m, n) for n unknowns.
     elimination : how to eliminate the matrix rows^T rows, as doubles have formed it.
-    sharp : True to estimate the least eigenvalue at once, for a tau that is as large as possible. False to try
-        CURVATURE_SHARE first, which needs no estimate.
 
-    A guess of tau is subtracted from the diagonal, and the rest is eliminated. If all pivots are positive, the rest has
+    CURVATURE_SHARE is tried first, which needs no estimate, then half of the least eigenvalue as it is estimated.
+    """
+    first = np.full(elimination.samples.count, CURVATURE_SHARE)
+    found = _floor_by_guess(rows, doubt, elimination, first, 1)
+    if found.all():
+        return found
+    guess = _least_eigenvalue(elimination, elimination.factorised_samples(-LEAST_CURVATURE)) / 2
+    return np.where(found > 0, found, _floor_by_guess(rows, doubt, elimination, guess, POWER_ITERATIONS))
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A quadratic form |A x|^2 in q unknowns that is proven to be at least tau times the sum of (x / unit)^2.
+
+    Each unknown has a unit of its own, as some are held far less firmly than others: one number for all would be as
+    small as that of the softest.
+
+    tau : (R,), for each of R samples; 0 where nothing is proven, infinite for samples without unknowns.
+    unit : (q,), powers of two.
+    factor : Cholesky factor of about A^T A, of which nothing is proven.
+    """
+
+    tau: np.ndarray
+    unit: np.ndarray
+    factor: Factor
+
+    @classmethod
+    def of(
+        cls,
+        rows: sparse.csr_array,
+        doubt: sparse.csr_array,
+        elimination: Elimination,
+        factor: Factor | None = None,
+    ) -> Floor:
+        """Prove a floor of |A x|^2 for every matrix A whose entries differ from those of `rows` by `doubt` at most.
+
+        The unit of an unknown is about the root of its entry on the diagonal of (A^T A)^-1. Random vectors with this
+        covariance tell it. Nothing depends on how good it is: any units are valid.
+
+        rows, doubt : (m, q) for q unknowns.
+        elimination : how to eliminate the matrix rows^T rows, as doubles have formed it.
+        factor : its Cholesky factor, if that is known."""
+        samples, factor = elimination.samples, factor or elimination.factorised_samples(-LEAST_CURVATURE)
+        if factor.failed.all():
+            return cls(np.zeros(samples.count), np.ones(elimination.size), factor)
+        normal = np.random.default_rng(0).standard_normal((elimination.size, DRAWN))[samples.rank]
+        size = np.sqrt((factor.drawn(normal) ** 2).mean(axis=1))
+        size = np.where(np.isfinite(size) & ~factor.failed[samples.of], size, 1.0)
+        unit = np.exp2(np.round(np.log2(np.clip(size, 1 / MOST_UNIT, MOST_UNIT))))
+        rows, doubt = (_with_values(part, part.data * unit[part.indices]) for part in (rows, doubt))
+        guess = _least_eigenvalue(elimination, factor, unit) / 2
+        tau = _floor_by_guess(rows, doubt, elimination.in_units(unit), guess, POWER_ITERATIONS)
+        return cls(tau, unit, factor)
+
+
+def _floor_by_guess(
+    rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination, guess: np.ndarray, steps: int
+) -> np.ndarray:
+    """Return for each of R samples half of its guess, (R,), where it is proven that no eigenvalue of A^T A is below
+    that; 0 where not, and infinity for samples without unknowns.
+
+    The guess is subtracted from the diagonal, and the rest is eliminated. If all pivots are positive, the rest has
     no eigenvalue below minus the errors that are bounded here. If these are less than half of the guess, the other half
     is proven.
-    """
+
+    rows, doubt : (m, n), A differs from the first by no more than the second.
+    elimination : how to eliminate the matrix rows^T rows, as doubles have formed it.
+    guess : (R,).
+    steps : number of power iterations that improve the bounds on errors."""
     samples, found = elimination.samples, np.zeros(elimination.samples.count)
     found[np.bincount(samples.of, minlength=samples.count) == 0] = np.inf
+    if found.all() or not (guess > 0).any():
+        return found
     terms = samples.largest(np.bincount(rows.indices, minlength=rows.shape[1])) + 4
     sizes = _with_values(rows, np.abs(rows.data)) + doubt
-    guesses: tuple[tuple[Callable[[], np.ndarray], int], ...]
-    guesses = (
-        (lambda: np.full(len(found), CURVATURE_SHARE), 1),
-        (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS),
-    )
-    for guess, steps in guesses[sharp:]:
-        if found.all():
-            break
-        most, off = (_largest_eigenvalue(part, steps, samples) for part in (sizes, doubt))
-        # Errors, in the spectral norm: `most` and `off` bound the squared norms of |rows| + doubt and of doubt. The
-        # products A^T A of all these A differ by 2 |A| |doubt| at most. Doubles form them as sums of `terms` products,
-        # each with a rounding of EPS, and round once more where the diagonal, about 1, is shifted.
-        tau, error = guess(), 2 * np.sqrt(most * off) + (terms + 1) * EPS * most + EPS
-        missed = elimination.distance_from_positive(tau)
-        # A^T A - tau has no eigenvalue below -(missed + error): if that is less than half of tau, tau / 2 is a floor.
-        holds = (found == 0) & (tau - (missed + error) * UP > tau / 2)
-        found[holds] = tau[holds] / 2
+    most, off = (_largest_eigenvalue(part, steps, samples) for part in (sizes, doubt))
+    # Errors, in the spectral norm: `most` and `off` bound the squared norms of |rows| + doubt and of doubt. The
+    # products A^T A of all these A differ by 2 |A| |doubt| at most. Doubles form them as sums of `terms` products,
+    # each with a rounding of EPS, and round once more where the diagonal, no more than `most`, is shifted.
+    error = 2 * np.sqrt(most * off) + (terms + 2) * EPS * most + EPS
+    missed = elimination.distance_from_positive(guess)
+    # A^T A - guess has no eigenvalue below -(missed + error): if that is less than half of it, the other half is a
+    # floor.
+    holds = (found == 0) & (guess - (missed + error) * UP > guess / 2)
+    found[holds] = guess[holds] / 2
     return found
 
 
-def _least_eigenvalue(elimination: Elimination) -> np.ndarray:
+def _least_eigenvalue(elimination: Elimination, factor: Factor, unit: np.ndarray | None = None) -> np.ndarray:
     """Return for each of R samples a rough value (R,) of the least eigenvalue of its matrix, by inverse iteration; 0
     where rounding hides it. Nothing about it is proven: proofs start from it as a guess.
 
-    elimination : how to eliminate the matrix, which holds the unknowns of all samples."""
-    factor, samples = elimination.factorised_samples(-LEAST_CURVATURE), elimination.samples
+    elimination : how the matrix is eliminated, which holds the unknowns of all samples.
+    factor : its Cholesky factor.
+    unit : (n,), units of the unknowns in which eigenvalues are meant; None for those of the matrix."""
+    samples = elimination.samples
     if factor.failed.all():
         return np.zeros(samples.count)
     vector = np.random.default_rng(0).standard_normal(elimination.size)[samples.rank]  # the same for a sample alone
     for _ in range(POWER_ITERATIONS):
-        vector = factor.solve(vector / samples.norms(vector)[samples.of])
+        vector = vector / samples.norms(vector)[samples.of]
+        vector = factor.solve(vector) if unit is None else factor.solve(vector / unit) / unit
     found = 1 / samples.norms(vector)
     return np.where(np.isfinite(found) & ~factor.failed, found, 0.0)
 

@@ -9,7 +9,7 @@ Symbols
     K : matrix (3 A, n); K x are the slips of these contacts. Its kernel is all x without slip.
     J : some of the unknowns, chosen so that all others follow from them.
     q : number of *choices*, the numbers from which all spins follow: the values of J, and the imposed spins.
-    s : proven floor of the singular values of K for the unknowns outside J.
+    s : proven floor of the singular values of K for the unknowns outside J, in units of their own (curvature.Floor).
 
 The proof
 1. An elimination in doubles finds J: the unknowns at which a pivot is nearly 0.
@@ -17,8 +17,10 @@ The proof
    guess it in doubles. Where it looks like fractions, these are taken, multiplied by their common denominator, and
    products without rounding decide whether no contact slips.
 3. If that holds for all of J, these motions span the kernel of K: by s > 0 nothing outside J can move alone.
-4. No other singular value of K is below s. Take x orthogonal to the kernel and subtract the motions that have its
-   values on J. What is left slips as x does, is 0 on J, and is no shorter than x. So |K x| >= s |x|.
+4. What friction on these contacts may be needed to exert torques r that they can exert at all. It is proven that |K x|
+   >= s |x / unit| for all x that are 0 on J, with a unit for each unknown. Some friction f = K x exerts r, and x may be
+   taken to be 0 on J, as motions of the kernel make no slip. Then |f|^2 = r . x <= |unit r| |x / unit|, so |f| is no
+   larger than |unit r| / s.
 5. In the same way spins that let contacts with driven spheres roll follow from each imposed spin.
 
 Contacts join free spheres to *parts*. A part that has no more conditions than unknowns outside J needs no such proof
@@ -38,7 +40,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.curvature import proven_floor
+from taichi_bearings.proof.curvature import Floor
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.rounded_elimination import Elimination, Factor
@@ -52,7 +54,7 @@ DENOMINATORS = 720  # largest denominator of the fractions that are guessed
 # sums and products of them in doubles are exact.
 WHOLE, LARGEST = 1e-6, 2.0**40
 MOST_ROUNDS = 12  # number of times that spheres are left out and the rest is tried again
-MOST_EXACT_SPHERES = 5_000  # free spheres beyond which proofs with exact motions take longer than finding the minimum
+MOST_EXACT_SPHERES = 20_000  # free spheres beyond which exact motions take longer than finding the minimum
 # Motions that are solved for at once; choices of a part in one of them at most; share of the choices that such sums may
 # leave open before each is solved for alone.
 SLOTS_AT_ONCE, CHOICES_IN_A_SUM, WORTH_A_ROUND = 64, 32, 0.5
@@ -65,8 +67,9 @@ class ExactMotions:
 
     spheres : (N,) mask of the free spheres that these contacts join.
     contacts : (E,) mask of these contacts: among these spheres, and with driven ones.
-    floor : (R,), for each sample a proven lower bound of the singular values, other than 0, of the matrix that gives
-        the slips of these contacts from spins; infinite for samples without any such contact.
+    floor, unit : (R,) and (N, 3). Friction on these contacts that exerts given torques on the spheres, if there is
+        any, exists with a size no larger than the norm of (unit * torque) over `floor`; see step 4. The floor is
+        infinite for samples without any sphere, and units are 0 for what is no unknown or is in J.
     motions : how the spins of these spheres follow from a few of them and from imposed spins, such that no contact
         slips; None if there is no such contact.
     """
@@ -74,6 +77,7 @@ class ExactMotions:
     spheres: np.ndarray
     contacts: np.ndarray
     floor: np.ndarray
+    unit: np.ndarray
     motions: _Motions | None = None
 
     @classmethod
@@ -114,7 +118,13 @@ class ExactMotions:
             if isinstance(found, tuple):
                 return cls(spheres, contacts, *found)
             spheres = spheres & ~found
-        return cls(np.zeros_like(spheres), np.zeros_like(rests), np.full(network.count, np.inf))
+        return cls.none(network)
+
+    @classmethod
+    def none(cls, network: JudgedNetwork) -> ExactMotions:
+        """Return the object that says of no contact of a network that it can roll exactly."""
+        spheres, contacts = (np.zeros(of.shape, dtype=bool) for of in (network.free, network.counts))
+        return cls(spheres, contacts, np.full(network.count, np.inf), np.zeros((len(spheres), 3)))
 
     def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
         """Return spins times radius by component, 3 enclosures (N,), length/time, changed so little that all contacts
@@ -166,12 +176,11 @@ class _Parts:
         of_contact = np.searchsorted(parts, label[np.where(network.free[ends[0]], *ends)])
         return cls(network, free, ends, network.graph.normal[contacts], rows, of_unknown, of_contact, len(parts))
 
-    def floor_and_motions(self) -> tuple[np.ndarray, _Motions] | np.ndarray:
+    def floor_and_motions(self) -> tuple[np.ndarray, np.ndarray, _Motions] | np.ndarray:
         """Try to prove that all A contacts can roll exactly at once.
 
-        Returns, if that is proven, a pair: a proven lower bound (R,) of the singular values, other than 0, of the
-        matrix that gives their slips from the spins, for each of R samples; and the motions. Else a mask (N,) of at
-        least one sphere that is to be left out before the next try."""
+        Returns, if that is proven, three things: `floor` and `unit` as in :class:`ExactMotions`, and the motions. Else
+        a mask (N,) of at least one sphere that is to be left out before the next try."""
         everything, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
         network, place = self.network, self.network.graph.place[sphere].T
         samples = network.samples_of(sphere)
@@ -188,20 +197,24 @@ class _Parts:
         enough = enough[self.of_unknown] | (np.bincount(samples.of, follows, samples.count) == 0)[samples.of]
         if enough.any():
             return self._spheres(enough)
-        # A floor tau of eigenvalues for the others, and the motions that follow from chosen and imposed numbers.
+        # The motions that follow from chosen and imposed numbers, and, if no contact slips, a floor for the others.
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
         parts, followers = network.parts_of(sphere[follows]), network.samples_of(sphere[follows])
         elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows], parts, followers)
-        tau = proven_floor(rows, rounding_of(rows), elimination, sharp=True)
         factor = elimination.factorised_samples()
         if choices is None:
             return everything
-        if (fails := (tau == 0) | factor.failed).any():
-            return self._spheres(fails[samples.of])
+        if factor.failed.any():
+            return self._spheres(factor.failed[samples.of])
         motions, no_fraction = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor, in_order)
         slipping = motions.slipping_contacts()
         if not len(slipping):
-            return np.sqrt(tau) / UP, motions
+            floor = Floor.of(rows, rounding_of(rows), elimination, factor)
+            if not floor.tau.all():
+                return self._spheres((floor.tau == 0)[samples.of])
+            unit = np.zeros(self.free.shape)
+            unit[tuple(of[follows] for of in np.nonzero(self.free))] = floor.unit
+            return np.sqrt(floor.tau) / UP, unit, motions
         found = self._spheres(no_fraction)
         # Leave out spheres with a number that is no fraction, and both ends of contacts that slip though all numbers
         # are fractions.

@@ -12,7 +12,7 @@ Symbols
     y : slip of a contact. mu F_n : its friction limit. eta : its damping.
     r : torques that the friction at hand leaves over on free spheres.
     B : matrix whose square |B x|^2 is the curvature of the potential along x, for x in V.
-    tau : proven lower bound of |B x|^2 / |x|^2, in scaled unknowns.
+    tau : proven lower bound of |B x|^2 / |x|^2, with each unknown in a unit of its own (curvature.Floor).
     to_v : bound on how far the slip of a contact is from its slip at some spins in V.
     loose : contacts of T that need not roll exactly, and the free spheres that no exactly rolling contact touches.
 
@@ -20,14 +20,15 @@ The proof
 1. V is not empty, and some of its spins are close to the given ones. Where contacts of T set more conditions than their
    spheres have freedoms, all of them can rest only in motions in which they roll exactly; these are found in fractions
    (exact_motions.py), with a floor of the singular values of K, but 0, for these contacts. For the loose contacts and
-   spheres an elimination proves that the rows of K are independent: `floor_of_loose_contacts` is a lower bound of the
-   singular values of K^T.
+   spheres an elimination proves that the rows of K are independent, with a number for each contact that says how large
+   spins have to be to give it a slip (springs.floor_by_contact).
 2. Within V the potential has one minimum close to these spins. Its curvature along x is |B x|^2, the sum over S of (mu
    F_n / |y|) (part of K x across y)^2 + eta |K x|^2, and elimination proves tau. Its slope along x is r . x + a . B x:
    r are the torques left over, and the vector a comes from the angle between the given friction and the slip in V.
    Friction resists a change by at least 0.72 of its curvature while no slip changes by more than a quarter
-   (curvature.py says why), damping by all of it. So the potential rises wherever |B x| exceeds (|r| / tau^1/2 + |a|) /
-   0.72, and the minimum is closer than that.
+   (curvature.py says why), damping by all of it. For any motion z, r . x = (B z) . (B x) + (r - B^T B z) . x. So the
+   potential rises wherever |B x| exceeds (|B z| + |r - B^T B z| / tau^1/2 + |a|) / 0.72, and the minimum is closer than
+   that. With a step of Newton's method as z hardly any torque is left for tau: stiff contacts bear most of r.
 3. This minimum in V is a minimum over all spins, if T can bear what S leaves to it. The friction of S at the minimum is
    known closely. The potential has no slope within V, so some friction on T balances the torques; the floors of step 1
    bound how far it is from the friction of T at hand. If it stays below mu F_n at each contact of T, then it is optimal
@@ -48,28 +49,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import sparse
 
 from taichi_bearings.dissection import Part
 from taichi_bearings.proof.bounds import Bounds
-from taichi_bearings.proof.curvature import MOST_RELATIVE_CHANGE, Form
+from taichi_bearings.proof.curvature import MOST_RELATIVE_CHANGE, Floor, Form
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
-from taichi_bearings.proof.springs import floor_of_slips, numbered, slip_rows
+from taichi_bearings.proof.springs import floor_by_contact, numbered, slip_rows
 
 # A contact is put into S if its slip exceeds this share of the fastest imposed component: any choice is safe, since a
 # wrong one only makes the proof fail.
 MOVING = 1e-10
 TINY = 1e-290  # added to bounds that might underflow
-# The four numbers below belong to Newton's method, of which nothing has to be proven.
+# The five numbers below belong to Newton's method, of which nothing has to be proven.
 FIRM = 1e4  # factor of the rows of T over those of a contact with the median slip, to precondition conjugate gradients
 SOFT = -1e-9  # minus what is added to eigenvalues of the rows of T: above rounding, below those of motions that slip
+SETTLED = 1e-12  # change of a slip by a step over the slip, below which the proof is tried
 MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end at this share of the first residual
 
 
@@ -100,15 +102,17 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     slipping, resting = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
     exact = ExactMotions.of(network, number, network.counts & ~slides)
     loose = network.counts & ~slides & ~exact.contacts  # contacts that need not roll exactly
-    least_loose = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), loose, sharp=True)
-    if not (least_loose > 0).any():
+    loose_floor, loose_unit = floor_by_contact(network, numbered(~exact.spheres[:, None] & (number >= 0)), loose)
+    if not (loose_floor > 0).any():
         return None
+    holds_loose = LooseFloor(np.sqrt(loose_floor) / UP, loose_unit)
     # Find the only minimum near, from the given spins, and if that fails from spins that Newton's method has improved.
-    centre = Centre(network, exact, np.sqrt(least_loose) / UP, number, slipping, resting, network.spin, bounds.friction)
+    centre = Centre(network, exact, holds_loose, number, slipping, resting, network.spin, bounds.friction)
     distance, proven = centre.proven_distance()
-    if network.count == 1 and not proven.any():
-        centre = centre.improved()
-        distance, proven = centre.proven_distance()
+    for enough in (SETTLED, 0.0) if network.count == 1 else ():
+        if not proven.any():
+            centre = centre.improved(enough)
+            distance, proven = centre.proven_distance()
     if not proven.any():
         return None
     # slips of the improved spins are not quite the given ones
@@ -116,6 +120,20 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     distances = np.zeros(len(slides))
     distances[slipping] = (distance + length(moved).most[slipping]) * UP
     return slides, distances, proven
+
+
+@dataclass(frozen=True)
+class LooseFloor:
+    """What is proven of the resting contacts that need not roll exactly, and of the spheres that exact motions leave
+    out: some spins give any slips to these contacts.
+
+    floor : (R,), for each of R samples; infinite if there is no such contact, 0 if nothing is proven.
+    unit : (E,), a number for each contact. Slips y need spins no larger than the norm of unit |y| over `floor`.
+        Friction on a contact, where all of it exerts torques of the norm |r|, is no larger than unit |r| / floor.
+    """
+
+    floor: np.ndarray
+    unit: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -128,9 +146,8 @@ class Centre:
 
     network : R samples of a packing, with N spheres and E contacts in all.
     exact : motions of spheres in which some resting contacts roll exactly.
-    floor_of_loose_contacts : (R,), proven lower bound of the singular values of K^T for the *loose* contacts, resting
-        ones that need not roll exactly, and the spheres that exact motions leave out; infinite if there is no such
-        contact, 0 if nothing is proven.
+    loose : how firmly the *loose* contacts hold, resting ones that need not roll exactly, by the spheres that exact
+        motions leave out.
     number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none.
     slipping, resting : (S,) and (T,), indices of the contacts.
     spin : spins times radius by component, 3 enclosures (N,).
@@ -140,7 +157,7 @@ class Centre:
 
     network: JudgedNetwork
     exact: ExactMotions
-    floor_of_loose_contacts: np.ndarray
+    loose: LooseFloor
     number: np.ndarray
     slipping: np.ndarray
     resting: np.ndarray
@@ -265,10 +282,12 @@ class Centre:
         doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
         return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts, samples=self.samples)
 
-    def improved(self) -> Centre:
+    def improved(self, enough: float) -> Centre:
         """Return spins closer to the minimum among those spins at which the resting contacts do not slip, and the
         friction that these contacts have to bear then: by Newton's method. It makes steps while each of them more than
-        halves the norm of the leftover torques. Nothing about the result is proven."""
+        halves the norm of the leftover torques. Nothing about the result is proven.
+
+        enough : it ends as soon as a step changes no slip of slipping contacts by more than this share of it."""
         curvature, there = self.curvature(FIRM), self.number >= 0
         # The slips of resting contacts are fixed @ spins. A motion is split into one in which these are 0 and another
         # one, by the factorised matrix fixed^T fixed.
@@ -286,17 +305,19 @@ class Centre:
             found = factor.solve(torque)
             return found + factor.solve(torque - fixed.T @ (fixed @ found))
 
-        def allowed(spins: np.ndarray) -> np.ndarray:
+        def allowed(spins: np.ndarray, solve: Callable[[np.ndarray], np.ndarray] = factor.solve) -> np.ndarray:
             """Return the part of a vector (n,) that is left once its part which makes resting contacts slip is taken
-            away. The vector holds changes of the n unknown spins, or torques on them."""
-            return spins - borne(fixed.T @ (fixed @ spins))
+            away. The vector holds changes of the n unknown spins, or torques on them.
+
+            solve : what solves for that, to a few digits; or `borne`, to nearly all."""
+            return spins - solve(fixed.T @ (fixed @ spins))
 
         def bends(spins: np.ndarray) -> np.ndarray:
             """Return by how much the torques (n,) of slipping contacts change, to first order, when the n unknown spins
             change by `spins` (n,)."""
             return (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
 
-        best, least, found = self, np.inf, self
+        best, least, found, change = self, np.inf, self, np.inf
         while True:
             # One step: first take away slips of resting contacts. Then solve for the motion that leaves them at rest
             # and removes the torques of slipping contacts, and let resting contacts bear what is left.
@@ -304,11 +325,16 @@ class Centre:
             if not (left := float(np.linalg.norm(curvature.scale * torque))) < least / 2:
                 return best
             best, least = found, left
+            if not change > enough:
+                return best
             slip = np.stack([part.value[self.resting] for part in best.slips]).ravel()
             step = -borne(fixed.T @ slip)
-            step -= _conjugate_gradients(lambda x: allowed(bends(x)), allowed(torque + bends(step)),
+            further = _conjugate_gradients(lambda x: allowed(bends(x)), allowed(torque + bends(step), borne),
                             lambda x: allowed(curvature.scale * soft.solve(curvature.scale * x)))  # fmt: skip
+            step -= allowed(further, borne)
             found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
+            changes = np.linalg.norm((self.rows @ step).reshape(3, -1)[:, self.slipping], axis=0)
+            change = float((changes / best.size.value).max(initial=0.0))
 
     def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Centre:
         """Return a copy with other spins and friction, after one step of Newton's method.
@@ -332,6 +358,8 @@ class Centre:
 
         Then it is a minimum over all spins, and all minima have its slips.
         """
+        if not self._resting_contacts_can_bear(np.zeros(len(self.slipping))).any():  # which takes little time
+            return np.full(len(self.slipping), np.inf), np.zeros(self.network.count, dtype=bool)
         distance, proven = self._distance_of_minimum()
         return distance, proven & self._resting_contacts_can_bear(distance) if proven.any() else proven
 
@@ -379,14 +407,17 @@ class Centre:
         found[self.with_friction] = (change / self.size.least)[self.with_friction] * UP
         return found
 
-    def _largest_torques(self, unsure: np.ndarray) -> np.ndarray:
+    def _largest_torques(self, unsure: np.ndarray, less: np.ndarray | None = None) -> np.ndarray:
         """Return bounds (N spheres, 3) on the size of each component of the torque over radius that friction leaves
         over on each sphere, if the friction of slipping contacts may differ from `friction`. The bound is 0 for spin
         components that are no unknowns.
 
         unsure : (S,), bound on that difference, a force, for each of the S slipping contacts.
+        less : (N, 3), torques that are subtracted before; None for none.
         """
-        found = np.stack([part.most for part in self.torques], axis=1)
+        less = np.zeros(self.number.shape) if less is None else less
+        parts = [part - Enclosure.exact(taken) for part, taken in zip(self.torques, less.T, strict=True)]
+        found = np.stack([part.most for part in parts], axis=1)
         for end in self.network.graph.contact[:, self.slipping]:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
@@ -404,31 +435,36 @@ class Centre:
         curvature = self.curvature() if slips.any() else None
         if curvature is None:
             return np.full(len(size), np.inf), np.zeros_like(slips)
-        tau = curvature.floor(sharp=True)
-        proven = slips & (tau > 0) & (self.floor_of_loose_contacts > 0)
+        floor = curvature.floor_in_units()
+        tau, proven = floor.tau, slips & (floor.tau > 0) & (self.loose.floor > 0)
         loose = np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts))  # they need not roll exactly
         ends = self.network.graph.contact[:, self.slipping]
         # Distance to V, the spins at which resting contacts do not slip: a change of spins by no more than
-        # (norm of these slips) / (singular value) takes them away. The slip of a contact changes by up to twice that.
-        missed = np.sqrt(sum(self._norms(p.most[loose], self.network.sample_of(loose)) ** 2 for p in self.slips))
-        change_of_spins = np.where(missed > 0, missed / self.floor_of_loose_contacts * UP, 0.0)
+        # (norm of unit times these slips) / floor takes them away. The slip of a contact changes by up to twice that.
+        unit, of_loose = self.loose.unit[loose], self.network.sample_of(loose)
+        missed = np.sqrt(sum(self._norms(unit * part.most[loose], of_loose) ** 2 for part in self.slips))
+        change_of_spins = np.where(missed > 0, missed / self.loose.floor * UP, 0.0)
         to_v = np.where(self._loose_spheres[ends].any(axis=0), 2 * change_of_spins[sample] * UP, 0.0)
         angle, size_error, size_by_law = self._distance_from_slip_direction(to_v)
         scale = np.zeros(self.number.shape)
-        scale[self.number >= 0] = curvature.scale
-        # reach = |r| / tau + |a| / tau^1/2 in scaled unknowns x: 0.72 of the bound on |x| at the minimum. Friction of
-        # size F at a small angle to the slip has a part F angle across it, which counts in the vector a: over the root
-        # of the curvature F / |y|, that is angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at
-        # most, which counts in r, as does what the size of F misses.
-        torque = scale * self._largest_torques(size_error + size_by_law * angle**2 * UP)
-        reach = self._norms_on_spheres(torque, np.ones(len(scale), dtype=bool)) / tau
+        scale[self.number >= 0] = curvature.scale * floor.unit
+        # reach = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2 in scaled unknowns x, each in its own unit, for the
+        # z of step 2: 0.72 of the bound on |x| at the minimum. Friction of size F at a small angle to the slip has a
+        # part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that is angle
+        # (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most, which counts in r, as does what
+        # the size of F misses.
+        pull, taken, inexact = self._newton_step(curvature, floor)
+        torque = self._largest_torques(size_error + size_by_law * angle**2 * UP, taken)
+        torque[self.number >= 0] = (torque[self.number >= 0] + inexact) * (curvature.scale * floor.unit)
+        reach = self._norms_on_spheres(torque, np.ones(len(scale), dtype=bool)) / tau + pull / np.sqrt(tau)
         reach += np.sqrt(np.bincount(sample, size_by_law * size * angle**2 + damping * to_v**2, len(tau)) / tau)
         largest = scale.max(axis=1)
         # Where 12 comes from:
         # 2, as two spheres change a slip by up to 2^1/2 scale |x|, and 2^1/2 / 0.72 < 2;
         # 3, as the curvature that counts is that in V. It is 0.8 tau at least where slips are a quarter longer there,
         #    times (1 - 8^-1/2)^2 as directions lose tau / 8 at most (checked below): 0.334 tau, more than tau / 3;
-        # 2, to spare.
+        # 1.5, as |B z| and |B x| are taken of B as doubles have it: what it misses is below tau^1/2 / 2;
+        # 4 / 3, to spare.
         distance = (to_v + 12 * largest[ends].max(axis=0) * reach[sample] * UP**2 + TINY) * UP
         relative_change, loss = self._relative_to_slip(distance), np.zeros(len(scale))
         for end in ends:
@@ -440,6 +476,32 @@ class Centre:
         # be no more than what is lost, below tau / 8, but it is tau or more: so there is just one minimum.
         remains = (largest**2 * loss * UP).reshape(len(tau), -1).max(axis=1) < tau / 8
         return distance, proven & self._of_all(relative_change <= MOST_RELATIVE_CHANGE, sample) & remains
+
+    def _newton_step(self, curvature: Form, floor: Floor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Take away, by a motion z, as much as it can of the torques that friction leaves over. Return three arrays:
+
+        1. a bound on |B z| for each sample, (R,);
+        2. the torques B^T B z, (N spheres, 3), 0 for what is no unknown;
+        3. a bound on their rounding for each of the n unknowns, (n,).
+
+        Any z is valid; here it is about a step of Newton's method. The matrix B is meant as doubles have it.
+
+        curvature : the matrix B for the unknowns in units `scale`.
+        floor : what is proven of it, with a factor of B^T B.
+        """
+        rows, scale, samples, there = curvature.rows, curvature.scale, curvature.elimination.samples, self.number >= 0
+        torque = scale * np.stack([part.value for part in self.torques], axis=1)[there]
+        z = floor.factor.solve(torque)
+        z += floor.factor.solve(torque - rows.T @ (rows @ z))
+        z = np.where(np.isfinite(z) & ~floor.factor.failed[samples.of], z, 0.0)
+        # A sum of products has as many roundings as terms; those of all terms are allowed for, with their full sizes.
+        taken, sizes = rows.T @ (rows @ z), abs(rows).T @ (abs(rows) @ np.abs(z))
+        terms = np.diff(rows.indptr).max(initial=0) + np.bincount(rows.indices).max(initial=0) + 8
+        inexact, of_sample = terms * EPS * sizes, partial(np.bincount, samples.of, minlength=samples.count)
+        work = of_sample(np.abs(z) * (inexact + len(z) * EPS * sizes)) + of_sample(z * taken)
+        found = np.zeros(there.shape)
+        found[there] = taken / scale
+        return np.sqrt(np.maximum(work, 0.0)) * UP + TINY, found, inexact / scale * UP
 
     def _distance_from_slip_direction(self, to_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compare the friction F of the S slipping contacts with the friction that the contact law demands for slips
@@ -472,17 +534,17 @@ class Centre:
             + 2 * self._relative_to_slip(distance) * self.strength.most
             + self.damping.most * distance
         )
-        # The friction of resting contacts is corrected by no more than (norm of the torques) / (floor of singular
-        # values): first at loose contacts, for the spheres that exact motions leave out, then at exactly rolling ones.
-        # To their spheres the first correction brings torques of its own, at most `most` times as large: |u_i + u_j|^2
-        # <= 2 (|u_i|^2 + |u_j|^2), so no singular value of K is above the root of twice the largest number of contacts
-        # of a sphere.
-        sample = network.sample_of(self.resting)
-        by_loose = self._norms_on_spheres(torque, self._loose_spheres) / self.floor_of_loose_contacts * UP
-        most = np.sqrt(2 * np.bincount(network.graph.contact[:, network.counts].ravel()).max())
-        by_exact = (self._norms_on_spheres(torque, exact.spheres) + most * by_loose) / exact.floor * UP**2
+        # The friction of resting contacts is corrected by no more than what the floors say: first at loose contacts,
+        # for the spheres that exact motions leave out, then at exactly rolling ones. The first correction brings
+        # torques of its own to the spheres of these, from each contact no more than its size.
+        sample, rolls = network.sample_of(self.resting), exact.contacts[self.resting]
+        left = self._norms_on_spheres(torque, self._loose_spheres) / self.loose.floor * UP
+        change = np.where(rolls, 0.0, self.loose.unit[self.resting] * left[sample] * UP)
+        for end in network.graph.contact[:, self.resting]:
+            np.add.at(torque, end, change[:, None] * UP)
+        by_exact = self._norms_on_spheres(exact.unit * torque, exact.spheres) / exact.floor * UP**2
         margin = (network.holding - length(self.friction)).lower()[self.resting]
-        change = np.where(exact.contacts[self.resting], by_exact[sample], by_loose[sample])
+        change = np.where(rolls, by_exact[sample], change)
         return self._of_all(margin > change * UP, sample)
 
 

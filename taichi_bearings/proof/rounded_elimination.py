@@ -152,6 +152,16 @@ class Elimination:
         """The number n of unknowns."""
         return len(self.order)
 
+    def in_units(self, unit: np.ndarray) -> Elimination:
+        """Return the elimination of the same matrix in other units of the unknowns: each entry is multiplied by those
+        of its row and of its column.
+
+        unit : (n,), powers of two, so that nothing is rounded."""
+        own, lower = unit[self.order], self.lower
+        data = lower.data * own[lower.indices] * np.repeat(own, np.diff(lower.indptr))
+        scaled = sparse.csc_array((data, lower.indices, lower.indptr), shape=lower.shape)
+        return Elimination(self.order, scaled, self.fronts, self.samples)
+
     def columns(
         self, shift: float | np.ndarray, least: float = 0.0, held: np.ndarray | None = None
     ) -> Iterator[tuple[Front, Columns | None]]:
@@ -340,14 +350,26 @@ class Factor:
         """Return the solution x of L L^T x = right, with the unknowns in their original order.
 
         right : (n,), or (n, m) for m right-hand sides; the result has its shape."""
-        x, own = right.reshape(len(right), -1)[self.order], [slice(f.first, f.first + f.own) for f, _ in self.columns]
-        # Forward with L, then backward with its transpose.
-        for (front, (pivots, below)), at in zip(self.columns, own, strict=True):
-            x[at] = dtrsm(1.0, pivots, x[at], lower=1)
-            x[front.border] -= below @ x[at]
-        for (front, (pivots, below)), at in zip(reversed(self.columns), reversed(own), strict=True):
-            x[at] -= below.T @ x[front.border]
-            x[at] = dtrsm(1.0, pivots, x[at], lower=1, trans_a=1)
+        x = right.reshape(len(right), -1)[self.order]
+        for front, (pivots, below) in self.columns:  # forward with L
+            own = slice(front.first, front.first + front.own)
+            x[own] = dtrsm(1.0, pivots, x[own], lower=1)
+            x[front.border] -= below @ x[own]
+        return self._backward(x).reshape(right.shape)
+
+    def drawn(self, normal: np.ndarray) -> np.ndarray:
+        """Return the solutions x (n, m) of L^T x = normal. If the entries of `normal` (n, m) are independent and have
+        the variance 1, the covariance of the entries of x is the inverse of L L^T."""
+        return self._backward(normal[self.order])
+
+    def _backward(self, x: np.ndarray) -> np.ndarray:
+        """Return the solutions of L^T y = x, with the unknowns in their original order.
+
+        x : (n, m), in the order of elimination; overwritten."""
+        for front, (pivots, below) in reversed(self.columns):
+            own = slice(front.first, front.first + front.own)
+            x[own] -= below.T @ x[front.border]
+            x[own] = dtrsm(1.0, pivots, x[own], lower=1, trans_a=1)
         found = np.empty_like(x)
         found[self.order] = x
-        return found.reshape(right.shape)
+        return found

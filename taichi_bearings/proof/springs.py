@@ -37,7 +37,7 @@ from scipy import sparse
 
 from taichi_bearings.dissection import Part, dissected, restricted
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.curvature import Form, proven_floor
+from taichi_bearings.proof.curvature import Floor, Form, proven_floor
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
@@ -180,37 +180,89 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
     return floor_of_slips(network, number, own) > 0
 
 
-def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False) -> np.ndarray:
-    """Return for each of R samples a proven lower bound (R,) of the eigenvalues of K K^T, where K is the matrix that
-    gives the slips of some contacts from n unknown spin components. If it is above 0, some spins give these contacts
-    any slips that one asks for. It is infinite for samples without any such contact, and 0 if nothing is proven.
-
-    Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
-    out.
+def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> np.ndarray:
+    """Return for each of R samples a proven lower bound (R,) of the eigenvalues of K K^T. K is the matrix that gives
+    the slips of some contacts from n unknown spin components. If the bound is not 0, spins can give any slips to these
+    contacts. It is infinite for samples without any of them, and 0 if nothing is proven.
 
     network : R samples of a packing, with N spheres and E contacts in all.
     number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
     contacts : (E,) mask of the contacts.
-    sharp : True to spend more time on a bound that is as large as possible.
     """
-    count = len(contacts)
-    own = np.ones((3, count), dtype=bool) & contacts
-    own[np.argmax(np.abs(network.graph.normal), axis=1), np.arange(count)] = False
-    chosen = np.flatnonzero(own.ravel())
-    if not len(chosen):
-        return np.full(network.count, np.inf)
-    columns = sparse.csr_array(slip_rows(network, number)[chosen].T)
-    columns.eliminate_zeros()
-    # More slips than unknowns, or one that no unknown changes, are not independent.
-    samples = Samples(network.sample_of(chosen % count), network.count)
-    unknowns = (number >= 0).reshape(network.count, -1).sum(axis=1)
-    if (np.bincount(samples.of, minlength=network.count) > unknowns).all():
-        return np.zeros(network.count)
-    place = network.graph.place[network.graph.contact[0, chosen % count]].T
-    parts = _parts_of_slips(network, np.asarray((number >= 0).any(axis=1)), chosen % count)
-    elimination = Elimination.of((columns.T @ columns).tocsc(), place, parts, samples)
+    slips = _Slips.of(network, number, contacts)
+    if isinstance(slips, np.ndarray):
+        return slips
     with np.errstate(all="ignore"):
-        return proven_floor(columns, rounding_of(columns), elimination, sharp)
+        return proven_floor(slips.columns, rounding_of(slips.columns), slips.elimination)
+
+
+def floor_by_contact(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Prove that spins can give any slips to some contacts, and how large these spins have to be. Return two arrays:
+
+    1. tau : (R,), for each of R samples a number above 0 if it is proven, infinite without any of the contacts;
+    2. unit : (E,), a number for each contact, 1 for others.
+
+    Then slips y of the contacts need spins of a size no larger than the root of (sum of (unit |y|)^2) / tau. Friction
+    on a contact, if all of it exerts torques of the norm |r|, is no larger than unit |r| over the root of tau.
+
+    network : R samples of a packing, with N spheres and E contacts in all.
+    number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
+    contacts : (E,) mask of the contacts.
+
+    Why the second is true: let M give the slips along the two components that are not left out, and friction f exert
+    the torques K^T f = M^T g with two numbers g for each contact. Slips along these two fix the whole slip, which is no
+    shorter; so f, which is across its normal, is no larger than g. And |M^T g|^2 >= tau times the sum of (g / unit)^2.
+    """
+    unit, slips = np.ones(len(contacts)), _Slips.of(network, number, contacts)
+    if isinstance(slips, np.ndarray):
+        return slips, unit
+    with np.errstate(all="ignore"):
+        floor = Floor.of(slips.columns, rounding_of(slips.columns), slips.elimination)
+    unit[slips.contact] = 0.0
+    np.maximum.at(unit, slips.contact, floor.unit)
+    return floor.tau, unit
+
+
+@dataclass(frozen=True)
+class _Slips:
+    """Two components of the slips of some contacts, q numbers in all, and how K K^T of these is eliminated.
+
+    Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
+    out.
+
+    columns : K^T, (n unknown spin components, q).
+    elimination : of K K^T.
+    contact : (q,), the contact of each number.
+    """
+
+    columns: sparse.csr_array
+    elimination: Elimination
+    contact: np.ndarray
+
+    @classmethod
+    def of(cls, network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> _Slips | np.ndarray:
+        """Order the elimination. Return a floor of its eigenvalues (R,) instead, where that is known at once: infinite
+        for samples without any of these contacts, 0 if in each there are more slips than unknowns.
+
+        network : R samples of a packing, with N spheres and E contacts in all.
+        number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
+        contacts : (E,) mask of the contacts."""
+        count = len(contacts)
+        own = np.ones((3, count), dtype=bool) & contacts
+        own[np.argmax(np.abs(network.graph.normal), axis=1), np.arange(count)] = False
+        chosen = np.flatnonzero(own.ravel())
+        if not len(chosen):
+            return np.full(network.count, np.inf)
+        columns = sparse.csr_array(slip_rows(network, number)[chosen].T)
+        columns.eliminate_zeros()
+        # More slips than unknowns, or one that no unknown changes, are not independent.
+        samples = Samples(network.sample_of(chosen % count), network.count)
+        unknowns = (number >= 0).reshape(network.count, -1).sum(axis=1)
+        if (np.bincount(samples.of, minlength=network.count) > unknowns).all():
+            return np.zeros(network.count)
+        place = network.graph.place[network.graph.contact[0, chosen % count]].T
+        parts = _parts_of_slips(network, np.asarray((number >= 0).any(axis=1)), chosen % count)
+        return cls(columns, Elimination.of((columns.T @ columns).tocsc(), place, parts, samples), chosen % count)
 
 
 def _parts_of_slips(network: JudgedNetwork, moves: np.ndarray, contact: np.ndarray) -> list[Part]:
