@@ -68,10 +68,9 @@ from taichi_bearings.proof.springs import floor_by_contact, numbered, slip_rows
 # wrong one only makes the proof fail.
 MOVING = 1e-10
 TINY = 1e-290  # added to bounds that might underflow
-# The five numbers below belong to Newton's method, of which nothing has to be proven.
+# The four numbers below belong to Newton's method, of which nothing has to be proven.
 FIRM = 1e4  # factor of the rows of T over those of a contact with the median slip, to precondition conjugate gradients
 SOFT = -1e-9  # minus what is added to eigenvalues of the rows of T: above rounding, below those of motions that slip
-SETTLED = 1e-12  # change of a slip by a step over the slip, below which the proof is tried
 MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end at this share of the first residual
 
 
@@ -109,10 +108,9 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     # Find the only minimum near, from the given spins, and if that fails from spins that Newton's method has improved.
     centre = Centre(network, exact, holds_loose, number, slipping, resting, network.spin, bounds.friction)
     distance, proven = centre.proven_distance()
-    for enough in (SETTLED, 0.0) if network.count == 1 else ():
-        if not proven.any():
-            centre = centre.improved(enough)
-            distance, proven = centre.proven_distance()
+    if network.count == 1 and not proven.any():
+        centre = centre.improved()
+        distance, proven = centre.proven_distance()
     if not proven.any():
         return None
     # slips of the improved spins are not quite the given ones
@@ -282,12 +280,10 @@ class Centre:
         doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
         return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts, samples=self.samples)
 
-    def improved(self, enough: float) -> Centre:
+    def improved(self) -> Centre:
         """Return spins closer to the minimum among those spins at which the resting contacts do not slip, and the
         friction that these contacts have to bear then: by Newton's method. It makes steps while each of them more than
-        halves the norm of the leftover torques. Nothing about the result is proven.
-
-        enough : it ends as soon as a step changes no slip of slipping contacts by more than this share of it."""
+        halves the norm of the leftover torques. Nothing about the result is proven."""
         curvature, there = self.curvature(FIRM), self.number >= 0
         # The slips of resting contacts are fixed @ spins. A motion is split into one in which these are 0 and another
         # one, by the factorised matrix fixed^T fixed.
@@ -317,7 +313,7 @@ class Centre:
             change by `spins` (n,)."""
             return (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
 
-        best, least, found, change = self, np.inf, self, np.inf
+        best, least, found = self, np.inf, self
         while True:
             # One step: first take away slips of resting contacts. Then solve for the motion that leaves them at rest
             # and removes the torques of slipping contacts, and let resting contacts bear what is left.
@@ -325,16 +321,12 @@ class Centre:
             if not (left := float(np.linalg.norm(curvature.scale * torque))) < least / 2:
                 return best
             best, least = found, left
-            if not change > enough:
-                return best
             slip = np.stack([part.value[self.resting] for part in best.slips]).ravel()
             step = -borne(fixed.T @ slip)
             further = _conjugate_gradients(lambda x: allowed(bends(x)), allowed(torque + bends(step), borne),
                             lambda x: allowed(curvature.scale * soft.solve(curvature.scale * x)))  # fmt: skip
             step -= allowed(further, borne)
             found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
-            changes = np.linalg.norm((self.rows @ step).reshape(3, -1)[:, self.slipping], axis=0)
-            change = float((changes / best.size.value).max(initial=0.0))
 
     def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Centre:
         """Return a copy with other spins and friction, after one step of Newton's method.
