@@ -64,7 +64,7 @@ CURVATURE_SHARE = 1e-7  # first guess of tau, which most networks exceed by far
 LEAST_CURVATURE, POWER_ITERATIONS = 1e-14, 6  # curvature that rounding hides, and number of power iterations
 # random vectors that choose the unit of each unknown of a floor, and the largest such unit: larger ones would make more
 # of the rounding than is left of the floor
-DRAWN, MOST_UNIT = 16, 2.0**15
+RANDOM_VECTORS, MOST_UNIT = 16, 2.0**15
 TINY = np.finfo(np.float64).tiny
 
 
@@ -645,7 +645,7 @@ class Floor:
         samples, factor = elimination.samples, factor or elimination.factorised_samples(-LEAST_CURVATURE)
         if factor.failed.all():
             return cls(np.zeros(samples.count), np.ones(elimination.size), factor)
-        normal = np.random.default_rng(0).standard_normal((elimination.size, DRAWN))[samples.rank]
+        normal = np.random.default_rng(0).standard_normal((elimination.size, RANDOM_VECTORS))[samples.rank]
         size = np.sqrt((factor.drawn(normal) ** 2).mean(axis=1))
         size = np.where(np.isfinite(size) & ~factor.failed[samples.of], size, 1.0)
         unit = np.exp2(np.round(np.log2(np.clip(size, 1 / MOST_UNIT, MOST_UNIT))))
