@@ -64,11 +64,11 @@ class Quantity:
     """A row of the table of quantities: one number or word of an answer.
 
     name : name in files, summaries, tables and Python.
-    unit : "1" for pure numbers.
+    unit : unit of the value; "1" for pure numbers.
     text : what the quantity is, in words.
     of : function that takes an answer, or a solution or structure, and returns the value; for a quantity of samples an
         array or a list with one value for each sample, or one value for all of them. None where there is no such value.
-    symbol : LaTeX, for axes of figures; "" for none.
+    symbol : symbol in LaTeX, for axes of figures; "" for none.
     """
 
     name: str

@@ -36,7 +36,7 @@ from .page import page
 class PaperFigure:
     """One figure, with the claims about it.
 
-    name : by which users ask for it; the names of its files begin with it.
+    name : name by which users ask for it; the names of its files begin with it.
     title : what it shows.
     module : the module of this folder whose function `study` finds its numbers; MODULE.FUNCTION for another function.
     seconds : rough times in full and in the quick form, on two cores.

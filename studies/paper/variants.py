@@ -87,9 +87,10 @@ def drivings(folder: Path, effort: Effort) -> Found:
 def samples_of(
     variants: Variants, seeds: range, numbers: Callable[[Structure], dict[str, Any]], journal: Path
 ) -> dict[str, Table]:
-    """Return for each variant a table of its certified cubes, all variants with the same seeds.
+    """Return for each variant a table of its cubes, solved to their certified minima; all variants have the same seeds.
 
     variants : settings in which each variant differs from the paper's bearing.
+    seeds : seeds of the samples.
     numbers : function that returns the columns of a row, from the structure of a solved sample.
     journal : file that keeps finished samples.
     """

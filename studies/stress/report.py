@@ -135,9 +135,9 @@ class Sweep:
         return paths
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers of the report by name: cells by outcome, the largest relative error of a right
-        answer, how exactly answers scale with the units, and the cells whose answer is wrong without saying so
-        or that crashed (`red`).
+        """Return the numbers of the report by name: numbers of cells by outcome, the largest relative error of a right
+        answer, how exactly answers scale with the units, and the cells whose answer is wrong without saying so or that
+        crashed (`red`). A cell is one extreme value of a parameter for one method, law and device.
         """
         rows = self.rows
         counts = Counter(line["outcome"] for line in rows)

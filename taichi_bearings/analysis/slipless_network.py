@@ -110,7 +110,7 @@ class SliplessNetwork:
     def touched_of(self, body: int) -> np.ndarray:
         """Return the numbers of the spheres of a driven body that have a slipless contact.
 
-        body : node of the body.
+        body : number of the node that stands for the body.
         """
         return np.flatnonzero(self.touched.ravel() & (self.body == body))
 

@@ -191,10 +191,10 @@ class Lattice:
         return Lattice(tuple(self.shape[axis] for axis in axes), self.radius, closed)
 
     def tangential_mask(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return a mask (C, E), True for the spin components that make each of E contacts slip: all but the one along
-        it.
+        """Return a mask (C components, E contacts), True for the spin components that make each contact slip: all but
+        the one along it.
 
-        spin_axes : axes of the C components.
+        spin_axes : numbers of the axes of the C components.
         """
         return np.array(spin_axes)[:, None] != self.axis
 

@@ -57,7 +57,7 @@ def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> 
     radius, with the sign of its sublattice.
 
     force : (C, R, E contacts), forces along the spin difference of the contact.
-    spin_axes : axes of the C spin components.
+    spin_axes : numbers of the axes of the C spin components.
     """
     total = np.zeros((*force.shape[:-1], *lattice.shape))
     for axis, vectors in enumerate(lattice.by_axis(force)):
@@ -71,7 +71,7 @@ def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...
     slip, (C components, R samples, *N spheres).
 
     coefficient : (R, E contacts), such as the friction of each contact.
-    spin_axes : axes of the C spin components.
+    spin_axes : numbers of the axes of the C spin components.
     """
     total = np.zeros((len(spin_axes), len(coefficient), *lattice.shape))
     for axis, values in enumerate(lattice.by_axis(coefficient)):

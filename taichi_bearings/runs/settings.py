@@ -554,7 +554,7 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
     """Return the key-value pairs in a text of TOML; raise FileError if it is not valid.
 
     path : the file that the text was read from, or a folder: names of files in the text are taken relative to that
-    folder. None to leave them as they are.
+        folder. None to leave them as they are.
     """
     import sys
 

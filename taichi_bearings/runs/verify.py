@@ -116,7 +116,7 @@ class NewProof:
     run: Result
 
     @cached_property
-    def possible(self) -> Judgement | None:
+    def judgement_or_none(self) -> Judgement | None:
         """The proof for all samples. It is None if none can be tried: stored numbers are not finite, or so large or
         small that products over- or underflow.
         """
@@ -126,8 +126,8 @@ class NewProof:
     @property
     def judgement(self) -> Judgement:
         """The proof for all samples; an assertion fails if none could be tried."""
-        assert self.possible is not None
-        return self.possible
+        assert self.judgement_or_none is not None
+        return self.judgement_or_none
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -183,8 +183,10 @@ class NewProof:
         unproven_because, proof : words.
         """
         several = self.run.solution.scene.replicas > 1
-        found = self._nothing if self.possible is None else self._of_samples
-        proof = None if self.possible is None else " ".join(dict.fromkeys(self.judgement.proof.tolist())) or None
+        found = self._nothing if self.judgement_or_none is None else self._of_samples
+        proof = (
+            None if self.judgement_or_none is None else " ".join(dict.fromkeys(self.judgement.proof.tolist())) or None
+        )
         return {name: list(v) if several else v[0] for name, v in found.items()} | {"proof": proof}
 
     @property
@@ -228,7 +230,7 @@ class NewProof:
         contacts, spins of driven spheres, and numbers in the attributes.
         """
         stored, attributes = self.run.solution, self.run.attributes
-        if self.possible is None:
+        if self.judgement_or_none is None:
             certain = stored.states_proven.any() or (stored.lower_bound > 0).any()
             if certain or Status.CERTIFIED in stored.own["status"]:
                 yield f"{NOT_PROVABLE}: what is said of it is not proven"

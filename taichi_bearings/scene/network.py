@@ -121,8 +121,8 @@ class Network:
 
     @cached_read_only
     def tangents(self) -> np.ndarray:
-        """Unit vectors (d, contacts E, components C) along which the slip of each contact is measured: d = 2 at right
-        angles to its normal; for discs the number 1.
+        """(d, contacts E, components C), unit vectors along which the slip of each contact is measured: d = 2 vectors
+        at right angles to its normal; for discs d = 1, and the number 1.
         """
         if self.dimension == 2:
             return np.ones((1, self.contacts, 1))
@@ -312,10 +312,8 @@ class Network:
         return known, wanted, number
 
     def order(self, contact: np.ndarray, free: np.ndarray) -> Parts:
-        """Return an order in which the unknowns of all spheres can be eliminated, by nested dissection, as the tree of
-        its regions.
-
-        The result is a list with, for each region, the numbers of its spheres and those of the regions inside it.
+        """Return an order in which the unknowns of all spheres can be eliminated, by nested dissection: a list with,
+        for each region of the packing, the numbers of its own spheres and those of the regions inside it.
 
         contact : (n,) numbers of contacts, of which those between two free spheres couple unknowns.
         free : (spheres N,) mask of the free spheres.

@@ -243,9 +243,9 @@ class Packing(Bearing):
 
     def spins_of(self, u: Pair) -> Pair:
         """Return laboratory spins u / R, (spheres N, 3) of spheres or (N,) of discs, 1/time, in twice the precision.
+        Driven spheres get exactly their imposed spins.
 
-        u : surface speeds (N, components C), length/time, in twice the precision. Driven spheres get exactly their
-        imposed spins.
+        u : surface speeds R omega, (N, components C), length/time, in twice the precision.
         """
         held, shape = self.is_driven, self.spin.shape
         spin, rest = (part.reshape(shape) for part in divide(u, exactly(self.network.radius[:, None])))

@@ -400,11 +400,11 @@ class Scene(Bearing):
 
     def top_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return the imposed spin of the top plane, (C, nx, ny), in 2D (C, nx), 1/time, in the form that solvers store:
-        staggered, and measured from the bottom.
+        with signs that alternate between neighbours, and less the bearing state of the bottom.
 
-        *Staggered* spins are multiplied by +1 or -1 in turn, so that neighbours that roll on each other have the same
-        sign. From them the bearing state of the bottom, in which no contact slips, is subtracted (docs/equations.md,
-        1). So slips keep their digits even if bottom and top are driven nearly alike.
+        With these signs, neighbours that roll on each other have spins of the same sign. Since the state of the bottom,
+        in which no contact slips, is subtracted, slips keep their digits even if bottom and top are driven nearly alike
+        (docs/equations.md, 1).
 
         spin_axes : numbers of the C components.
         """

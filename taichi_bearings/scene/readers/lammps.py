@@ -29,7 +29,7 @@ class Asked:
 
     step : the timestep; None for the last one that is complete in both files.
     driven : number of the body of each driven atom, by id; or an array (spheres N,) in the order of the ids, -1 for
-    free atoms.
+        free atoms.
     driven_types : in place of `driven`, number of the body of all atoms of a type, by type.
     spin : imposed spin of each body, 1/time, by number of the body: a vector, or a number for discs. None to read the
         columns omegax, omegay and omegaz.
