@@ -138,8 +138,10 @@ class Judge:
         return row | {"outcome": WRONG if row["reason"] else RIGHT if at_rest else NOT_REACHED}
 
     def _truth(self, cell: Cell) -> Truth:
-        """Return the truth of a cell, in its units; one that was found before, of the same sample perhaps in other
-        units, is used again.
+        """Return bounds of the least objective of a cell's sample, and the contact states at its minimum, in the units
+        of the cell. If they were found before, of the same sample perhaps in other units, they are used again.
+
+        cell : the cell.
         """
         scene, unit = cell.case.in_plain_units, Decimal(cell.case.unit)
         arrays = (values.tobytes() for values in (*scene.coefficients, *scene.viscosity))

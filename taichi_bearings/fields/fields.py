@@ -151,7 +151,11 @@ class Fields:
         copy_in(self.values, np.ascontiguousarray(given, self.dtype), first + rows.margin, rows.length)
 
     def read(self, name: str) -> np.ndarray:
-        """Return a field as float64, in the shape that :meth:`load` takes."""
+        """Return a field as an array in double precision: (C components, R samples, *N spheres) of a lattice; of a
+        packing (C, 1, N spheres) of spheres or (C, 1, E contacts) of contacts.
+
+        name : name of the field.
+        """
         first, components, rows = self._place[name]
         if self._host is not None:
             stored = self._inside(name)
