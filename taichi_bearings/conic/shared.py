@@ -28,21 +28,22 @@ Made = tuple[ContactSystem, Surroundings | None]
 
 
 class LastNetwork(threading.local):
-    """What a thread keeps of the network that it has solved last. Each thread has its own, as the numbers of a
-    factorisation are stored in the Newton matrix.
+    """The contact system and the Newton matrix of the network that a thread has solved last, to be used again for
+    further samples on it. Each thread has its own, as the numbers of a factorisation are stored in the matrix.
 
-    of : what says which network it is, first something compared by ==, then arrays; None before the first.
-    made : its contact system and, unless that is large or not made yet, what its samples share.
+    of : identity of this network: an object that is compared by ==, and a tuple of arrays; None before the first.
+    made : its contact system, and what its samples share; None for the latter if it is large or not made yet.
     """
 
     of: tuple[object, tuple[np.ndarray, ...]] | None = None
     made: Made | None = None
 
     def find(self, of: object, arrays: tuple[np.ndarray, ...], make: Callable[[], Made]) -> Made:
-        """Return what is kept, if the network is the last one, else what `make` makes of it, which is kept instead. The
-        memory of the last network is free before.
+        """Return the field `made` if it belongs to the same network. Else free it, and return the result of `make`,
+        which takes its place.
 
-        of, arrays : what says which network it is.
+        of, arrays : identity of the network: an object that is compared by ==, and arrays.
+        make : function that makes the contact system of the network, and what its samples share.
         """
         known = self.of
         same = known is not None and known[0] == of and all(map(np.array_equal, known[1], arrays))
@@ -53,7 +54,7 @@ class LastNetwork(threading.local):
         return self.made
 
     def forget(self) -> None:
-        """Free the memory of what is kept."""
+        """Free the memory of the last network."""
         self.of = self.made = None
 
 
@@ -115,7 +116,7 @@ def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: n
     """
 
     def make() -> Made:
-        """Return all of it newly made."""
+        """Return the contact system, order of elimination and Newton matrix, newly made."""
         system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
         matrix = NewtonMatrix(system, order, engine=Engine.LAUNCH if small else None) if top.any() else None
         return system, Surroundings(system, order, matrix, None)

@@ -69,6 +69,8 @@ def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> Minimu
     rounding : relative error of each weight. No cut that could be as light within that error is taken to be heavier.
     """
     *sideways, upward = weight
+    # Lattices that are stacks of planar grids, since contacts along one axis weigh nothing, are cut by shortest paths;
+    # all others by a largest flow.
     idle = next((axis for axis, values in enumerate(sideways) if not values.any()), None)
     closed = set(Lattice.of(weight).periodic) - {idle}
     if closed or (len(sideways) == 2 and idle is None):
@@ -82,6 +84,7 @@ def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> Minimu
         above, between, bound, following = _cut_planes(*stacks)
         above, between = (np.moveaxis(spheres, 1, 1 + idle) for spheres in (above, between))
     found = weight_of_cut(above, weight)
+    # Where another cut is as light within the rounding of the weights, a flow says which spheres may change sides.
     close = np.flatnonzero(~(following > found * (1 + 4 * rounding)))
     if rounding and len(close):
         between[close] = flow_cut(tuple(values[close] for values in weight), rounding).between
