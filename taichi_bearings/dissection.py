@@ -38,23 +38,24 @@ _kept: dict[bytes, list[Part]] = {}
 _keeping = Lock()
 
 
-def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
+def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int, whole: int = 0) -> list[Part]:
     """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
 
     graph : (n, n), symmetric; an entry joins two nodes.
     place : (d, n), coordinates of the nodes.
     leaf : largest number of nodes of a region that is not divided.
+    whole : largest number of nodes of a connected piece of the graph that is not divided, if that is more than `leaf`.
 
     Recent results are kept: methods and proofs of one network, and of samples that share it, ask for the same division
     again and again.
     """
     if graph.shape[0] > MOST_KEPT_NODES:
-        return _divided(graph, place, leaf)
-    key = blake2b(f"{graph.shape} {place.shape} {place.dtype} {leaf}".encode())
+        return _divided(graph, place, leaf, whole)
+    key = blake2b(f"{graph.shape} {place.shape} {place.dtype} {leaf} {whole}".encode())
     for values in (graph.indptr.astype(np.int64), graph.indices.astype(np.int64), place):
         key.update(np.ascontiguousarray(values).tobytes())
     name = key.digest()
-    found = _kept.get(name) or _divided(graph, place, leaf)
+    found = _kept.get(name) or _divided(graph, place, leaf, whole)
     with _keeping:
         _kept.pop(name, None)
         _kept[name] = found  # as the last one used
@@ -101,13 +102,14 @@ def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
     return found
 
 
-def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
+def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int, whole: int = 0) -> list[Part]:
     """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
     Unlike `dissected` it keeps no result for the next call.
 
     graph : (n, n), symmetric; an entry joins two nodes.
     place : (d, n), coordinates of the nodes.
     leaf : largest number of nodes of a region that is not divided.
+    whole : the same for the first regions, the connected pieces of the graph, if that is more than `leaf`.
     """
     count = graph.shape[0]
     second = np.repeat(np.arange(count), np.diff(graph.indptr))
@@ -119,11 +121,12 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
     )
     ordered = np.argsort(place, axis=1, kind="stable")  # active nodes along each axis
     parent, part, active = [np.full(alone, -1)], np.empty(count, dtype=np.int64), np.arange(count)
+    most = max(leaf, whole)  # nodes of a region of this level that is not divided
     while True:
         # regions are numbered from 0 on a level, parts from `first_part` on
         first_part = sum(map(len, parent)) - len(parent[-1])
         part[active] = first_part + own[active]
-        active = active[np.bincount(own[active], minlength=1)[own[active]] > leaf]
+        active, most = active[np.bincount(own[active], minlength=1)[own[active]] > most], leaf
         if not len(active):
             return _in_postorder(np.concatenate(parent), part)
         # only edges inside regions that are still to be divided matter further on

@@ -30,7 +30,9 @@ from taichi_bearings.dissection import Part, dissected
 from taichi_bearings.proof.enclosure import UP
 
 EPS = np.finfo(np.float64).eps
-REGION_UNKNOWNS = 150  # number of unknowns up to which a region is not divided
+# numbers of unknowns up to which a region is not divided, and a connected piece of the graph is not: samples of 10^3
+# spheres have pieces of some 200, and to divide these takes longer than it spares
+REGION_UNKNOWNS, WHOLE_UNKNOWNS = 150, 450
 MOST_RUNS = 12  # groups of rows that follow each other, up to which an update is added group by group
 Columns = tuple[np.ndarray, np.ndarray]
 """Columns of the factor for the own unknowns of a front: their rows (own, own), and those of its border (border,
@@ -130,7 +132,7 @@ class Elimination:
         parts : the unknowns in groups that are eliminated one after the other; None to divide the graph of the matrix.
         samples : the sample of each unknown; None for a single sample."""
         samples = Samples.one(len(place[0])) if samples is None else samples
-        parts = dissected(matrix, place, REGION_UNKNOWNS) if parts is None else parts
+        parts = dissected(matrix, place, REGION_UNKNOWNS, WHOLE_UNKNOWNS) if parts is None else parts
         order = np.concatenate([part.nodes for part in parts])
         lower = sparse.csc_array(sparse.tril(matrix[order][:, order], format="csc"))
         fronts: list[Front] = []

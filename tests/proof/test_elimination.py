@@ -34,6 +34,7 @@ def scattered(seed: int, count: int = 120) -> tuple[sparse.csc_array, np.ndarray
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
     monkeypatch.setattr(elimination, "REGION_UNKNOWNS", 4)
+    monkeypatch.setattr(elimination, "WHOLE_UNKNOWNS", 4)
 
 
 def test_the_same_graph_is_divided_once_and_any_other_for_itself(monkeypatch):
@@ -43,9 +44,10 @@ def test_the_same_graph_is_divided_once_and_any_other_for_itself(monkeypatch):
     monkeypatch.setattr(dissection, "_divided", lambda *given: divided.append(1) or own(*given))
     monkeypatch.setattr(dissection, "_kept", {})
     (one, place), (other, beside) = scattered(1), scattered(2)
-    asked = [(one, place, 4), (other, place, 4), (one, beside, 4), (one, place, 8), (one.copy(), place.copy(), 4)]
+    asked = [(one, place, 4), (other, place, 4), (one, beside, 4), (one, place, 8), (one, place, 4, 60)]
+    asked.append((one.copy(), place.copy(), 4))
     found = [dissected(*given) for given in asked * 2]
-    assert len(divided) == 4
+    assert len(divided) == 5
     for given, parts in zip(asked * 2, found, strict=True):
         for part, expected in zip(parts, own(*given), strict=True):
             assert np.array_equal(part.nodes, expected.nodes)
@@ -68,6 +70,22 @@ def test_what_is_dissected_is_joined_only_through_the_parts_above(seed):
         above[number] |= above[parent[number]] if number in parent else set()
     for a, b in zip(*matrix.nonzero(), strict=True):
         assert owner[a] in above[owner[b]] or owner[b] in above[owner[a]]
+
+
+def test_connected_pieces_up_to_a_size_are_not_divided():
+    """Of sizes that networkx knows; each larger piece is divided as if it were alone."""
+    matrix, place = scattered(3, 200)
+    pieces = [np.sort(list(piece)) for piece in networkx.connected_components(networkx.from_scipy_sparse_array(matrix))]
+    size = sorted(map(len, pieces))[-1]
+    assert size > 20
+    parts = dissected(matrix, place, 4, size)
+    assert sorted(part.nodes.tolist() for part in parts) == sorted(piece.tolist() for piece in pieces)
+    assert not any(part.children for part in parts)
+    largest = next(piece for piece in pieces if len(piece) == size)
+    whole = [part.nodes.tolist() for part in dissected(matrix, place, 4, size - 1)]
+    alone = dissected(matrix[largest][:, largest].tocsc(), place[:, largest], 4)
+    assert all(largest[part.nodes].tolist() in whole for part in alone)
+    assert len(whole) == len(pieces) - 1 + len(alone)
 
 
 @pytest.mark.parametrize("seed", range(5))
