@@ -97,12 +97,12 @@ class ContactRows:
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(
-        self, kernel: tuple[Pass, Pass], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
+        self, kernel: tuple[Pass, Pass, Pass], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
     ) -> np.ndarray:
         """Run a kernel over all contacts and return what it finds for each of S samples, (found, S): minima over the
         contacts first, then sums; (0, S) for a kernel that finds nothing.
 
-        kernel : two functions, for contacts with one slip component and for those with two.
+        kernel : three functions: for contacts with one slip component, for those with two, and for both kinds.
         slots : memory has rows for two Newton steps; the number (0 or 1) of the one whose rows the kernel reads, and of
             the one whose rows it writes.
         numbers : constants of the kernel, at most MOST_CONSTANTS, each one number or (S,).
@@ -116,10 +116,10 @@ class ContactRows:
         if key not in self._starts:
             blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
             arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), turns, self._numbers.ravel()
-            kinds = zip(kernel, ((0, self._first_two), (self._first_two, blocks)), strict=True)
-            self._starts[key] = [
-                prepared(one, *arrays, self._length, *span, *slots) for one, span in kinds if span[0] < span[1]
-            ]
+            one, two, both = kernel
+            own = one if self._first_two == blocks else both if self._first_two else two
+            ends = self._length, self._first_two, blocks
+            self._starts[key] = [prepared(own, *arrays, *ends, *slots)] if blocks else []
         for start in self._starts[key]:
             start()
         if not finds:

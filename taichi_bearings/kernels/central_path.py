@@ -498,9 +498,10 @@ def apply_to_block(
 
 def _kernels_over_contacts(
     law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
-) -> tuple[Callable, Callable]:
-    """Return two kernels that call `law` for many contacts: one for contacts with one slipping component, one for those
-    with two. Each is compiled only where there are such contacts.
+) -> tuple[Callable, Callable, Callable]:
+    """Return three kernels that call `law` for many contacts: one for contacts with one slipping component, one for
+    those with two, and one for both kinds. Only those that are used are compiled; one kernel for both kinds takes less
+    time to compile than two.
 
     law : function of one contact that returns a list of numbers, such as `prepared`: first the new values of the rows
         that it writes (a row has one number of each contact), then numbers of which the sum or the least over all
@@ -511,29 +512,31 @@ def _kernels_over_contacts(
     finds : for each remaining number of the list, the index (0 to FOUND - 1) of its result; below LEAST_FOUND the least
         number over all contacts is found, else the sum."""
     of_one, of_two = (iterate[0], step[0]), (iterate[1], step[1])
-    return _kernel_over_contacts(law, of_one, finds, (0,)), _kernel_over_contacts(law, of_two, finds, (0, 1))
+    one, two = _kernel_over_contacts(law, of_one, None, finds), _kernel_over_contacts(law, None, of_two, finds)
+    return one, two, _kernel_over_contacts(law, of_one, of_two, finds)
 
 
-def _kernel_over_contacts(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
-    """Return a kernel that calls `law` for every contact of a range of blocks, BLOCK contacts each. The list of numbers
-    that the law returns is used in order: first new numbers of the iterate, then of the step; of each of the others the
-    sum or the least over all contacts is found.
+def _kernel_over_contacts(law: Callable, of_one: tuple | None, of_two: tuple | None, finds: tuple) -> Callable:
+    """Return a kernel that calls `law` for every contact of some blocks, BLOCK contacts each. The list of numbers that
+    the law returns is used in order: first new numbers of the iterate, then of the step; of each of the others the sum
+    or the least over all contacts is found.
 
     law : function of one contact that returns a list of numbers, such as `prepared`.
-    writes : two tuples: the rows of the iterate, and the rows of the step, that these numbers go to; a row has one
-        number of each contact.
+    of_one, of_two : for contacts with one and with two slipping components, the rows that these numbers go to, as two
+        tuples: rows of the iterate, and rows of the step; a row has one number of each contact. None to leave out these
+        contacts.
     finds : for each remaining number, the index (0 to FOUND - 1) of its result; below LEAST_FOUND it is the least
         number over all contacts, else the sum.
-    like : tuple with one entry for each slipping component of these contacts, 1 or 2; only its length is used.
     """
+    has_one, has_two = of_one is not None, of_two is not None
 
     @ti.kernel
     def run(
-        values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first: int, end: int,
+        values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first_two: int, end: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
-        """Call `law`, the function of one contact for which this kernel is made, for all contacts of the blocks first
-        ... end - 1. Write what it returns into rows, and into sums and least numbers.
+        """Call `law`, the function of one contact for which this kernel is made, for all contacts. Write what it
+        returns into rows, and into sums and least numbers.
 
         values : numbers of the iterate and of two steps, flat, row by row; a row has one number of each contact.
         blocks : the same memory as vectors of BLOCK numbers, one for each contact of a block.
@@ -541,14 +544,24 @@ def _kernel_over_contacts(law: Callable, writes: tuple, finds: tuple, like: tupl
             place in a block. Blocks take turns among the n.
         numbers : what the law takes besides, such as the length of a step.
         length : length of a row.
+        first_two : number of the first block of contacts with two slipping components; those with one stand before it.
+        end : number of all blocks.
         read_slot, write_slot : which of the two steps in memory is read, and which is written, 0 or 1.
         """
-        ti.loop_config(serialize=True)
-        for block in range(first, end):
-            apply_to_block(
-                values, blocks, found, law, length, block, [read_slot, write_slot], ti.static(writes), ti.static(finds),
-                ti.static(like), numbers,
-            )  # fmt: skip
+        if ti.static(has_one):
+            ti.loop_config(serialize=True)
+            for block in range(first_two):
+                apply_to_block(
+                    values, blocks, found, law, length, block, [read_slot, write_slot], ti.static(of_one),
+                    ti.static(finds), ti.static((0,)), numbers,
+                )  # fmt: skip
+        if ti.static(has_two):
+            ti.loop_config(serialize=True)
+            for block in range(first_two, end):
+                apply_to_block(
+                    values, blocks, found, law, length, block, [read_slot, write_slot], ti.static(of_two),
+                    ti.static(finds), ti.static((0, 1)), numbers,
+                )  # fmt: skip
 
     return run
 
