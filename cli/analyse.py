@@ -24,7 +24,9 @@ REPORTED = ("power", "slipless", "slipping", "tied", "undecided", "minimum_is_un
     default=0,
     help="Number of the sample to draw, counted from 0, if the run solved several seeds together.",
 )
-@click.option("--figures/--no-figures", default=True, help="Draw the figures. [default: on]")
+@click.option(
+    "--figures/--no-figures", default=True, help="Draw the figures of network and rigid domains. [default: on]"
+)
 @title_option
 @out_options("Folder for analysis.h5 and figures. [default: into the run]", force="Replace existing files in --out.")
 @json_option
@@ -69,11 +71,16 @@ def describe(report: dict[str, Any], times: str) -> str:
     ended, seeds = listed(report["status"]), listed(report.get("seed"))
     if open_ends := [status for status in ended if status != "certified"]:
         statuses = ", ".join(sorted(set(open_ends)))
-        lines.append(f"not certified: {len(open_ends)} of {counted(len(ended), 'sample')} ({statuses})")
+        lines.append(
+            f"not certified (least power not proven within the tolerance): {len(open_ends)} of "
+            f"{counted(len(ended), 'sample')} ({statuses})"
+        )
     if len(seeds) > 1:
         samples, first, last = len(seeds), seeds[0], seeds[-1]
-        how = "each number as mean, least and largest value; of each fact the number of samples where it is true"
-        lines.append(f"{samples} samples, seeds {first} ... {last}: {how}")
+        lines.append(
+            f"{samples} samples, seeds {first} to {last}: of each number its mean, least and largest value; of each "
+            "fact in how many samples it is true"
+        )
     for title, rows in {"contacts": [COLUMNS[name] for name in REPORTED], **STRUCTURE}.items():
         found = lines_of(rows, report)
         if title == "bottlenecks" and not any(listed(report["spans"])):

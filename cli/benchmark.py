@@ -19,30 +19,37 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
 @click.option(
     "--parts",
     metavar="NAME[,NAME...]",
-    help="With `speed`: parts to measure, of kernels, methods, scans, growth and dynamics. [default: all]",
+    help="Only for `speed`: parts to measure, of kernels, methods, scans, growth and dynamics. [default: all]",
 )
 @click.option(
     "--law",
     multiple=True,
     metavar="LAW",
-    help="Part methods: contact law, coulomb, viscous or coulomb-viscous; may be repeated.",
-)
-@click.option("--seed", default="0", show_default=True, metavar="N", help="Part methods: seed of the samples.")
-@click.option(
-    "--methods", metavar="NAME[,NAME...]", help="Part methods: names of the methods to compare. [default: all]"
+    help="Only for the part `methods`: contact law, coulomb, viscous or coulomb-viscous; may be repeated.",
 )
 @click.option(
-    "--peers/--no-peers", default=True, show_default=True, help="Part methods: run Clarabel and SCS too, if installed."
+    "--seed", default="0", show_default=True, metavar="N", help="Only for the part `methods`: seed of the samples."
+)
+@click.option(
+    "--methods",
+    metavar="NAME[,NAME...]",
+    help="Only for the part `methods`: names of the methods to compare. [default: all]",
+)
+@click.option(
+    "--peers/--no-peers",
+    default=True,
+    show_default=True,
+    help="Only for the part `methods`: run the solvers Clarabel and SCS too, if they are installed.",
 )
 @click.option(
     "--time-limit",
     metavar="SECONDS",
-    help="Part methods: time limit of a solve. [default: 10, with --quick 1, with --full 60]",
+    help="Only for the part `methods`: time limit of a solve. [default: 10, with --quick 1, with --full 60]",
 )
 @click.option(
     "--precision",
     metavar="f64|f32",
-    help="Part kernels: double (f64) or single (f32) precision. [default: both, with --quick f64]",
+    help="Only for the part `kernels`: double (f64) or single (f32) precision. [default: both, with --quick f64]",
 )
 @click.option(
     "--shape",
@@ -50,7 +57,11 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
     metavar="NX,NY[,NZ]",
     help="Lattice to measure on instead of the usual ones; may be repeated.",
 )
-@click.option("--threads", metavar="N[,N...]", help="Numbers of CPU threads. [default: 1 and all; --full: 1, 2, 4 ...]")
+@click.option(
+    "--threads",
+    metavar="N[,N...]",
+    help="Numbers of CPU threads to measure with. [default: 1 and all; --full: 1, 2, 4 ...]",
+)
 @click.option("--quick", "budget", flag_value="quick", help="Measure small lattices only; takes a few minutes.")
 @click.option(
     "--full",

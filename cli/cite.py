@@ -10,7 +10,7 @@ from taichi_bearings_cli.options import Choice
     "form",
     type=Choice(["bibtex", "cff"]),
     default="bibtex",
-    help="Format of the citation. [default: bibtex]",
+    help="Format of the citation; cff is the Citation File Format. [default: bibtex]",
 )
 def command(form: str) -> None:
     """Print how to cite the program, and the paper whose systems it solves.

@@ -24,7 +24,7 @@ from taichi_bearings_cli.progress import Display
     "form",
     type=Choice(["vtkhdf", "cbf", "fclib"]),
     default="vtkhdf",
-    help="Format of the file. [default: vtkhdf]",
+    help="vtkhdf: a file for ParaView; cbf, fclib: the minimisation problem for other solvers. [default: vtkhdf]",
 )
 @out_options("File to write. [default: run.vtkhdf, problem.cbf or problem.hdf5 in the run directory]", "FILE",
              "Replace an existing file.")  # fmt: skip
@@ -54,9 +54,7 @@ def command(run: Path, replica: int, analyse: bool, form: str, out: Path | None,
     from taichi_bearings.export.vtkhdf import export
 
     if analyse and form != "vtkhdf":
-        raise InputError(
-            f"analyse is given, but a problem in the format {form} has no place for the structure; leave --analyse out"
-        )
+        raise InputError(f"--analyse is given, but a file in the format {form} cannot hold what it finds; leave it out")
     with Display():
         report = (
             export(run, out, force, replica, analyse)

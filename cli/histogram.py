@@ -25,7 +25,7 @@ from taichi_bearings_cli.progress import Display
 )  # fmt: skip
 @click.option(
     "--normalise", type=Choice(["none", "mean"]), default="none", show_default=True,
-    help="none: power as it is; mean: power over the mean power of the contacts of the same sample.",
+    help="none: take the power of each contact as it is; mean: divide it by the mean over all contacts of its sample.",
 )  # fmt: skip
 @click.option(
     "--by",
@@ -35,7 +35,7 @@ from taichi_bearings_cli.progress import Display
 )
 @click.option(
     "--format", "ending", type=Choice(["png", "pdf", "svg"]), default="png", show_default=True,
-    help="Format of the figure.",
+    help="File format of the figure.",
 )  # fmt: skip
 @width_option
 @dpi_option
@@ -66,9 +66,9 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     lines = []
     for part in report.get("groups", [report]):
         group = f"{by} {part[by]}" if by else "in all"
-        others = ", ".join([f"{part['slipless']:,} slipless", *other_contacts(part["tied"], part["undecided"])])
+        left_out = ", ".join([f"{part['slipless']:,} slipless", *other_contacts(part["tied"], part["undecided"])])
         slipping, samples = part["slipping"], part["census"]
-        lines.append(f"{group}: {slipping:,} slipping contacts; not in the histogram: {others}; from {samples}")
+        lines.append(f"{group}: {slipping:,} slipping contacts; contacts left out: {left_out}; from {samples}")
     if report["slipping"]:
         units = "" if normalise == "none" else f" in units of {report['units']}"
         smallest, largest = report["smallest_power"], report["largest_power"]

@@ -98,7 +98,9 @@ def main() -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # users need no messages on its font cache
     if os.path.lexists("matplotlibrc"):  # perhaps a stranger's file: some settings start programs
         click.echo(
-            "bearings: the file matplotlibrc in this folder is ignored; MATPLOTLIBRC can name one to use", err=True
+            "bearings: the file matplotlibrc in this folder is ignored; to use one, name it in the environment "
+            "variable MATPLOTLIBRC",
+            err=True,
         )
         here = os.getcwd()
         os.chdir(os.sep)

@@ -199,14 +199,17 @@ replica_option = click.option(
 )
 analyse_option = click.option(
     "--analyse", is_flag=True,
-    help="Find the structure of the run (network, domains, cut) first. [default: use what `bearings analyse` has "
-    "written into it, if anything]",
+    help="First find what `bearings analyse` finds (slipless network, rigid domains, minimum cut). [default: show what "
+    "it has written into the run, if anything]",
 )  # fmt: skip
 json_option = click.option("--json", "as_json", is_flag=True, help="Print exactly one JSON object on stdout.")
 
 
 width_option = click.option(
-    "--width", metavar="CM", default=None, help="Printed width: single (8.6 cm), double (17.8 cm) or a number of cm."
+    "--width",
+    metavar="CM",
+    default=None,
+    help="Width of the printed figure: single (8.6 cm), double (17.8 cm) or a number of cm.",
 )
 dpi_option = click.option(
     "--dpi", type=click.IntRange(30, 2400), default=300, show_default=True,

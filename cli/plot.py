@@ -27,26 +27,37 @@ PLOT_KINDS = ("spins", "power", "coefficients", "history", "energy", *STRUCTURE_
     "--time",
     type=float,
     default=None,
-    help="spins: draw the snapshot nearest to this simulated time, with the contacts that slip in it.",
+    help="Only for KIND spins: draw the snapshot nearest to this simulated time, with the contacts that slip in it.",
 )
 @click.option(
     "--y",
     metavar="COLUMN[/COLUMN]",
     default=None,
-    help="scan: column of scan.csv on the y axis, or A/B for the mean of A over the mean of B.",
+    help="Only for KIND scan: column of scan.csv on the y axis, or A/B for the mean of A over the mean of B.",
 )
-@click.option("--x", metavar="COLUMN", default=None, help="scan: column of scan.csv on the x axis, or L, the height.")
 @click.option(
-    "--by", metavar="COLUMN", multiple=True, help="scan: draw one curve for each value of this column. May be repeated."
+    "--x",
+    metavar="COLUMN",
+    default=None,
+    help="Only for KIND scan: column of scan.csv on the x axis, or L, the height.",
+)
+@click.option(
+    "--by",
+    metavar="COLUMN",
+    multiple=True,
+    help="Only for KIND scan: draw one curve for each value of this column. May be repeated.",
 )
 @click.option(
     "--where",
     metavar="KEY=VALUE",
     multiple=True,
-    help="scan: use only samples whose column KEY has this VALUE. May be repeated.",
+    help="Only for KIND scan: use only samples whose column KEY has this VALUE. May be repeated.",
 )
 @click.option(
-    "--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: make the x axis, the y axis or both logarithmic."
+    "--log",
+    type=Choice(["x", "y", "xy"]),
+    default=None,
+    help="Only for KIND scan: make the x axis, the y axis or both logarithmic.",
 )
 @width_option
 @dpi_option
@@ -56,13 +67,13 @@ PLOT_KINDS = ("spins", "power", "coefficients", "history", "energy", *STRUCTURE_
     "planes",
     metavar="AXIS=N",
     multiple=True,
-    help="3D: lattice plane to show, such as y=5. May be repeated.",
+    help="Only in 3D: lattice plane to show, such as y=5. May be repeated.",
 )
 @click.option(
     "--view",
     metavar="ELEVATION,AZIMUTH",
     default=None,
-    help="3D: elevation and azimuth of the viewer in degrees, such as 22,-55.",
+    help="Only in 3D: elevation and azimuth of the viewer in degrees, such as 22,-55.",
 )
 @out_options(
     "PNG, PDF or SVG. [default: KIND.pdf in the run directory; KIND.png if the PDF had more than 1 MB]", "FILE",

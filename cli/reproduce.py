@@ -10,7 +10,13 @@ from taichi_bearings_cli.progress import Display
 
 @click.command()
 @click.argument("figures", nargs=-1, metavar="[FIGURE...]")
-@click.option("--seed", type=click.IntRange(0, 2**62), default=0, show_default=True, help="First seed of all samples.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 2**62),
+    default=0,
+    show_default=True,
+    help="Seed of the first sample; the next ones have the seeds after it.",
+)
 @click.option(
     "--samples", type=click.IntRange(1, 100_000), default=None,
     help="Number of samples for each statistical claim. [default: 200, with --quick 20]",

@@ -125,7 +125,7 @@ def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], a
 
     if resumed:
         raise InputError(
-            f"resume is {resumed!r}: the time that a resumed run will take is not known; leave out --dry-run"
+            f"--resume is {resumed!r}: the time that a resumed run will take is not known; leave out --dry-run"
         )
     report = cost(_settings(scene, given)[0]).report
     answer(report, as_json, lambda: describe_cost(report))
@@ -138,11 +138,17 @@ def describe_cost(report: dict[str, Any]) -> str:
     """
     step, steps, seconds = report["seconds_per_step"], report["steps"], report["seconds"]
     words = (
-        "not known before: it ends where its tolerance is reached" if seconds is None else f"about {duration(seconds)}"
+        "not known in advance: it ends when its tolerance is reached"
+        if seconds is None
+        else f"about {duration(seconds)}"
     )
     if step is not None:
         known = "" if seconds is None else f", {words} in all for {steps:,} steps" if steps else f", {words} in all"
-        open_end = " until it is at rest or within its tolerance, which nobody knows before" if seconds is None else ""
+        open_end = (
+            "; it ends at rest or within its tolerance, after a number of steps not known in advance"
+            if seconds is None
+            else ""
+        )
         words = f"about {step:.1g} s a step{known}{open_end}"
     return f"method: {report['method']}\ntime: {words}\nmemory: about {report['bytes'] / 1e9:.2f} GB"
 
@@ -178,7 +184,8 @@ def _task(
     if resumed:
         if scene or out or force:
             raise InputError(
-                f"resume is {resumed!r}: such a run keeps scene and directory; leave out SCENE, --out and --force"
+                f"--resume is {resumed!r}: a resumed run keeps its scene and its directory; leave out SCENE, --out, "
+                "--force"
             )
         return partial(resume, Path(resumed), given), resumed
     settings, stored_out = _settings(scene, given)
@@ -206,9 +213,11 @@ def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None
         values = {key: value for key, value in values.items() if key not in Scene.DRAWN}
     stored_out = values.pop("out", None)
     if values.pop("force", False) is not False:
-        raise InputError(f"force is set in {scene}; only the command line can allow to overwrite files, by --force")
+        raise InputError(
+            f"the key force is set in {scene}, but only the command line can allow to overwrite files, by --force"
+        )
     if not isinstance(stored_out, str | None):
-        raise InputError(f"out in {scene} is {stored_out!r}; it must be the name of a directory, in quotes")
+        raise InputError(f"the key out in {scene} is {stored_out!r}; it must be the name of a directory, in quotes")
     return RunSettings.from_mapping(values | given, scene or "the options"), stored_out
 
 
@@ -230,7 +239,11 @@ def describe(summary: dict[str, Any], times: str) -> str:
             break
         label = "" if len(seeds) == 1 and (is_packing or not drawn) else f"{kind} {name}: "
         lines.append(f"  {label}{_of_a_sample(summary, *found)}")
-    lines += [f"  {len(seeds)} samples, mean, least, largest; or how many:"] if len(seeds) > 1 else []
+    lines += (
+        [f"  of {len(seeds)} samples the mean, least and largest value, or in how many it is true:"]
+        if len(seeds) > 1
+        else []
+    )
     lines += [f"  {line}" for line in lines_of(map(COLUMNS.__getitem__, LAST_COLUMNS), summary)]
     device = f" on {summary['arch']}, {summary['precision']}" if "arch" in summary else ""
     lines += [

@@ -19,8 +19,8 @@ from taichi_bearings.words import counted
 @click.argument("scan", metavar="SCAN", type=FILE_PATH)
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
-    help="Set a key of `run` for all samples, or vary it by scan.KEY=LIST or RANGE, whatever the file says. May be "
-    "repeated.",
+    help="Set an option of `run` for all samples by KEY=VALUE, or vary it by scan.KEY=LIST or scan.KEY=RANGE; this "
+    "wins over the file. May be repeated.",
 )  # fmt: skip
 @click.option(
     "--workers",
@@ -140,7 +140,7 @@ def describe_estimate(expected: dict[str, Any]) -> str:
         lines[0] += f", of which {expected['missing']:,} are missing"
     time = "unknown" if expected["seconds"] is None else f"about {duration(expected['seconds'])}"
     workers = counted(expected["workers"], "worker")
-    lines.append(f"time: {time} with {workers} (right within a factor of three)")
+    lines.append(f"time: {time} with {workers} (may be wrong by a factor of three)")
     gigabytes = expected["bytes"] / 1e9
     lines.append(f"memory: about {gigabytes:.1f} GB")
     return "\n".join(lines)
@@ -171,8 +171,8 @@ def describe(report: dict[str, Any]) -> str:
         f"{missing:,} samples are missing": missing,
         f"{lacking:,} samples lack the analysis or the full state that was asked for": lacking,
         f"{counted(unanalysed, 'sample')} without the numbers of --analyse that the others have; "
-        f"{again} --analyse adds them": unanalysed,
-        f"{again} does what is missing or has failed": failed or missing or lacking,
+        f"`{again} --analyse` adds them": unanalysed,
+        f"`{again}` solves what is missing or has failed": failed or missing or lacking,
         f"removed figures that showed an earlier state of the scan: {removed}": removed,
     }
     return "\n".join([*(line for line, is_worth in lines.items() if is_worth), *report["files"]])

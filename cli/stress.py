@@ -11,14 +11,23 @@ from taichi_bearings_cli.progress import Display
 @click.option(
     "--quick", is_flag=True, help="Quick version: two or three values per parameter, smaller samples, about a minute."
 )
-@click.option("--only", metavar="AXIS[,AXIS...]", help="Parameters (axes) to try, such as contrast. [default: all]")
-@click.option("--method", metavar="NAME[,NAME...]", help="Methods to try. [default: all, and auto]")
+@click.option(
+    "--only",
+    metavar="AXIS[,AXIS...]",
+    help="Parameters to take to their extremes, such as contrast,zeros. [default: all]",
+)
+@click.option("--method", metavar="NAME[,NAME...]", help="Names of the methods to try. [default: all, and auto]")
 @click.option("--law", metavar="LAW[,LAW...]", help="Contact laws to try. [default: all]")
 @click.option(
-    "--seed", default=0, show_default=True, metavar="N", type=click.IntRange(0), help="First seed of the samples."
+    "--seed",
+    default=0,
+    show_default=True,
+    metavar="N",
+    type=click.IntRange(0),
+    help="Seed of the first sample; the next ones have the seeds after it.",
 )
 @click.option("--time-limit", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
-              help="Time limit of a solve; some axes take a multiple of it. [default: 2, with --quick 1]")  # fmt: skip
+              help="Time limit of a solve; some parameters take a multiple. [default: 2, with --quick 1]")  # fmt: skip
 @click.option(
     "--workers",
     default=0,

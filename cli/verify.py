@@ -65,9 +65,9 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         if states["tied"]:
             proven.append(f"{states['tied']:,} tied: they slip at some minima and not at others")
         if states["unproven"]:
-            proven.append(f"{states['unproven']:,} unproven" + (f" ({reason})" if reason else ""))
+            proven.append(f"{states['unproven']:,} without a proof" + (f" ({reason})" if reason else ""))
         elif unique:
-            proven.append("there is only one minimum")
+            proven.append("no other slips have the least power")
         lines.append(f"    contacts: {'; '.join(proven)}")
     lines += [
         f"  the lower bound is {proof}"
@@ -77,8 +77,10 @@ def describe(report: dict[str, Any], times: str = "") -> str:
     if len(rows) > 10:
         lines.append(f"  ... and {len(rows) - 10} more samples")
     if isinstance(report["gap"], float):
-        balanced = "in balance" if report["balanced"] else "not in balance, which the bound pays for"
-        inside = "within its limits" if report["inside_discs"] else "beyond its limits, which the bound pays for"
+        balanced = "in balance" if report["balanced"] else "not in balance, for which the lower bound is lowered"
+        inside = (
+            "within its limits" if report["inside_discs"] else "beyond its limits, for which the lower bound is lowered"
+        )
         lines.append(f"  friction: {balanced}, {inside}" if law.is_rate_independent else f"  damping: {balanced}")
     lines += [f"contradiction: {sentence}" for sentence in report["contradictions"]]
     lines = [printable(line) for line in lines]  # a line each, whatever the names and words in the file

@@ -75,7 +75,7 @@ def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
     """
     digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
     if not isinstance(digests, dict):
-        raise FileError(f"{path} is damaged or was changed: its {ATTRIBUTE} is no table of checksums")
+        raise FileError(f"{path} is damaged or was changed: its attribute {ATTRIBUTE} is no table of checksums")
     for name, *part in _parts(group):  # each thing once, whatever names it is given
         if name in digests and digests[name] != _digest(*part):
             yield f"{group.name.strip('/')}/{name}".strip("/")

@@ -21,7 +21,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXIT_CODE = 130  # of an interrupted command, as shells have it
 IGNORED = 1  # in C the handler that ignores a signal, the largest of those that are no functions
 GRACE, GLANCE = 1.0, 0.05  # seconds until a process is ended that does not end itself, and between two looks at it
-NOTHING_KEPT = "interrupted; nothing is kept but what was complete"
+NOTHING_KEPT = "interrupted; only files that were complete are kept"
 AS_BEFORE = "\r\x1b[2K\x1b[?25h"  # a terminal without a line of progress, and with its cursor
 
 _temporary = set[str]()

@@ -66,7 +66,7 @@ def refuse_beyond(needed: float, what: str) -> None:
     """
     free = free_bytes() if needed > LITTLE_BYTES else needed
     if needed > free:
-        raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(free, 0) / 1e9:.1f} GB are free")
+        raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB of memory; {max(free, 0) / 1e9:.1f} GB are free")
 
 
 def collect_cycles_seldom() -> None:

@@ -76,7 +76,9 @@ def real_path(path: Path) -> Path:
 def refuse_link_out(path: Path) -> None:
     """Raise WriteError for a link to another folder: what lies in a folder must not change anything outside of it."""
     if path.is_symlink() and real_path(path).parent != real_path(path.parent):
-        raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
+        raise WriteError(
+            f"{path} is a symbolic link to another folder, through which nothing is written; remove it first"
+        )
 
 
 def read_whole(path: Path, most: int) -> bytes:
@@ -127,7 +129,10 @@ def parse_json(text: str) -> Any:
     than MOST_PARTS lists and tables, which would take much memory.
     """
     if len(text) > MOST_JSON or text.count("[") + text.count("{") > MOST_PARTS:
-        raise ValueError(f"it is longer than {MOST_JSON:,} characters or has more than {MOST_PARTS:,} lists and tables")
+        raise ValueError(
+            f"the text is longer than {MOST_JSON:,} characters or has more than {MOST_PARTS:,} lists and objects, the "
+            "most that is read"
+        )
     return json.loads(text)
 
 

@@ -196,8 +196,9 @@ CHECK_ROWS = _named(
         Quantity("iteration", "1", "number of iterations done"),
         Quantity("seconds", "s", "wall time of the solve, without compilation"),
         Quantity("time", "time", "simulated time"),
-        Quantity("power", "energy/time", "power dissipated by the spins"),
-        Quantity("potential", "energy/time", "dissipation potential of the spins; lower_bound bounds its least value"),
+        Quantity("power", "energy/time", "power dissipated at all contacts, with the spins at that time"),
+        Quantity("potential", "energy/time",
+                 "dissipation potential of the spins; lower_bound is a bound on its least value"),
         Quantity("lower_bound", "energy/time", "best lower bound on the least power (or potential) proven so far"),
         Quantity("slipping", "1", "number of contacts that slip at the time of the check"),
         Quantity("kinetic_energy", "energy", "kinetic energy of the free spheres"),
@@ -213,10 +214,12 @@ CHECK_ROWS = _named(
 
 SAMPLES = _named(
     [
-        Quantity("power", "energy/time", "power dissipated by the spins, an upper bound on the least power",
+        Quantity("power", "energy/time",
+                 "power dissipated at all contacts with these spins, an upper bound on the least power",
                  lambda a: a.solution.power, "P"),
         Quantity("potential", "energy/time",
-                 "dissipation potential; lower_bound and gap belong to it, not to the power",
+                 "dissipation potential, which is least in the stationary state under this law; lower_bound and gap "
+                 "belong to it, not to the power",
                  lambda a: None if a.solution.scene.law.minimises == "power" else a.solution.objective),
         Quantity("lower_bound", "energy/time", "proven lower bound on the least power, or on the least potential",
                  lambda a: a.solution.lower_bound, r"P_\mathrm{low}"),
@@ -234,13 +237,14 @@ SAMPLES = _named(
         Quantity("spheres", "1", "number of spheres of a packing", _fact("spheres")),
         Quantity("driven_spheres", "1", "number of driven spheres of a packing",
                  _fact("driven_spheres")),
-        Quantity("seed", "1", "seed from which the coefficients are drawn", lambda a: list(a.solution.scene.seeds)),
+        Quantity("seed", "1", "seed from which the friction or viscosity of each contact is drawn",
+                 lambda a: list(a.solution.scene.seeds)),
         Quantity("iterations", "1", "number of iterations of the method",
                  _iterations),
         Quantity("seconds", "s", "wall time of the solve, without compilation; an equal share for seeds solved"
                  " together",
                  lambda a: a.solution.seconds, r"t_\mathrm{solve}"),
-        Quantity("seconds_compile", "s", "wall time to load and compile the kernels",
+        Quantity("seconds_compile", "s", "wall time to load and compile the numerical kernels",
                  lambda a: a.solution.seconds_compile),
         Quantity("contacts", "1", "number of contacts, without absent ones and those between driven spheres: the sum of"
                  " slipping, slipless, tied and undecided",
@@ -281,10 +285,10 @@ SAMPLES = _named(
                  _fact("normal_force"), "F_n"),
         Quantity("radius", "length", "radius of the spheres", _fact("radius"), "R"),
         Quantity("version", "1", "version of the program that solved the sample", lambda a: VERSION),
-        Quantity("power_normalised", "1", "power / (normal_force radius |spin_top|)",
+        Quantity("power_normalised", "1", "power / (normal_force * radius * |spin_top|)",
                  _normalised, r"P\,/\,(F_n R\,\omega_T)"),
-        Quantity("minimum_is_unique", "1", "whether only these slips have the least power: yes (true) or no (false) if"
-                 " that is proven",
+        Quantity("minimum_is_unique", "1", "whether only these slips have the least power: yes or no if that is proven,"
+                 " else left open",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time that the dynamics has reached", _at_end("time")),
         Quantity("duration", "time", "simulated time at which the dynamics was asked to end",
@@ -300,14 +304,20 @@ FINDINGS = _named(
     [
         Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
         Quantity("driven_power", "energy/time", "packings: power dissipated by contacts between two driven spheres"),
-        Quantity("slipless_motions", "1", "packings: number of independent motions that cause no slip while the"
-                 " driven spheres rest, of the free spheres that contacts connect to driven ones"),
-        Quantity("cut_is_unique", "1", "whether the minimum cut is the only one: every other cut is heavier"),
-        Quantity("next_cut_over_minimum", "1", "power of the second weakest cut divided by that of the minimum cut"),
+        Quantity("slipless_motions", "1", "packings: number of independent motions without slip that free spheres have"
+                 " while the driven ones rest; spheres that no contacts connect to a driven one do not count"),
+        Quantity("cut_is_unique", "1",
+                 "whether every other cut (interface between spheres that turn with the bottom and with the top) has "
+                 "more power than the minimum cut"),
+        Quantity("next_cut_over_minimum", "1",
+                 "power of the second weakest cut (interface between spheres that turn with the bottom and with"
+                 " the top), divided by that of the weakest"),
         Quantity("step_error", "1", "estimated error of the spins due to the time step, divided by the largest spin"),
-        Quantity("accurate_time_step", "time", "time step with which step_error, an error of the spins, is below 0.01"),
+        Quantity("accurate_time_step", "time",
+                 "time step with which step_error, the relative error of the spins, is below 0.01"),
         Quantity("elastic_share", "1",
-                 "largest elongation of a spring, divided by the distance that the driven planes slid past each other"),
+                 "largest elongation of a contact's spring, divided by the distance that the driven planes slid past "
+                 "each other"),
         Quantity("rest_time", "time", "simulated time at which the motion came to rest"),
         Quantity("yields", "1", "whether the torque is more than friction can withstand, so that the top moves"),
         Quantity("yield_torque", "force*length", "torque above which the top is proven to move"),
@@ -327,26 +337,29 @@ STRUCTURE = {
                  lambda s: s.interface and s.interface.power, r"P_\mathrm{cut}"),
         Quantity("power_over_cut", "1", "power / power_minimum_cut",
                  lambda s: s.interface and _over(s.power, s.interface.power), r"P\,/\,P_\mathrm{cut}"),
-        Quantity("cut_is_unique", "1", "whether every other cut is proven to have a larger power than the minimum cut",
+        Quantity("cut_is_unique", "1", "whether every other interface is proven to have more power than the minimum"
+                 " cut",
                  lambda s: s.interface and s.interface.unique),
-        Quantity("next_cut_over_cut", "1", "power of the second weakest cut divided by power_minimum_cut",
+        Quantity("next_cut_over_cut", "1", "power of the second weakest interface between spheres that turn with the"
+                 " bottom and with the top, divided by power_minimum_cut",
                  lambda s: s.interface and _over(s.interface.next_power, s.interface.power),
                  r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
-        Quantity("cut_contacts", "1", "number of contacts of the minimum cut",
+        Quantity("cut_contacts", "1", "number of contacts that the minimum cut crosses",
                  lambda s: s.interface and s.interface.contacts.sum(), r"N_\mathrm{cut}"),
-        Quantity("slipping_contacts_are_the_cut", "1", "whether the contacts of the minimum cut slip, and no others",
+        Quantity("slipping_contacts_are_the_cut", "1", "whether exactly the contacts of the minimum cut slip",
                  lambda s: s.interface and np.array_equal(s.state == ContactState.SLIPPING, s.interface.contacts)),
     ],
     "slipless network": [
         Quantity("slipless_fraction", "1", "share of the contacts that do not slip",
                  lambda s: s.contacts_in(ContactState.SLIPLESS) / s.movable if s.movable else None,
                  r"N_\mathrm{slipless}\,/\,N_\mathrm{contacts}"),
-        Quantity("components", "1", "number of connected pieces of the slipless network",
+        Quantity("components", "1", "number of pieces into which the network of slipless contacts falls",
                  lambda s: s.network.components),
         Quantity("spans", "1", "whether slipless contacts join bottom and top", lambda s: s.network.spans),
         Quantity("reached_fraction", "1", "share of the free spheres that touch a slipless contact",
                  lambda s: s.network.reached_fraction),
-        Quantity("spanning_fraction", "1", "share of the free spheres in the piece that joins bottom and top",
+        Quantity("spanning_fraction", "1", "share of the free spheres in the piece of the network that joins bottom and"
+                 " top",
                  lambda s: s.network.spanning_fraction),
         Quantity("shortest_path", "contacts", "number of contacts on a shortest slipless path from bottom to top",
                  lambda s: len(s.network.path) - 1 if len(s.network.path) else np.nan, r"\ell_\mathrm{min}"),
@@ -367,15 +380,18 @@ STRUCTURE = {
                  lambda s: s.network.winds_around(1, spanning=True)),
     ],
     "rigid domains": [
-        Quantity("domains", "1", "number of rigid domains", lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
+        Quantity("domains", "1", "number of rigid domains (spheres that turn as one)",
+                 lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
         Quantity("domains_locked_to", "1", "number of rigid domains by the driven plane they turn with"
                  " (mixed: with different planes in different spin components; partly: in some components only)",
                  lambda s: s.rigid_domains.domains_of_kind()),
         Quantity("free_spheres_locked_to", "1", "number of free spheres by the driven plane that their rigid"
-                 " domain turns with (mixed and partly as for the domains)",
+                 " domain turns with (mixed: with different planes in different spin components; partly: in some"
+                 " components only)",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
         Quantity("largest_intermediate_domain", "1",
-                 "number of spheres of the largest rigid domain that is not locked to one driven plane",
+                 "number of spheres of the largest rigid domain that does not turn with one driven plane in all spin"
+                 " components",
                  lambda s: s.rigid_domains.largest_intermediate),
         Quantity("largest_domain", "1", "largest number of free spheres in one rigid domain",
                  lambda s: np.bincount(s.rigid_domains.domain[s.network.free]).max(initial=0)),
@@ -405,7 +421,7 @@ STRUCTURE = {
                  " top run through: (sum s)^2 / sum s^2 with the share s of these paths through each contact",
                  lambda s: s.bottlenecks.effective_links),
         Quantity("most_loaded", "1", "the contacts that most shortest slipless paths from bottom to top run through,"
-                 " by lower sphere and axis (0 is x)",
+                 " each named by its lower sphere and its axis (0 x, 1 y, 2 z)",
                  lambda s: s.bottlenecks.most_loaded()),
     ],
     "forces": [
@@ -414,9 +430,10 @@ STRUCTURE = {
                  lambda s: s.self_stress),
         Quantity("driving_torque", "force*length", "torque that the top passes to the bottom, for each spin component",
                  lambda s: s.torque_flow.total.tolist()),
-        Quantity("slipless_share_of_torque", "1", "share of the torque that slipless contacts carry between layers",
+        Quantity("slipless_share_of_torque", "1",
+                 "share of the torque between neighbouring layers that slipless contacts carry",
                  lambda s: s.torque_flow.slipless_share),
-        Quantity("mean_saturation", "1", "mean of force / friction limit over the slipless contacts",
+        Quantity("mean_saturation", "1", "mean of friction force / friction limit over the slipless contacts",
                  lambda s: s.mean_saturation),
     ],
 }
@@ -426,8 +443,8 @@ ANALYSED = _named(row for rows in STRUCTURE.values() for row in rows)  # the sam
 OF_SCANS = _named(
     [
         Quantity("L", "1", "number of spheres along the height", symbol="L"),
-        Quantity("stiffness", "force/length", "stiffness of the springs", symbol="K_t"),
-        Quantity("damping", "force*time/length", "damping of the springs", symbol="A_t"),
+        Quantity("stiffness", "force/length", "tangential stiffness of the springs at the contacts", symbol="K_t"),
+        Quantity("damping", "force*time/length", "damping of the springs at the contacts", symbol="A_t"),
         Quantity("warnings", "1", "warnings: sentences that say how the result could be misread"),
         Quantity("sample", "1", "name of the sample; equal settings give equal names"),
         Quantity("error", "1", "why the sample has no result"),

@@ -115,9 +115,9 @@ def refuse_changed() -> None:
     Our kernels and arrays are gone then. Asking before each launch takes less than a microsecond.
     """
     if _program is not None and running_program() is not _program:
-        begun = f"after taichi_bearings had started it with {_current}"
         raise DeviceError(
-            f"{compiler.name()} was reset or started anew by other code in this process {begun}; {OWN_PROCESS}"
+            f"{compiler.name()} was reset or restarted by other code in this process, after taichi_bearings had "
+            f"started it with {_current}; {OWN_PROCESS}"
         )
 
 
@@ -157,8 +157,10 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             )
         return _current
     if running_program() is not None:
-        other = "started by other code, whose fields a new start would destroy"
-        raise DeviceError(f"{compiler.name()} already runs in this process, {other}; {OWN_PROCESS}")
+        raise DeviceError(
+            f"{compiler.name()} was already started in this process by other code, whose fields a new start would "
+            f"destroy; {OWN_PROCESS}"
+        )
     kept = compiler.cache_folder()
     compiled_before = kept is not None and any(kept.glob("*.tic"))
     with contextlib.redirect_stdout(io.StringIO()), compiler.environment(), _out_of_memory():

@@ -59,9 +59,15 @@ def read_text_lines(path: Path) -> Generator[bytes, None, None]:
                 if number == 1 and line.startswith(UTF_16):
                     raise FileError(f"{path} is a text in UTF-16; save it in UTF-8")
                 if len(line) == MOST_LINE and not line.endswith(b"\n"):
-                    raise FileError(f"line {number} of {path} is longer than {MOST_LINE:,} bytes")
+                    raise FileError(
+                        f"line {number} of {path} is longer than {MOST_LINE:,} bytes, the most that is read"
+                    )
                 if not line.endswith(b"\n"):
-                    raise CutOff(path, number, f"line {number} has no end; if it is whole, end it with a new line")
+                    raise CutOff(
+                        path,
+                        number,
+                        f"line {number}, the last one, has no line break at its end; if it is complete, add one",
+                    )
                 yield line.removeprefix(UTF_8) if number == 1 else line
             if unpacker is not None and unpacker.is_torn:
                 raise CutOff(path, number + 1, f"its compressed data are cut off after line {number}")

@@ -109,14 +109,14 @@ def run(method):
 METHODS = "('auto', 'cundall-strack', 'gradient-descent', 'operator-splitting')"
 SCRIPTS = {
     "before": ("field = theirs()\nfor method in {}:\n    print(run(method))\nassert (field.to_numpy() == 7).all()",
-               4 * ["already runs in this process"]),
+               4 * ["was already started in this process"]),
     "after": ("print(run('auto'))\nfield = theirs()\nfor method in {}:\n    print(run(method))\n"
-              "assert (field.to_numpy() == 7).all()", ["P = ", *4 * ["was reset or started anew"]]),
+              "assert (field.to_numpy() == 7).all()", ["P = ", *4 * ["was reset or restarted"]]),
     "reset": ("print(run('auto'))\nti.reset()\nfor method in {}:\n    print(run(method))",
-              ["P = ", *4 * ["was reset or started anew"]]),
+              ["P = ", *4 * ["was reset or restarted"]]),
     "meanwhile": ("def meddle(*_):\n    ti.init()\n"
                   "print(words(lambda: tb.solve(scene, 'gradient-descent', tolerance=1e-12, callback=meddle)))",
-                  ["was reset or started anew"]),
+                  ["was reset or restarted"]),
 }  # fmt: skip
 
 

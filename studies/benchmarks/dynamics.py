@@ -162,5 +162,5 @@ def _theirs(code: Code, request: Mapping[str, Any], _: int) -> float:
     found, shape = code.measure(request), tuple(request["shape"])
     seen, ours = found["contacts"], Lattice(shape).contacts
     if seen != ours:
-        raise BearingsError(f"{code.name} finds {seen:g} contacts in the lattice {shape}, this program {ours}")
+        raise BearingsError(f"{code.name} finds {seen:g} contacts in the lattice {shape}, but there are {ours}")
     return float(found["seconds"] / request["steps"])

@@ -92,7 +92,7 @@ def _by_clarabel(scene: Scene, threads: int) -> Callable[[], Row]:
     """
     here = {peer.linear_solver: peer for peer in find_peers()[0] if peer.name == "clarabel"}
     if not here:
-        raise InputError("clarabel is not installed")
+        raise InputError("clarabel is not installed; pip install clarabel")
     peer, programme = here.get("faer") or next(iter(here.values())), conic_programme(scene)
 
     def call() -> Row:

@@ -246,7 +246,7 @@ def elsewhere(find: Callable[..., Found], *arguments: Any) -> Found:
                 raise found
             yield found
     except EOFError:
-        raise BearingsError("the process that measured has died without a result") from None
+        raise BearingsError("the process that made the measurement ended without a result") from None
     finally:
         process.kill()
 

@@ -79,7 +79,7 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
         for peer in find_peers()[0]:
             calls[str(peer)] = partial(_by_peer, peer, programme, seconds, settings.threads)
     if not calls:
-        raise InputError(f"none of the methods asked for can solve {label}")
+        raise InputError(f"none of the methods asked for can solve {label}; choose others by --methods")
     about = {"shape": settings.shape, "law": settings.law, "seed": settings.seed, "threads": settings.threads}
     runs = {name: [call(0)] for name, call in calls.items()}
     brief = {name: calls[name] for name, (first,) in runs.items() if first["seconds"][-1] < BRIEF}

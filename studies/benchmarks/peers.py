@@ -115,9 +115,13 @@ def conic_programme(scene: Scene) -> ConicProgramme:
     for contacts with both friction and viscosity.
     """
     if scene.replicas != 1:
-        raise InputError(f"the scene has {scene.replicas} replicas; a conic programme can only describe one sample")
+        raise InputError(
+            f"the scene has {scene.replicas} replicas; the conic programme for other solvers describes a single sample"
+        )
     if scene.law.holds and scene.law.flows:
-        raise InputError(f"law is {scene.law}; a conic programme has friction or viscosity, not both")
+        raise InputError(
+            f"law is {scene.law}; the conic programme for other solvers has friction or viscosity, not both"
+        )
     system = ContactSystem.of(scene)
     system.operator.eliminate_zeros()
     d, count = system.offset.shape

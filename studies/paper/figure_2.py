@@ -53,7 +53,7 @@ def study(folder: Path, effort: Effort) -> Found:
     runs = [relax(scene, start) for start in each(tuple(STARTS), "relaxation")]
     stiffer = [relax(scene, start, stiff, STIFFER_STEPS) for start in each(tuple(STARTS), "stiffer relaxation")]
     rigid = [relax_rigidly(rigid_scene, start) for start in each(tuple(STARTS), "rigid relaxation")]
-    with stage(f"minima of {counted(effort.samples, 'sample')}"):
+    with stage(f"finding the minima of {counted(effort.samples, 'sample')}"):
         minima = minima_of(draw(SHAPE, replicas=effort.samples))
     with stage("finding the minima of larger samples"):
         larger = minima_of(draw(LARGER, replicas=min(LARGER_SAMPLES, effort.samples)))

@@ -87,8 +87,8 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
     places, most = len(holes), int(DENSEST * len(holes))
     if odd > most:
         raise InputError(
-            f"odd is {odd}; this lattice has {places} places for contacts that close odd loops, and at most {most} of "
-            "them can be used"
+            f"odd, the number of contacts that close odd loops, is {odd}; in this lattice it can be at most {most}, "
+            f"since of the {places} places for such contacts not all can be used at once"
         )
     hole = rng.permutation(holes)[:odd]
     around = np.array([sorted(discs) for discs in tree.query_ball_point(hole, reach)], dtype=int)

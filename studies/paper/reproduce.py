@@ -214,7 +214,9 @@ def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
         raise FileError(f"{path} is not a report that can be continued; choose another --out or add --force")
     if differ:
         others = ", ".join(differ)
-        raise FileError(f"{path} has other settings ({others}); choose another --out, or --force to overwrite it")
+        raise FileError(
+            f"{path} is a report with other settings ({others}); choose another --out, or --force to overwrite it"
+        )
     return {"figures": figures, "missing": missing}
 
 

@@ -191,7 +191,8 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
     for method, of in summary["scaling"].items():
         exact, cells, deviation = (of[key] for key in ("exact", "of", "deviation"))
         found.append(
-            f"  with other units, {method}: {exact} of {cells} powers are the same, the others within {deviation:.1e}"
+            f"  {method}, the same samples in other units: {exact} of {cells} powers are the same to the last bit, the "
+            f"others differ by at most a relative {deviation:.1e}"
         )
     return found
 

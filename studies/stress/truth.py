@@ -317,7 +317,9 @@ def layered(scene: Scene) -> Truth:
         squares = sum((part * part for part in jump_of(scene).values()), np.full(1, Decimal(0), dtype=object))
         across = np.broadcast_to(np.sqrt(squares), columns)
         if len(set(across.tolist())) > 1 and len(scene.law.quantities) > 1:
-            raise ValueError("with friction and viscosity the imposed spins must not vary over the plane")
+            raise ValueError(
+                "with friction and viscosity the imposed spins of all spheres in a driven plane must be equal"
+            )
         first = scene.lattice.spans[-1].start
         a, c = (costs.tolist() for costs in _costs(scene, slice(first, first + scene.lattice.shape[-1] - 1)))
         if not any(across):

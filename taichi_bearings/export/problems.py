@@ -55,7 +55,9 @@ def export_problem(run: str | Path, form: str, out: str | Path | None, force: bo
         found, which = stored.sample(replica), replica_drawn(stored, replica)
         torque = found.asked.torque
         if torque is not None and found.scene.network.lattice is not None:
-            raise InputError(f"the run has a torque of {torque} on its top; only imposed spins can be exported")
+            raise InputError(
+                f"the top of the run is driven by a torque of {torque}; only runs with imposed spins can be exported"
+            )
         return write_problem(found.solution.scene, form, path) | which
 
 

@@ -99,13 +99,13 @@ class Fields:
         if count > MOST_FIELD_NUMBERS:
             most = MOST_FIELD_NUMBERS
             raise DeviceError(
-                f"{layout.sites} spheres need {count} numbers in one array; at most {most} can be indexed"
+                f"{layout.sites} spheres need {count} numbers in one array, in which at most {most} can be indexed"
             )
         try:
             self.values, self._host = self._allocate(count)
         except (RuntimeError, MemoryError) as error:
             size = count * self.dtype.itemsize
-            raise DeviceError(f"{size} bytes of fields do not fit on this device: {error}") from error
+            raise DeviceError(f"arrays of {size} bytes do not fit into the memory of this device: {error}") from error
         self.blocks = one_block() if self._host is None else self._host.reshape(-1, layout.block)
         self.tables = on_device(np.array(layout.measures), "i32")
 

@@ -118,7 +118,7 @@ def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterat
         with open_checked(path, f"a {kind}", changed) as file:
             stored, schema = file.attrs.get("schema"), layout_of(kind)["schema"]
             if stored != schema:
-                raise FileError(f"{path} is not a {kind}: its schema is {shown(stored)}, not {schema!r}")
+                raise FileError(f"{path} is not a {kind}: its attribute `schema` is {shown(stored)}, not {schema!r}")
             if "schema_version" not in file.attrs:
                 raise FileError(f"{path} is damaged or was changed: it lacks the attribute schema_version")
             yield file

@@ -52,7 +52,7 @@ class Lattice:
         if self.shape[-1] < 3:
             raise InputError(f"shape is {shown(list(self.shape))}; the height (last number) must be 3 or more")
         if self.sites > MOST_SITES // 8:
-            raise InputError(f"shape is {shown(list(self.shape))}; at most {MOST_SITES // 8} spheres can be indexed")
+            raise InputError(f"shape is {shown(list(self.shape))}; there can be at most {MOST_SITES // 8} spheres")
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise InputError(f"radius is {self.radius}; it must be a positive number")
         for axis in self.periodic:

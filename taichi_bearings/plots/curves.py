@@ -42,7 +42,9 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
     courses = courses_of(answer)
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
-        raise InputError(f"the history of the run has {steps}, by method {answer.method}; the figure needs 2 or more")
+        raise InputError(
+            f"the history of the run, by method {answer.method}, has only {steps}; its figure needs 2 or more"
+        )
     course, scene = courses[0], courses[0].scene
     width = page.inches("single")
     figure = style.plain_figure(width, 0.85 * width, page.dpi)

@@ -144,7 +144,7 @@ def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
     shape : numbers of spheres along the axes of the lattice.
     """
     if len(planes) > MOST_PLANES:
-        raise InputError(f"plane is given {len(planes)} times; a figure shows at most {MOST_PLANES}")
+        raise InputError(f"plane is given {len(planes)} times; a figure shows at most {MOST_PLANES} planes")
     for axis, index in planes:
         if len(shape) == 2:
             raise InputError(

@@ -103,7 +103,7 @@ def proven_states(bounds: Bounds) -> list[States]:
             for number, (states, proven) in enumerate(zip(together, done, strict=True))
         ]
     elif (bounds.proof != PROVEN).any():
-        found = _all_undecided(network, "the bound is proven of some spins alone")
+        found = _all_undecided(network, "the lower bound is not proven for all spins")
     # With damping; then friction alone: with normals in any direction, where nothing has to slip, and all others.
     elif network.law.flows:
         far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
@@ -116,7 +116,8 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _enclosed(network, near)
     elif network.mixes:
         far = _by_cones(bounds)
-        found = _samples(network, _slipping_beyond(network, far), "minima are not known closely enough", None)
+        known = _slipping_beyond(network, far)
+        found = _samples(network, known, "the spins of least power are not enclosed closely enough", None)
         found = _with_parts_at_rest(bounds, far, found)
     elif not network.needed:
         found = _samples(network, np.full(len(rests), SLIPLESS), "", True)
@@ -385,15 +386,15 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
     Returns the slipping contacts close to the minimum, and for each of them a bound (n,) on |slip there - slip| /
     |slip|; or a text that says what is missing in the proof."""
     if motion.torn.any():
-        return "contacts without slip join driven spheres that turn otherwise"
+        return "contacts without slip join driven spheres with different imposed spins"
     if not _saturated(motion.network, contacts):
-        return "contacts slip whose friction is not at its limit"
+        return "some contacts slip although their friction is not at its limit"
     if not (contacts.size.least > 0).all():
         return "slips are lost in the rounding of the spins"
     near = nearest_minimum(contacts)
     if near is not None and not bearable(motion, *near):
-        return "slipless contacts are not known to bear what the others leave to them"
-    return "the power is not known to rise in all directions" if near is None else near
+        return "friction of slipless contacts is not proven to balance the torques of the others"
+    return "the power is not proven to rise in every direction from these spins" if near is None else near
 
 
 def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:

@@ -59,7 +59,8 @@ def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
     for number in np.flatnonzero(beside & (abs(settings.torque) > low)):
         yield (
             f"the torque {settings.torque:.17g} lies between {low[number]:.17g}, up to which friction is proven to "
-            f"hold it, and {high[number]:.17g}, beyond which it is proven not to; neither is proven of it"
+            f"hold the top, and {high[number]:.17g}, above which the top is proven to move; so it is not known "
+            "whether it moves"
         )
 
 
@@ -218,7 +219,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     uneven = too_uneven(solution) & ~named.any(axis=1)
     if uneven.any():
         of = _in_samples(uneven)
-        yield f"the weakest contacts dissipate less than gap or rounding resolve{of}: only proven states are named"
+        yield f"the weakest contacts dissipate less than gap or rounding leave open{of}: only proven states are named"
     elif number > 0:
         scene, full = solution.scene, SATURATED * solution.scene.strength
         undecided = solution.state == ContactState.UNDECIDED
@@ -230,8 +231,8 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         faster = f"{solution.slip_threshold:.1e} (slip_threshold)"
         kinds = {
             f"creep faster than {faster} while their friction is below its limit": held,
-            "are at their friction limit, and move too slowly to be told from rest": number - held - passing,
-            "slip now, and are not known to slip at every minimum": passing,
+            "are at their friction limit, and slip too slowly to be told from rest": number - held - passing,
+            "slip, but perhaps not in every state of least power": passing,
         }
         reasons = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)
         yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {reasons}"
@@ -252,15 +253,15 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
     faint = int((doubtful & unresolved(solution, DECADE)).sum())
     if faint:
         dissipate = "dissipates" if faint == 1 else "dissipate"
-        much = f"less than {DECADE:g} times the power that the gap leaves open"
+        much = f"less than {DECADE:g} times the power that the gap leaves open, so perhaps not at the minimum"
         yield f"{counted(faint, 'slipping contact')} {dissipate} {much}"
     found = separate(solution.scene, solution.slip, solution.state)
     near &= found.decades < np.log10(DECADE)
     if near.any():
         worst = int(np.argmin(np.where(near, found.decades, np.inf)))
         yield (
-            f"no clear gap between the two kinds of contacts: slipless contacts slip at most "
-            f"{found.largest_slipless[worst]:.1e}, slipping ones at least {found.smallest_slipping[worst]:.1e}"
+            f"slipping and slipless contacts are hardly apart: the slowest slipping one has a slip speed of "
+            f"{found.smallest_slipping[worst]:.1e}, the fastest slipless one {found.largest_slipless[worst]:.1e}"
         )
 
 

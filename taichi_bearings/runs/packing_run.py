@@ -199,7 +199,10 @@ def packing_of(
     samples = {len(values) for name, values in found.items() if axes[name] == 1} or {settings.replicas}
     if samples != {settings.replicas}:
         held = counted(samples.pop(), "sample")
-        raise InputError(f"replicas is {settings.replicas}, but {settings.packing} holds {held}")
+        raise InputError(
+            f"replicas is {settings.replicas}, but {settings.packing} holds {held}; leave replicas out or give that "
+            "number"
+        )
     if settings.replicas > 1 and 1 not in axes.values() and _draws_nothing(settings, found):
         raise InputError(
             f"replicas is {settings.replicas}, but {settings.packing} holds all coefficients, so nothing is drawn; "

@@ -312,7 +312,7 @@ class Result:
         """Return the result of one sample as if it had been solved alone; negative numbers count from the end."""
         samples = len(self)
         if not -samples <= number < samples:
-            raise IndexError(f"sample {number} of {samples}")
+            raise IndexError(f"there is no sample {number}; the result has {samples}, numbered from 0")
         return self if samples == 1 else self.sample(number % samples)
 
     def __iter__(self) -> Iterator["Result"]:

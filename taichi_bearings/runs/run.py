@@ -85,7 +85,10 @@ def build_scene(settings: RunSettings) -> Scene:
         raise InputError(f"shape is {asked}, but the coefficients in {file} are of {own} spheres; leave out the shape")
     if lattice.periodic_names != settings.periodic:
         own, asked = (",".join(names) or "none" for names in (lattice.periodic_names, settings.periodic))
-        raise InputError(f"periodic is {asked}, but the coefficients in {file} are of a lattice where it is {own}")
+        raise InputError(
+            f"periodic is {asked}, but the coefficients in {file} are of a lattice where it is {own}; leave periodic "
+            "out"
+        )
     samples = len(coefficients[0]) if coefficients[0].ndim > len(shape) else 1
     if samples != settings.replicas:
         held = counted(samples, "sample") if samples > 1 else "a single sample"
@@ -385,7 +388,9 @@ def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Resu
         except (WriteError, OSError):
             shutil.rmtree(folder.parent, ignore_errors=True)
             spare = folder.parent.parent
-            raise WriteError(f"{error}, and {spare} cannot be written either; {otherwise}") from None
+            raise WriteError(
+                f"{error}, nor could a copy of the result be written into the temporary folder {spare}; {otherwise}"
+            ) from None
         logging.getLogger(__name__).warning("bearings: %s; the result is in %s", error, folder)
         return found
 
@@ -415,7 +420,7 @@ def resume(
     changes = dict(changes or {})
     for key in changes:
         if key in RunSettings.keys() and key not in CHANGEABLE:
-            raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
+            raise InputError(f"{key} cannot change when a run is resumed; these can: {', '.join(CHANGEABLE)}")
     with in_use(path):
         scene, arrays = read_checkpoint(path)
         stored = RunSettings.from_mapping(parse_toml(scene) | changes, "the options")

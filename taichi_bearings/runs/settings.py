@@ -115,15 +115,17 @@ class RunSettings:
     owned : names and values of these options.
     """
 
-    shape: tuple[int, ...] = option((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
+    shape: tuple[int, ...] = option((32, 32, 32), SHAPE, "Numbers of spheres along each axis, the height last.")
     law: str = option("coulomb", OneOf(table=LAWS), "Contact law.")
     method: str = how(
-        "auto", OneOf("auto", table=METHODS), "Method that solves; auto takes the fastest that certifies the scene."
+        "auto",
+        OneOf("auto", table=METHODS),
+        "Method that solves the scene; auto takes the fastest that can prove the result.",
     )
     tolerance: float = how(
         1e-8,
         Kind(bounded(real, 0, 1, True), "above 0 and at most 1", "NUMBER"),
-        "Relative gap (P - lower bound)/P of the power P at which the run counts as done.",
+        "The run is done when the relative gap (P - lower bound)/P of the power P is at most this.",
     )
     seed: int = option(0, SEED, "Seed from which the friction is drawn: the same seed gives the same sample.")
     replicas: int = how(
@@ -143,15 +145,16 @@ class RunSettings:
     top: tuple[float, ...] | None = option(
         None,
         BEARING_STATE,
-        "Bearing state of the top plane, instead of the spins and their axis: AX,AY,AZ;C for spins A + C x at "
-        "the place x, measured from the first sphere. In 2D one number.",
+        "Motion of the top plane, instead of spin_top and direction: AX,AY,AZ;C gives the sphere at x, counted from "
+        "the first sphere, the spin A + C x, with opposite signs for neighbours. C is in 1/(time*length). In 2D A "
+        "alone.",
         unit="1/time",
     )
     bottom: tuple[float, ...] | None = option(
         None,
         BEARING_STATE,
-        "Bearing state of the bottom plane, in the form of --top. If only one of the two is given, the other "
-        "plane rests.",
+        "Motion of the bottom plane, in the form of --top. If only one of the two is given, the other plane is at "
+        "rest.",
         unit="1/time",
     )
     periodic: tuple[str, ...] = option(
@@ -163,9 +166,9 @@ class RunSettings:
     driven: str = option(
         BETWEEN_PLANES,
         TEXT,
-        "What is driven as bottom and as top: planes, the lowest and highest layer; walls, the first and the "
-        "last layer along x; or shaft:r, all walls along x and y, and the spheres within r diameters of the "
-        "axis in the middle. Other bodies than planes make a packing (docs/packings.md).",
+        "Which spheres are driven, as bottom and as top: planes, the lowest and the highest layer; walls, the first "
+        "and the last layer along x; or shaft:r, all side walls, and the spheres within r diameters of the vertical "
+        "axis in the middle. With walls or a shaft the lattice is solved as a packing (docs/packings.md).",
     )
     torque: float | None = how(
         None,
@@ -178,8 +181,9 @@ class RunSettings:
     coefficients: str | None = option(
         None,
         FILE,
-        "Read the coefficients instead of drawing them: an npz file with arrays x (NX-1,NY,NZ), y (NX,NY-1,NZ) and z "
-        "(NX,NY,NZ-1), or a run. The file fixes the shape, too. docs/scenes.md says more.",
+        "Read the coefficients of the contacts (friction or damping) instead of drawing them: an npz file with arrays "
+        "x (NX-1,NY,NZ), y (NX,NY-1,NZ) and z (NX,NY,NZ-1), or a run. The file fixes the shape, too. docs/scenes.md "
+        "says more.",
     )
     packing: str | None = option(
         None,
@@ -191,8 +195,8 @@ class RunSettings:
     contacts: str | None = option(
         None,
         FILE,
-        "The contacts of a table of centres: .csv with the columns first,second. Default: found from "
-        "the distances of the centres.",
+        "File (.csv) with the contacts of a table of centres: columns first,second with the ids of two spheres, or "
+        "without ids their numbers from 0. Default: contacts are found from the distances of the centres.",
     )
     touching: float | None = option(
         None,
@@ -203,17 +207,20 @@ class RunSettings:
     distribution: str = option(
         "uniform:0.1,1.0",
         TEXT,
-        f"Distribution of the coefficients: {', '.join(FORMS[:-1])} or {FORMS[-1]}.",
+        f"Distribution from which the coefficients of the contacts are drawn: {', '.join(FORMS[:-1])} or {FORMS[-1]}.",
     )
     viscosity: str = option(
         "uniform:0.1,1.0",
         TEXT,
-        "Distribution of the viscosities, in the form of --distribution.",
+        "Distribution from which the viscosities of the contacts are drawn, in the form of --distribution.",
         unit="force*time/length",
         laws=lambda law: len(law.quantities) > 1,
     )
     initial: str = how(
-        "linear", TEXT, "Spins to start from: random, zero, linear, minimum-cut, or a file with an array `spin`."
+        "linear",
+        TEXT,
+        "Spins to start from: random, zero, linear (from bottom to top), minimum-cut (each sphere turns with the "
+        "bottom or the top), or a file with an array `spin`.",
     )
     normal_force: float = option(
         50.0, POSITIVE, "Normal force at every contact.", unit="force", laws=attrgetter("holds")
@@ -271,8 +278,8 @@ class RunSettings:
     precision: str = how(
         "f64",
         OneOf(*PRECISIONS),
-        "Precision of the iterations: f64 (double) or f32 (single). Bounds are always computed in f64, and so "
-        "is all of planar-cut, interior-point, linear-solver and rigid-limit.",
+        "Precision of the iterations: f64 (double) or f32 (single). Bounds are always computed in f64, as is "
+        "everything by planar-cut, interior-point, linear-solver and rigid-limit.",
         rare=True,
     )
     threads: int = how(
@@ -447,12 +454,13 @@ def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
 WISHES = {  # options of a scan that apply to every sample
     "analyse": Option(
         None, TRUTH,
-        "Add the numbers of `bearings analyse` for every sample, as columns. [default: as the folder was asked before]",
+        "Add the numbers of `bearings analyse` for every sample, as columns. [default: as in "
+        "an earlier call for this folder]",
     ),
     "keep_states": Option(
         None, TRUTH,
         "Keep spins, slips and forces of every sample too, as states/<sample>.h5 in the layout of run.h5. "
-        "[default: as the folder was asked before]",
+        "[default: as in an earlier call for this folder]",
     ),
     "sample_timeout": Option(
         None, Kind(bounded(real, 0, float_info.max, open_low=True), "a positive number of seconds", "SECONDS"),
@@ -564,10 +572,10 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
         import tomli as tomllib
     try:  # texts that would exhaust Python's stack, or take too much memory or time, are refused
         if len(text) > MOST_SETTINGS_TEXT:
-            raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} characters")
+            raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} characters, the most that is read")
         is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
         if is_deep and max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED:
-            raise ValueError("its brackets do not close")
+            raise ValueError("the brackets of its lists and tables do not close")
         dots = [found[0].count(".") for found in DOTTED.finditer(text)]
         if max(dots, default=0) > MOST_NESTED or sum(dots) > MOST_DOTS:
             raise ValueError(f"a key may have at most {MOST_NESTED} dots, and all keys together {MOST_DOTS:,}")
@@ -598,8 +606,8 @@ def _refuse_unwritable(value: object, depth: int = 0) -> None:
     depth : how deep the value itself is nested.
     """
     if isinstance(value, int) and value.bit_length() > 64:
-        raise ValueError("whole numbers are limited to 64 bits")
+        raise ValueError("a whole number in it needs more than 64 bits")
     if depth > MOST_NESTED:
-        raise ValueError(f"lists and tables are nested more than {MOST_NESTED} deep")
+        raise ValueError(f"its lists and tables are nested more than {MOST_NESTED} deep")
     for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _refuse_unwritable(part, depth + 1)

@@ -19,7 +19,8 @@ ON_SPHERES = (
     Quantity("domain", "1", "number of the rigid domain (spheres that turn as one) of each sphere; 0 is the largest",
              lambda s: s.rigid_domains.domain.astype(np.int32)),
     Quantity("component", "1",
-             "number of the connected piece of the slipless network; 0 holds the bottom plane or the first body",
+             "number of the piece of the slipless network (spheres joined by contacts without slip) to which each "
+             "sphere belongs; 0 is the piece of the bottom plane or the first driven body",
              lambda s: s.network.component.astype(np.int32)),
     Quantity("betweenness", "1", "share of the shortest slipless paths from bottom to top that go through the sphere",
              lambda s: s.bottlenecks and s.bottlenecks.visits),
@@ -46,7 +47,9 @@ DOMAINS = (
              lambda s: s.network.shortest_path),
     Quantity("domains/spheres", "1", "number of spheres of each rigid domain, driven ones included",
              lambda s: s.rigid_domains.spheres),
-    Quantity("domains/staggered_spin", "1/time", "staggered spin of each rigid domain, components {components}",
+    Quantity("domains/staggered_spin", "1/time",
+             "staggered spin of each rigid domain: the spin with a sign that alternates between neighbours; components "
+             "{components}",
              lambda s: s.rigid_domains.staggered),
     Quantity("domains/lock", "1",
              "driven planes with which each rigid domain turns, by component: 0 none, 1 the bottom, 2 the top, 3 both; "

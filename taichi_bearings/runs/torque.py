@@ -102,10 +102,11 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
     top, others = solution.scene.sides
     if not top:
         raise InputError(
-            f"torque is {torque:g}, but all imposed spins are 0; it acts along those of the top, so give it some"
+            f"torque is {torque:g}, but all imposed spins are 0; the torque acts about the axis of the top's spin, so "
+            "give the top one"
         )
     if others and not solution.scene.law.holds:
-        raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
+        raise InputError(f"torque is {torque:g}; with the law viscous all driven bodies but the last must be at rest")
     found = _found(_with_driven(solution), torque, lambda other: _with_driven(solve(other)))
     return replace(solution, findings={**solution.findings, **found})
 

@@ -75,7 +75,7 @@ def verify(path: str | Path) -> Json:
     scene = run.solution.scene
     if not scene.law.is_sum:
         known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
-        raise FileError(f"{file_of(path)} has the law {scene.law.name!r}; {known} can be verified")
+        raise FileError(f"{file_of(path)} has the law {scene.law.name!r}; only {known} can be verified")
     with stage("proving"), one_thread():
         anew = NewProof(run)
         report, found = anew.report, [*anew.contradictions()]
@@ -331,7 +331,7 @@ def _seed_contradictions(run: Result) -> list[str]:
         for seed, values in zip(scene.seeds, stored, strict=True):
             drawn = scene.lattice.flat(draw_coefficients(scene.lattice, source, seed, bool(second)))
             if not np.array_equal(values, np.ravel(drawn)):
-                found.append(f"the {name} differs from what seed {seed} gives")
+                found.append(f"the {name} in the file differs from what seed {seed} gives")
     return found
 
 

@@ -55,7 +55,7 @@ def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Clien
         return distributed.Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, distributed.TimeoutError) as error:
         reason = str(error) if isinstance(error, ValueError) else f"no answer within {CONNECT:g} s"
-        raise InputError(f"no Dask scheduler at {scheduler!r}: {reason}") from None
+        raise InputError(f"no Dask scheduler can be reached at {scheduler!r}: {reason}") from None
     finally:
         logger.setLevel(level)
 

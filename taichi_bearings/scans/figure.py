@@ -158,7 +158,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
                 found = values == float(value)
             except ValueError:
                 raise InputError(
-                    f"--where {condition!r} cannot be used; {key} has numbers, so VALUE must be one"
+                    f"--where {condition!r} cannot be used; the column {key} holds numbers, so VALUE must be one"
                 ) from None
         if not found.any():
             known = [named(key, v) for (v,) in groups(table, [key])]
@@ -177,7 +177,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
     names, terms = request.y.split("/"), list[np.ndarray]()
     for name in names:
         if columns[name].dtype == object:
-            raise InputError(f"y is {name!r}, a column of texts; choose a column of numbers")
+            raise InputError(f"--y is {name!r}, a column of texts; choose a column of numbers")
         terms.append(columns[name].astype(float))
     if len(terms) > 2:
         raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")
@@ -198,7 +198,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
         points.setdefault(tuple(part), []).append(point)
     every = list(itertools.chain(*points.values()))
     if "x" in request.log and any(isinstance(point["x"], str) for point in every):
-        raise InputError(f"log is {request.log!r}, but {request.x} has texts, not numbers; for sizes use the column L")
+        raise InputError(f"log is {request.log!r}, but the column {request.x} holds texts; for sizes use the column L")
     for name in request.log:
         least = min(point[f"plot_{name}"] for point in every if point["number"])
         if least <= 0:
@@ -254,8 +254,8 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
     """
     if len(points) > MOST_CURVES:
         raise InputError(
-            f"{', '.join(request.by)} make {len(points)} curves; a figure can have at most {MOST_CURVES}, "
-            "so choose samples by --where"
+            f"--by {', '.join(request.by)} makes {len(points)} curves; a figure can have at most {MOST_CURVES}, so "
+            "choose samples by --where"
         )
     curves = []
     for part, own in points.items():

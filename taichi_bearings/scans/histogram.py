@@ -81,7 +81,7 @@ class Source:
         """Return the values (samples S,) of a scalar as numbers, by its name; raise FileError if they are none."""
         values = self.column(name)
         if values.dtype.kind not in "biuf":
-            raise FileError(f"{self.path} is damaged or was changed: its {name} is no number")
+            raise FileError(f"{self.path} is damaged or was changed: its column {name} must hold numbers")
         return values.astype(float)
 
     def unit(self, normalise: str) -> np.ndarray:
@@ -209,7 +209,9 @@ def pooled(
     values = {by: np.concatenate([source.whole_column(by) for source in sources])}
     parts = groups(values, [by])
     if len(parts) > MOST_GROUPS:
-        raise InputError(f"by is {by!r}, which has {len(parts)} values; at most {MOST_GROUPS} can be overlaid")
+        raise InputError(
+            f"--by is {by!r}, which has {len(parts)} values; one figure can hold at most {MOST_GROUPS} histograms"
+        )
     return {value: of(rows) for (value,), rows in parts.items()}
 
 

@@ -145,7 +145,8 @@ def read_plan(
     text = _text(document, axes)
     if len(text) > MOST_SETTINGS_TEXT - 1000:  # which wishes may take
         raise InputError(
-            f"{path} takes {len(text):,} bytes written in full, and at most {MOST_SETTINGS_TEXT:,} are read; use ranges"
+            f"{path} with its values written out takes {len(text):,} bytes, and at most {MOST_SETTINGS_TEXT:,} are "
+            "read; use ranges instead of lists"
         )
     return ScanPlan(scanned, tuple(_samples(path, document, scanned, _points(axes))), text, own)
 
@@ -213,7 +214,7 @@ def _samples(
         key = sample_key(settings)
         if key in met:
             both = " and ".join(str({name: written(value) for name, value in p.items()}) for p in (met[key], point))
-            raise InputError(f"two samples of {path} are the same: {both}")
+            raise InputError(f"two samples of {path} are the same: {both}; leave one of them out")
         met[key] = point
         yield Sample(key, settings, point)
 

@@ -89,7 +89,9 @@ def open_scan(path: Path) -> StoredScan:
         records: dict[str, Mapping[str, Any]] = {**nothing, **read_journals(folder)}
     except BearingsError as error:
         if stored is None:
-            raise FileError(f"{why}; nor can the scan be read from its journal: {error}") from None
+            raise FileError(
+                f"{why}; nor can the scan be read from its journals, the files of finished samples: {error}"
+            ) from None
         words = "bearings: %s is out of date and the journals beside it cannot be read (%s); %s is used as it is"
         logging.getLogger(__name__).warning(words, file, error, file.name)
         return stored

@@ -73,7 +73,7 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
             _refuse_lack(path, names, file)
             found = [name for name in (*names, *optional) if name in file]
             if empty := [name for name in found if file[name].shape is None]:
-                raise FileError(f"{empty[0]} in {path} is empty")
+                raise FileError(f"the array {empty[0]} in {path} is empty; it must hold numbers")
             return {name: np.asarray(file[name][()]) for name in found}
     except (FileError, MemoryError):
         raise
@@ -115,8 +115,10 @@ def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.nda
         if dtype.itemsize == 0 or claimed > found.file_size:
             raise ValueError
         if claimed > most:
-            most_said = f"{most:,} bytes, the most that is read from a compressed file of this size; use numpy.savez"
-            raise FileError(f"{name} in {path} claims to hold more than {most_said}")
+            raise FileError(
+                f"{name} in {path} claims to hold more than {most:,} bytes, the most that is read from a compressed "
+                "file of this size; store it uncompressed by numpy.savez"
+            )
     with stored.open(found) as file:
         return np.asarray(read.read_array(file, allow_pickle=False))
 

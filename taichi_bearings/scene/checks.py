@@ -47,7 +47,8 @@ def places(values: ArrayLike) -> np.ndarray:
         is_turned = center.ndim == 2 and len(center) in (2, 3) and center.shape[1] > 3
         hint = f"; it looks transposed{TURNED}" if is_turned else ""
         raise InputError(
-            f"center has shape {center.shape}; it must be (N, 2) or (N, 3) with N from 1 to {MOST_SPHERES:,}{hint}"
+            f"center has shape {center.shape}; it must be (N, 2) or (N, 3), one row of coordinates for each of N "
+            f"spheres, with N from 1 to {MOST_SPHERES:,}{hint}"
         )
     _refuse_not_finite("center", center, "sphere")
     order = np.lexsort(center.T)
@@ -106,7 +107,10 @@ def pairs(values: ArrayLike, spheres: int) -> np.ndarray:
     contact = contact.reshape(0, 2) if contact.size == 0 else contact
     if contact.ndim != 2 or contact.shape[1] != 2 or len(contact) > MOST_CONTACTS:
         hint = f"; it looks transposed{TURNED}" if contact.ndim == 2 and len(contact) == 2 else ""
-        raise InputError(f"contact has shape {contact.shape}; it must be (E, 2) with E up to {MOST_CONTACTS:,}{hint}")
+        raise InputError(
+            f"contact has shape {contact.shape}; it must be (E, 2), the two spheres of each of E contacts, with E up "
+            f"to {MOST_CONTACTS:,}{hint}"
+        )
     outside = ((contact < 0) | (contact >= spheres)).any(axis=1)
     hint = "; contacts seem to count from 1" if len(contact) and (contact.min(), contact.max()) == (1, spheres) else ""
     _refuse(
@@ -128,7 +132,7 @@ def bodies(values: ArrayLike, spheres: int) -> np.ndarray:
     driven = _integers("driven", np.where(array, 0, -1) if is_mask else values)
     if driven.shape != (spheres,):
         raise InputError(f"driven has shape {driven.shape}; it must be ({spheres},), one number a sphere")
-    strange, allowed = (driven < -1) | (driven >= spheres), f"-1, or a body from 0 to {spheres - 1}"
+    strange, allowed = (driven < -1) | (driven >= spheres), f"-1 (free), or the number of a body, 0 to {spheres - 1}"
     _refuse(strange, lambda i: f"driven of sphere {i} is {driven[i]}; it must be {allowed}")
     return driven
 
@@ -239,7 +243,7 @@ def normals(values: ArrayLike, packing: "Packing") -> tuple[np.ndarray, float]:
     size = np.linalg.norm(normal, axis=1)
     bad = ~(np.abs(size - 1) <= UNIT_ERROR)
     _refuse(
-        bad, lambda e: f"normal of contact {e} has length {size[e]:.9g}; it must be a unit vector, to {UNIT_ERROR:g}"
+        bad, lambda e: f"normal of contact {e} has length {size[e]:.9g}; the length must be 1, within {UNIT_ERROR:g}"
     )
     off = np.abs(size - 1) > 4 * np.finfo(np.float64).eps  # others stay as they are, bit by bit
     normal = np.where(off[:, None], normal / np.where(off, size, 1.0)[:, None], normal)

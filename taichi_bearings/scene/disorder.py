@@ -79,7 +79,7 @@ class Distribution:
         Raises InputError with the expected form for other texts.
         """
         if not isinstance(text, str):
-            raise InputError(f"distribution is {shown(text)}; it must be a text or a function")
+            raise InputError(f"distribution is {shown(text)}; it must be a text such as uniform:0.1,1.0 or a function")
         name, _, rest = text.partition(":")
         if name not in cls.PARAMETERS:
             raise InputError(
@@ -153,6 +153,9 @@ def draw_coefficients(lattice: Lattice, distribution: Draw, seed: int, second: b
     for shape in map(lattice.contact_shape, range(lattice.dimension)):
         values = own_array("values of the distribution", distribution(rng, shape))
         if values.shape != shape:
-            raise InputError(f"the distribution gave an array of shape {values.shape}; it was asked for {shape}")
+            raise InputError(
+                f"the function given as distribution returned an array of shape {values.shape}; it must return shape "
+                f"{shape}"
+            )
         found.append(values)
     return tuple(found)

@@ -151,14 +151,15 @@ class _Contacts:
         Two spheres with several contacts are not judged here, as one of these may cross a periodic side.
         """
         if words := self.remedy():
-            raise InputError(f"{self._misfit(self._first())}{words}")
+            raise InputError(f"{self._contact_does_not_fit(self._first())}{words}")
         pair = np.sort(self.contact, axis=1) @ np.array([len(self.center), 1])
         _, group, count = np.unique(pair, return_inverse=True, return_counts=True)
         strange = self.touches & ~self.is_direct & (count[group] == 1)
         if strange.any():
             own = int(np.argmax(strange))
             raise InputError(
-                f"{self._misfit(own)}; its normal points elsewhere: are normals in the order of the contacts?"
+                f"{self._contact_does_not_fit(own)}; the normal must point from the first centre to the second: check "
+                "that normals are in the order of the contacts"
             )
 
     def refuse_strange_images(self) -> None:
@@ -178,21 +179,25 @@ class _Contacts:
                 if len(row):
                     e = int(across[row[0]])
                     raise InputError(
-                        f"{self._misfit(e)}; its normal {_short(self.normal[e])} leads to sphere {other[0]}"
+                        f"{self._contact_does_not_fit(e)}; its normal {_short(self.normal[e])} leads to sphere "
+                        f"{other[0]} instead; correct the contact or its normal"
                     )
         # shifts (X, D) from an image to its sphere are sums of periods, none much shorter than the largest diameter
         shift, least = self.vector[across] - step, 2 * (1 - OVERLAP / 2) * self.radius.max()
         periods, wrong = _periods(shift, spread * self.reach[across], least)
         if wrong is not None:
-            raise InputError(f"{self._misfit(int(across[wrong]))}; its normal fits no period of the other contacts")
+            raise InputError(
+                f"{self._contact_does_not_fit(int(across[wrong]))}; nor are they neighbours along its normal across "
+                "periodic sides as the other contacts imply them; correct its normal or the centres"
+            )
         # no period may put a sphere where another one is
         for period in periods:
             for low, high in self._laid_over(period):
                 if len(low):
                     e = int(across[np.argmin(np.linalg.norm(shift - period, axis=1))])
                     raise InputError(
-                        f"{self._misfit(e)}; across the periodic side that its normal crosses, sphere "
-                        f"{low[0]} would lie on sphere {high[0]}: is the normal right, and its sign?"
+                        f"{self._contact_does_not_fit(e)}; across the periodic side that its normal crosses, sphere "
+                        f"{low[0]} would lie on sphere {high[0]}; check the normal and its sign"
                     )
 
     def _laid_over(self, period: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -215,7 +220,7 @@ class _Contacts:
         """Return the two spheres of contact number e, "3 and 7", for messages."""
         return " and ".join(map(str, self.contact[e].tolist()))
 
-    def _misfit(self, e: int) -> str:
+    def _contact_does_not_fit(self, e: int) -> str:
         """Return the beginning of a message: how contact number e disagrees with its centres."""
         what = f"contact {e} does not fit: spheres {self._pair(e)}"
         if self.touches[e]:

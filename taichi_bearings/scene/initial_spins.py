@@ -55,8 +55,8 @@ def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
     carried = spins_of_two_domains(bearing)
     if carried is None:
         raise InputError(
-            "start is 'minimum-cut', which this packing does not have: that needs a packing without odd loops, and two "
-            "driven bodies in different bearing states"
+            "start is 'minimum-cut', but this packing has no minimum cut: that needs two driven bodies in different "
+            "motions, and no closed chain of an odd number of contacts; choose another start"
         )
     return bearing.laboratory_spin(carried, bearing.minimum_spin_axes)
 
@@ -99,5 +99,5 @@ def _fitting(bearing: Bearing, given: ArrayLike, source: str) -> np.ndarray:
     if spin.shape != expected:
         raise InputError(f"spin in {source} has shape {spin.shape}; it must be {expected[1:]} or {expected}")
     if not np.isfinite(spin).all():
-        raise InputError(f"spin in {source} holds a value that is not finite")
+        raise InputError(f"spin in {source} holds a value that is infinite or not a number")
     return spin

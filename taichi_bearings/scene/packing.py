@@ -140,7 +140,9 @@ class Packing(Bearing):
         put("law", law_named(usual if self.law is None else self.law))
         if not self.law.is_sum:
             known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
-            raise InputError(f"law is {self.law.name!r}; packings have {known}, laws of one's own are for lattices")
+            raise InputError(
+                f"law is {self.law.name!r}; packings can have {known}; a law of your own works on lattices only"
+            )
         put("normal_force", checks.pressing(self.normal_force, self.contacts))
         self._take_coefficients()
 

@@ -154,7 +154,9 @@ class Scene(Bearing):
         radius = finite_number("radius", others.get("radius", cls.radius))
         lattice = Lattice(SHAPE.named("shape", shape), radius, axis_numbers(others["periodic"]))
         if replicas > (most := MOST_SITES // 8 // lattice.sites):
-            raise InputError(f"replicas is {replicas}; with this shape at most {most} can be indexed")
+            raise InputError(
+                f"replicas is {replicas}; with this shape it must be at most {most}, so that 32-bit indices suffice"
+            )
         others["seeds"] = tuple(range(seed, seed + replicas))
         sources = dict(zip(cls.DRAWN, (distribution, viscosity or "uniform:0.1,1.0"), strict=True))
         values = [source if callable(source) else Distribution.parse(source) for source in sources.values()]
@@ -242,7 +244,8 @@ class Scene(Bearing):
         for name in self.BY_SPINS:
             if getattr(self, name) != getattr(type(self), name):
                 raise InputError(
-                    f"{name} is {getattr(self, name)}, but top or bottom is given, too; leave one of them out"
+                    f"{name} is {getattr(self, name)}, but the states top or bottom replace it; leave {name} out, or "
+                    "top and bottom"
                 )
         dimension = len(self.coefficients)
         for name in ("top", "bottom"):
@@ -459,7 +462,7 @@ def bearing_state(name: str, given: object, dimension: int) -> tuple[float, ...]
     if dimension == 3 and (len(parts) in (3, 4) or parts == (0.0,)):
         return (*parts, 0.0) if len(parts) == 3 else parts if len(parts) == 4 else (0.0,) * 4
     needed = "one number, the spin about z" if dimension == 2 else "A_x, A_y, A_z, and C if it is not 0"
-    raise InputError(f"{name} is {shown(given)}; the state of a plane must be {needed}")
+    raise InputError(f"{name} is {shown(given)}; the motion of a driven plane must be given by {needed}")
 
 
 def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tuple[str, ...]:

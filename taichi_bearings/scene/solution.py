@@ -283,7 +283,7 @@ class Solution:
             if is_crossed(None, None, gap):
                 raise BearingsError(
                     f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
-                    "is wrong, and this is no result; please report it with the command"
+                    "is wrong, so this is no result; please report it with the command that you ran"
                 )
 
     @cached_property

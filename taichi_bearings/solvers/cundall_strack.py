@@ -83,7 +83,10 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # without contacts any step is stable
         if (options.time_step or 0.0) > self.stability_bound:
             given, most = options.time_step, self.stability_bound
-            raise InputError(f"time_step is {given:g}; this scene is stable only up to {most:.6g}")
+            raise InputError(
+                f"time_step is {given:g}; the computed motion of this scene is stable only for time steps up to "
+                f"{most:.6g}"
+            )
         self.time_step = options.time_step or DEFAULT_STEP * self.stability_bound
         self.start_spin = float(np.abs(spin).max())
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))

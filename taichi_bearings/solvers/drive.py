@@ -122,7 +122,7 @@ def solve(
     if not minimises_packing and (reason := method.options.refusal(scene)):
         raise InputError(reason)
     if method.options.cpu_only and runtime.current().is_gpu:
-        raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
+        raise DeviceError(f"{method.options.name} runs on the CPU only; use --arch cpu")
     asked = _Asked(stop or StopRule(), monitors, slip_threshold, recording or Recording())
     if scene.driving.samples_step_together or scene.replicas == 1 or minimises_packing:
         return _solved([_Sample(scene, method, spin, checkpoints)], asked)[0]
@@ -281,7 +281,8 @@ def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndar
         found, like = stored[name], np.asarray(own)
         if found.dtype.kind != like.dtype.kind or (like.dtype.kind == "f" and found.shape != like.shape):
             raise ValueError(
-                f"{name} has {found.dtype} of shape {found.shape}; it must have {like.dtype} of shape {like.shape}"
+                f"its array {name} is of type {found.dtype} and shape {found.shape}; it must be of type {like.dtype} "
+                f"and shape {like.shape}"
             )
 
 
@@ -579,7 +580,10 @@ class _Best:
         self.proof = np.array(state["proof"], dtype=float)
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.network.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
-            raise ValueError("its forces (`proof`) do not fit the contacts of this scene, or are not finite")
+            raise ValueError(
+                "its contact forces (array `proof`) are not one finite number for each contact and component of this "
+                "scene"
+            )
         if not self.keeps_best or "best/staggered" not in state:
             return
         # the best state, refused if an array has another shape or is not finite
@@ -597,7 +601,9 @@ class _Best:
                     f"the array `{name}` of the best state has the shape {best[name].shape}; this scene has {of_scene}"
                 )
             if not np.isfinite(best[name]).all():
-                raise ValueError(f"the array `{name}` of the best state holds a number that is not finite")
+                raise ValueError(
+                    f"the array `{name}` of the best state holds a number that is infinite or not a number"
+                )
         best |= {name: best[name].astype(bool) for name in ("settled", "states_believed") if name in best}
         best["iteration"] = int(best["iteration"])
         self.progress = Progress(spin_axes=spin_axes, findings=findings, **best)

@@ -316,5 +316,7 @@ def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
     source, sink = np.maximum(need, 0), np.maximum(-need, 0)
     flow[flat], into, _ = exact_flow(ends, cover.weight[flat], source, sink)
     if (into != source).any():
-        raise RuntimeError("internal check failed: the maximum flow does not fill the minimum cuts; please report it")
+        raise RuntimeError(
+            "internal check failed: the maximum flow does not equal the minimum cut; please report it with the command"
+        )
     return flow

@@ -176,8 +176,8 @@ class OnStrides(Stepped, WithMinima):
         team, law = Team(team_size(self.fields.layout, self.stencil.components)), self.scene.law.name
         if law not in FORCES:
             raise InputError(
-                f"law is {law!r}; gradient-descent needs its force on the device, as a row of "
-                "FORCES in taichi_bearings.kernels.contact"
+                f"law is {law!r}, for which gradient-descent has no compiled force; add one to the table FORCES in "
+                "taichi_bearings.kernels.contact, or take another method"
             )
         return team, made_once(DescentSweeps, self.spec, self.stencil, law)
 

@@ -100,5 +100,7 @@ def _able(scene: Bearing, method: str) -> str:
     exact = scene.law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
     able = ["planar-cut"] * exact + ["interior-point" if scene.law.holds else "linear-solver"]
     if method not in ("auto", *able):
-        raise InputError(f"method is {shown(method)}, but this packing is solved by {' or '.join(able)}")
+        raise InputError(
+            f"method is {shown(method)}; for the least power of this packing it must be {' or '.join(able)}"
+        )
     return able[0] if method == "auto" else method

@@ -434,7 +434,7 @@ def _rest_tolerance(default: float) -> float:
 
 def _error_tolerance() -> float:
     """Return the option `error_tolerance`, the error of a time step whose length a method chooses itself."""
-    help = "Steps chosen by error: root mean square error of the spins in a step, relative to the largest spin."
+    help = "Root mean square error of the spins in a step, relative to the largest spin, by which the step is chosen."
     return how(1e-3, POSITIVE, help, unset=True, rare=True)
 
 
@@ -444,11 +444,11 @@ class Motion(MethodOptions):
 
     is_dynamics = keeps_checkpoints = True
 
-    mass: float = option(1.0, POSITIVE, "Mass of a sphere.", unit="mass", rare=True)
+    mass: float = option(1.0, POSITIVE, "Mass of a sphere (or disc).", unit="mass", rare=True)
     inertia: float | None = option(
         None,
         POSITIVE,
-        "Moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere).",
+        "Moment of inertia of a sphere of mass m and radius R. Default: 2 m R^2/5, for discs m R^2/2.",
         unit="mass*length^2",
         rare=True,
     )
@@ -561,8 +561,12 @@ class CundallStrack(Motion):
         """Return the seconds of a time step of a lattice of this shape, fitted to measured times."""
         return 5e-6 + 2.5e-8 * prod(shape)
 
-    stiffness: float = material(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length")
-    damping: float = material(1e3, NOT_NEGATIVE, "Tangential damping A_t.", unit="force*time/length")
+    stiffness: float = material(
+        1e5, POSITIVE, "Tangential stiffness K_t of the spring at each contact.", unit="force/length"
+    )
+    damping: float = material(
+        1e3, NOT_NEGATIVE, "Tangential damping A_t of the spring at each contact.", unit="force*time/length"
+    )
     slipping_spring: str = material(
         "reset",
         OneOf("reset", "relax"),
@@ -574,8 +578,15 @@ class CundallStrack(Motion):
     static_ratio: float = material(
         1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Ratio mu_s/mu_k of static to kinetic friction.", rare=True
     )
-    gear_order: int = how(2, whole(2, 5), "Number of time derivatives that Gear's predictor keeps.", rare=True)
-    energy: bool = how(False, TRUTH, "Record the energy balance; a time step takes a third longer.", rare=True)
+    gear_order: int = how(
+        2, whole(2, 5), "Order of Gear's integrator: number of time derivatives of a spin that it keeps.", rare=True
+    )
+    energy: bool = how(
+        False,
+        TRUTH,
+        "Record how much energy is put in, stored and dissipated; a time step takes a third longer.",
+        rare=True,
+    )
 
     def after_slip(self, span: float) -> tuple[float, float]:
         """Return two numbers a and b that give the elongation of a slipping spring after a step:
@@ -603,7 +614,7 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
     for row in METHODS.values():
         if row.suits(scene, tolerance, on_gpu):
             return row
-    raise InputError(f"law is {scene.law.name!r}; auto knows no method that solves it, so name one")
+    raise InputError(f"law is {scene.law.name!r}; auto knows no method for this law, so name one by --method")
 
 
 def row_of_packing(method: str) -> type[MethodOptions] | None:

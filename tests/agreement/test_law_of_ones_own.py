@@ -87,7 +87,7 @@ def test_others_refuse_it_in_a_sentence_and_auto_descends(page):
     assert fastest(scene, 1e-6, on_gpu=False).name in takes
     for name in set(METHODS) - takes:
         assert f"method {name!r} does not solve the law 'thickening'; it solves" in METHODS[name].refusal(scene)
-    with pytest.raises(InputError, match="law is 'thickening'; packings have coulomb, viscous, coulomb-viscous"):
+    with pytest.raises(InputError, match="law is 'thickening'; packings can have coulomb, viscous, coulomb-viscous"):
         Packing.lattice("square", (3, 4), law="thickening")
 
 

@@ -167,7 +167,7 @@ def test_a_distribution_of_ones_own(needs_f64):
     assert same(own.coefficients, ours.coefficients)
     assert same(tb.Scene(own.coefficients).coefficients, tuple(values[0] for values in drawn((4, 5), 8)))
     assert (dict(own.drawn), "seed 8" in repr(ours)) == ({}, True)
-    with pytest.raises(tb.InputError, match=r"gave an array of shape \(3,\); it was asked for \(3, 5\)"):
+    with pytest.raises(tb.InputError, match=r"returned an array of shape \(3,\); it must return shape \(3, 5\)"):
         tb.Scene.random((4, 5), distribution=lambda rng, shape: np.ones(3))
 
 

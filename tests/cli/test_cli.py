@@ -209,7 +209,7 @@ BAD = {
     "null direction": (("--direction", "0,0,0"), "not all zero"),
     "unknown distribution": (("--distribution", "cauchy:1"), "allowed are"),
     "missing coefficients": (("--coefficients", "nowhere.npz"), "does not exist"),
-    "too large a step": (("--method", "cundall-strack", "--time-step", "1"), "stable only up to"),
+    "too large a step": (("--method", "cundall-strack", "--time-step", "1"), "stable only for time steps up to"),
     "huge seed": (("--seed", "99999999999999999999999"), "below 2^62"),
     "too many replicas": (("--replicas", "100000000"), "of memory"),
     "replicas beyond 32 bits": (("--replicas", "100000000000"), "it must be a whole number from 1 to 2,147,483,648"),

@@ -46,7 +46,7 @@ def test_nothing_of_other_options_is_overwritten(reproduced):
     folder, _ = reproduced
     before = (folder / "report.json").read_bytes()
     said = refused("reproduce", "fig2", "--out", folder, "--seed", "5")
-    assert "has other settings (seed 0 instead of 5, samples 1 instead of 200)" in said
+    assert "is a report with other settings (seed 0 instead of 5, samples 1 instead of 200)" in said
     assert (folder / "report.json").read_bytes() == before
 
 
@@ -150,7 +150,7 @@ def test_the_short_form_is_one_of_its_own(figures, tmp_path):
     assert (code, report["quick"], report["samples"], figures.efforts) == (0, True, 20, {Effort(3, 20, True)})
     assert report["command"] == "bearings reproduce --quick --seed 3 --samples 20"
     other = ask(tmp_path / "a", "--seed", "3")[1]
-    assert "has other settings (samples 20 instead of 200, quick True instead of False)" in other
+    assert "is a report with other settings (samples 20 instead of 200, quick True instead of False)" in other
     assert ask(tmp_path / "b", "fig1", "--quick", "--samples", "7")[1]["samples"] == 7
     assert Effort(0, 7, True) in figures.efforts
 

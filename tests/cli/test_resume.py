@@ -186,7 +186,7 @@ def test_what_cannot_be_resumed_is_said_in_one_sentence(tmp_path):
     stopped = (*SCENE, "--iterations", "500", "--checkpoint-every", "100", "--out", "run")
     assert bearings("run", *stopped, cwd=tmp_path).returncode == 1
     assert "seed cannot change" in refuses("--resume", "run", "--seed", "4")
-    assert "leave out SCENE, --out and --force" in refuses("scene.toml", "--resume", "run")
+    assert "leave out SCENE, --out, --force" in refuses("scene.toml", "--resume", "run")
     assert "does not use it; it needs --method interior-point or" in refuses(
         "--shape", "4,4", "--checkpoint-every", "5"
     )

@@ -203,7 +203,7 @@ if sys.platform != "win32":
         session = on_terminal("run", "--shape", "6,6,6", "--out", out, stop="")
         assert session.returncode == 130
         own = "bearings: interrupted before a first result was reached; nothing is kept"
-        of_the_deaf = "bearings: interrupted; nothing is kept but what was complete"  # of a compiler that takes long
+        of_the_deaf = "bearings: interrupted; only files that were complete are kept"  # of a compiler that takes long
         assert session.frames[-1][1].endswith((own, of_the_deaf))
         assert session.stdout == ""
         assert [path.name for path in tmp_path.iterdir()] in (["cache"], [])

@@ -34,7 +34,7 @@ def test_a_run_is_verified_from_its_file(folder, tmp_path):
         assert report["lower_bound"] <= report["power"]
     text = bearings("verify", folder).stdout
     assert "<= least power <=" in text
-    assert "there is only one" in text
+    assert "no other slips have the least power" in text
 
 
 def test_a_changed_number_ends_with_one(folder, tmp_path):

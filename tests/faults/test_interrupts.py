@@ -238,7 +238,7 @@ __main__.main()
 """
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "bearings: interrupted; nothing is kept but what was complete\n"
+    assert done.stderr == "bearings: interrupted; only files that were complete are kept\n"
 
 
 @pytest.mark.filterwarnings("ignore:Exception ignored in. <_io.FileIO")  # closed when it is forgotten

@@ -94,7 +94,7 @@ def test_other_files_are_refused_by_name(path, tmp_path):
             read_scan(tmp_path / name)
     with h5py.File(tmp_path / "run.h5", "w") as file:
         file.attrs["schema"] = "taichi_bearings.run"
-    with pytest.raises(FileError, match="its schema is"):
+    with pytest.raises(FileError, match="its attribute `schema` is"):
         read_scan(tmp_path / "run.h5")
     with pytest.raises(FileError, match="is not a scan"):
         read_scan(tmp_path / "none")

@@ -101,7 +101,7 @@ FORGED = [  # file, change, commands that refuse it, and their words
         ("histogram/slipless", lambda v: v.astype(complex), "histograms count"),
         ("table/power", lambda v: v.astype(complex), "column power"),
         ("table/seed", lambda v: np.zeros(v.shape, dtype="V8"), "column seed"),
-        ("table/slip_threshold", lambda v: np.full(v.shape, b"text"), "slip_threshold is no number"),
+        ("table/slip_threshold", lambda v: np.full(v.shape, b"text"), "column slip_threshold must hold numbers"),
     )),
 ]  # fmt: skip
 

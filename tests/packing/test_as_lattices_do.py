@@ -254,7 +254,7 @@ def test_an_exact_method_of_packings_is_over_at_its_second_look():
 
 @pytest.mark.parametrize(("call", "sentence"), [
     (lambda p: solve(p, start="random"), "start is given, but method auto of a packing does not use it"),
-    (lambda p: solve(p, "planar-cut"), "this packing is solved by interior-point"),
+    (lambda p: solve(p, "planar-cut"), "of this packing it must be interior-point"),
     (lambda p: solve(p, "operator-splitting"), "of a packing it can be auto, planar-cut"),
     (lambda p: solve(p, "cundall-strack", torque=1.0, duration=1.0), "with the law coulomb does not use it"),
     (lambda p: solve(p, torque="0:1:0.1"), "torque is '0:1:0.1'; it must be 0 or a number"),

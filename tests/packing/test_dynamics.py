@@ -175,7 +175,7 @@ def test_the_bound_on_the_stiffest_mode_is_one(needs_f64):
 
 def test_a_step_beyond_the_bound_is_refused_and_one_just_within_is_stable():
     packing = tb.Packing.lattice("fcc", (2, 2, 3), seed=2, normal_force=1e9)
-    with pytest.raises(InputError, match="stable only up to") as refused:
+    with pytest.raises(InputError, match="stable only for time steps up to") as refused:
         tb.solve(packing, tb.CundallStrack(time_step=1.0), iterations=1)
     step = 0.999 * float(str(refused.value).rpartition(" ")[2])
     found = tb.solve(packing, tb.CundallStrack(time_step=step), start="random", iterations=3000, tolerance=1e-15)

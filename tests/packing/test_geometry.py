@@ -88,7 +88,7 @@ def test_printed_normals_are_those_of_the_centres(form):
 
 def test_a_normal_that_is_no_unit_vector_even_as_printed_is_refused():
     arrays = bcc().arrays()
-    with pytest.raises(tb.InputError, match=r"normal of contact 0 has length 1.002; it must be a unit vector"):
+    with pytest.raises(tb.InputError, match=r"normal of contact 0 has length 1.002; the length must be 1"):
         tb.Packing(**arrays | {"normal": arrays["normal"] * 1.002})
 
 

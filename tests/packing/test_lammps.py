@@ -136,8 +136,8 @@ WRONG = [
         "line 21 of .* has the value nan for atom 10; numbers must be finite",
     ),
     (ATOMS.replace("0.5 1 1 1 1", "0.5 1 1 0 1"), CONTACTS, "line 21 of .*: the radius of atom 10 is 0; it must be"),
-    (ATOMS.replace("diameter", "mass"), CONTACTS, "must have one column diameter"),
-    (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "each with a lower and a larger upper bound"),
+    (ATOMS.replace("diameter", "mass"), CONTACTS, "must have exactly one column diameter"),
+    (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "each must have a lower and a larger upper bound"),
     (
         ATOMS.replace("0.0 4.0", "0.0 2.0"),
         CONTACTS.replace("0 4", "0 2"),
@@ -159,7 +159,7 @@ WRONG = [
         CONTACTS.replace("3 30 20 0", "3 10 20 1"),
         "line 12 of .*: the contact of atoms 10 and 20 is there a second time",
     ),
-    (ATOMS, CONTACTS.replace("c_fn", "fn"), "must have one column c_fn; its columns are index c_pair"),
+    (ATOMS, CONTACTS.replace("c_fn", "fn"), "must have exactly one column c_fn; its columns are index c_pair"),
     ("", CONTACTS, "atoms has no timestep"),
 ]
 
@@ -176,7 +176,7 @@ def test_what_is_asked_for_must_be_there(tmp_path):
         ({"step": 100, "driven_types": {1: 0}}, "timestep 100 must be complete in both .* it is missing or cut off"),
         ({"step": 150}, "timestep 150 must be complete in both .* it is missing or cut off"),
         ({"driven_types": {3: 0}}, "driven names 3, but the dump has no atom or type of that number"),
-        ({"driven": {10: 0}}, "one of driven and driven_types"),
+        ({"driven": {10: 0}}, "either driven .* or driven_types"),
         ({"spin": {1: (0, 0, 1)}}, "spin lacks body 0"),
         ({"dimension": 4}, "dimension is 4"),
     ]:

@@ -69,13 +69,16 @@ def test_a_large_sphere_among_many_small_ones_costs_no_more_than_they_do():
 
 WRONG = [
     ({"radius": 1.0}, "overlap by 0.5 of that, more than the tolerance 0.001; radii look like diameters"),
-    ({"radius": 0.3}, "no two spheres touch within the tolerance 0.001; are radii in the unit of the centres"),
+    (
+        {"radius": 0.3},
+        "no two spheres touch within the tolerance 0.001 .*check that radii and centres have the same unit",
+    ),
     ({"tolerance": 0.2}, "tolerance is 0.2; it must be from 0 to 0.05"),
     ({"radius": [0.5, 0.5]}, "radius has shape"),
     ({"periodic": (3, 3)}, "it must be 3 lengths"),
-    ({"periodic": (1.0, 3, 0)}, "each length must be larger than the largest sphere"),
+    ({"periodic": (1.0, 3, 0)}, "each length must exceed the largest diameter, 1"),
     ({"periodic": (3, 3, 4)}, "z is periodic, so there is no bottom"),
-    ({"driven": [5] + [-1] * 35}, "driven of sphere 0 is 5; without an array spin it can only be 0"),
+    ({"driven": [5] + [-1] * 35}, "driven of sphere 0 is 5; without an array `spin` it must be -1"),
 ]
 
 
@@ -105,9 +108,9 @@ BODY = (0, -1, -1, -1, 1)
 SPHERES = "id,x,y,r,driven\n" + "".join(f"{i + 10},{i},0,0.5,{BODY[i]}\n" for i in range(5))
 CONTACTS = "i,j,fn,mu\n" + "".join(f"{i + 10},{i + 11},1.0,0.{i + 2}\n" for i in range(4))
 TORN = [
-    (SPHERES[:-1], CONTACTS, r"line 6 has no end"),
-    (SPHERES, CONTACTS[:-2], r"line 5 has no end"),
-    (SPHERES.replace("12,2,0", "12,2;0"), CONTACTS, r"line 4 of .* has 4 cells, and its header 5"),
+    (SPHERES[:-1], CONTACTS, r"line 6, the last one, has no line break"),
+    (SPHERES, CONTACTS[:-2], r"line 5, the last one, has no line break"),
+    (SPHERES.replace("12,2,0", "12,2;0"), CONTACTS, r"line 4 of .* has 4 cells; it must have 5, as many as the header"),
     (SPHERES.replace("12,2,0", "12,two,0"), CONTACTS, r"line 4 of .* has 'two' for x; it must be a number"),
     (SPHERES.replace("12,2,0", "12,nan,0"), CONTACTS, r"line 4 of .* has 'nan' for x; it must be finite"),
     (SPHERES.replace("12,2,0", "11,2,0"), CONTACTS, r"has the id 11 twice"),

@@ -91,7 +91,7 @@ def test_minima_with_odd_contacts(lattice, odd, bottom):
 
 def test_no_more_odd_contacts_than_half_of_the_places():
     assert odd_loops.dilute("square", 4, (0, 2, 4, 8)) == [0, 2, 4]  # of nine squares
-    with pytest.raises(InputError, match=r"odd is 5; this lattice has 9 places .* and at most 4 of them"):
+    with pytest.raises(InputError, match=r"odd, .*, is 5; .* at most 4, since of the 9 places"):
         odd_loops.network("square", 4, 5, 0.0, 0)
 
 

@@ -166,7 +166,7 @@ def test_what_cannot_be_said_is_refused(solved, minimum, tmp_path):
     with pytest.raises(InputError, match="replica is 1; the run has 1 replica"):
         export_problem(minimum, "cbf", tmp_path / "a.cbf", replica=1)
     turned = solved(shape=(4, 5), torque=500.0)
-    with pytest.raises(InputError, match="the run has a torque of 500"):
+    with pytest.raises(InputError, match="the run is driven by a torque of 500"):
         export_problem(turned, "cbf", tmp_path / "a.cbf")
     assert not list(tmp_path.iterdir())
 

@@ -86,7 +86,7 @@ def test_a_line_names_what_closes_and_drives_a_run_where_that_is_unusual(outputs
 
 DAMAGE = {
     "summary.json is not JSON": ("summary.json", b'{"power": 1.'),
-    "is no JSON object": ("summary.json", b"[1, 2]"),
+    "does not hold a JSON object": ("summary.json", b"[1, 2]"),
     "no usable method": ("summary.json", b'{"shape": [3], "law": "a", "seed": 1, "status": "c", "power": 1.0}'),
     "summary.json is not JSON: 'utf-8'": ("summary.json", b"\xff\xfe"),
     "no usable gap": ("summary.json", {"gap": [[1]]}),

@@ -101,7 +101,7 @@ def test_figure_and_table_hold_the_same_points(scan, tmp_path):
         (("power", "L"), {"where": ("spin_bottom=0.5",)}, r"one of 0.0, 0.1"),
         (("power", "L"), {"where": ("status=failed",)}, "no sample"),
         (("power", "spin_bottom"), {"log": "x"}, "above 0"),
-        (("power", "shape"), {"log": "x"}, "shape has texts, not numbers"),
+        (("power", "shape"), {"log": "x"}, "the column shape holds texts"),
     ],
     ids=str,
 )

@@ -16,7 +16,10 @@ SCAN = "shape = [4, 4]\n[scan]\nseed = [0]\n"
         ("{", "file.json is not JSON"),
         (json.dumps({"type": "Scheduler"}), "file.json has no address of a Dask scheduler"),
         (json.dumps([]), "file.json has no address of a Dask scheduler"),
-        (json.dumps({"address": "tcp://127.0.0.1:1"}), "no Dask scheduler at 'tcp://127.0.0.1:1': no answer within"),
+        (
+            json.dumps({"address": "tcp://127.0.0.1:1"}),
+            "no Dask scheduler can be reached at 'tcp://127.0.0.1:1': no answer within",
+        ),
     ],
 )
 def test_a_scheduler_file_names_the_scheduler(content, words, tmp_path):

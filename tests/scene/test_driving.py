@@ -116,8 +116,8 @@ def test_a_layer_without_a_jump_does_not_slip():
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ({"top": (1.0, 0.0, 0.0), "spin_top": 2.0}, "spin_top is 2.0, but top or bottom is given, too"),
-        ({"top": (1.0,)}, r"top is \(1.0,\); the state of a plane must be A_x, A_y, A_z"),
+        ({"top": (1.0, 0.0, 0.0), "spin_top": 2.0}, "spin_top is 2.0, but the states top or bottom replace it"),
+        ({"top": (1.0,)}, r"top is \(1.0,\); the motion of a driven plane must be given by A_x, A_y, A_z"),
         ({"bottom": (1.0, np.nan, 0.0)}, "bottom is"),
         ({"top": "spin"}, "top is 'spin'"),
     ],

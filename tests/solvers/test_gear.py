@@ -160,7 +160,11 @@ def test_a_larger_step_than_the_bound_is_refused():
     bound = stability_bound(scene, scene.minimum_spin_axes, CundallStrack())
     for share, refused in ((0.9, False), (1.1, True)):
         method = CundallStrack(time_step=share * bound).build()
-        with pytest.raises(InputError, match=f"stable only up to {bound:.6g}") if refused else nullcontext():
+        with (
+            pytest.raises(InputError, match=f"stable only for time steps up to {bound:.6g}")
+            if refused
+            else nullcontext()
+        ):
             method.begin(scene, initial_spin(scene, "zero"))
             assert method.time_step == share * bound
 

@@ -65,10 +65,13 @@ def built(
     cell = KINDS[kind]
     dimension = len(cell.size)
     if len(cells) != dimension or min(cells) < 1 or np.prod([float(n) for n in cells]) > MOST_SPHERES / len(cell.basis):
-        raise InputError(f"cells is {shown(cells)}; a {kind} lattice has {dimension} numbers of cells, 1 or more each")
+        raise InputError(
+            f"cells is {shown(cells)}; it must be {dimension} whole numbers, each 1 or more: how often the unit cell "
+            f"of a {kind} lattice is repeated along each axis"
+        )
     closed = set(axis_numbers(periodic_axes(periodic, AXIS_NAMES[:dimension])))
     if short := [AXIS_NAMES[axis] for axis in closed if cells[axis] < 2]:
-        raise InputError(f"cells is {shown(cells)}; along {short[0]}, which is periodic, there must be 2 or more")
+        raise InputError(f"cells is {shown(cells)}; along the periodic axis {short[0]} it must be 2 or more")
     grid = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, dimension)
     basis, size = np.array(cell.basis), np.array(cell.size)
     place = ((grid[:, None] + basis) * size).reshape(-1, dimension)
@@ -95,7 +98,9 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
     if kind in ("planes", "walls") and not size:
         axis = place.shape[1] - 1 if kind == "planes" else 0
         if kind == "walls" and axis in closed:
-            raise InputError(f"driven is {driven!r}, but x is periodic: no wall stands at its ends")
+            raise InputError(
+                f"driven is {driven!r}, but x is periodic, so no walls stand at its ends; leave x out of periodic"
+            )
         if axis not in closed:
             body[_ends(place, axis, 1)], body[_ends(place, axis, -1)] = 1, 0
         return body
@@ -105,16 +110,21 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
         radius = np.nan
     if not 0 < radius < np.inf:
         raise InputError(
-            f"driven is {shown(driven)}; it must be planes, walls, or shaft:r with its radius in diameters"
+            f"driven is {shown(driven)}; it must be planes, walls, or shaft:r, where r is the radius of the shaft in "
+            "diameters of a sphere"
         )
     if named := [AXIS_NAMES[axis] for axis in (0, 1) if axis in closed]:
-        raise InputError(f"driven is {driven!r}, whose walls are at the ends of x and y, but {named[0]} is periodic")
+        raise InputError(
+            f"driven is {driven!r}, which needs walls at the ends of x and y, but {named[0]} is periodic; leave "
+            f"{named[0]} out of periodic"
+        )
     for axis in (0, 1):
         body[_ends(place, axis, 1) | _ends(place, axis, -1)] = 0
     middle = (place[:, :2].min(axis=0) + place[:, :2].max(axis=0)) / 2
     shaft = np.linalg.norm(place[:, :2] - middle, axis=1) <= radius * (1 + 1e-12)
     if not shaft.any() or (body[shaft] == 0).any():
-        raise InputError(f"driven is {driven!r}: the shaft {'reaches the walls' if shaft.any() else 'holds no sphere'}")
+        fault = "reaches the walls; make it thinner" if shaft.any() else "holds no sphere; make it thicker"
+        raise InputError(f"driven is {driven!r}, but this shaft {fault}")
     body[shaft] = 1
     return body
 

@@ -163,12 +163,17 @@ def built(
         raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
     ratio, large = finite_number("ratio", ratio), finite_number("large", large)
     if not (1 <= ratio <= 5 and 0 <= large <= 1):
-        raise InputError(f"ratio is {ratio:g} and large is {large:g}; ratio must be from 1 to 5, large from 0 to 1")
+        raise InputError(
+            f"ratio (of the two radii) is {ratio:g} and large (the share of large spheres) is {large:g}; ratio must "
+            "be from 1 to 5, large from 0 to 1"
+        )
     volume = spheres * (pi if dimension == 2 else 4 * pi / 3) * (1 - large + large * ratio**dimension)
     usual = (volume / FILLED[dimension]) ** (1 / dimension)
     side = max(usual, 2 * NARROWEST * ratio) if width is None else 2 * finite_number("width", width)
     if side < 2 * NARROWEST * ratio or side ** (dimension - 1) > spheres * pi ** (dimension - 1):
-        allowed = f"from {NARROWEST * ratio:g}, and so that the floor takes a part of the {spheres:,} spheres"
+        allowed = (
+            f"at least {NARROWEST * ratio:g}, and so small that the {spheres:,} spheres do more than cover the floor"
+        )
         raise InputError(f"width is {side / 2:g}; it must be {allowed}")
     heap = _Heap(spheres, side, ratio, dimension)
     sizes = np.where(rng.random(spheres) < large, ratio, 1.0)

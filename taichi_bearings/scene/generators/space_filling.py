@@ -47,7 +47,8 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
     least = finite_number("least_radius", least_radius)
     if not LEAST_RADIUS <= least <= 0.25:
         raise InputError(
-            f"least_radius is {least:g}; it must be from {LEAST_RADIUS:g} to 0.25, in heights of the strip"
+            f"least_radius is {least:g}; it must be from {LEAST_RADIUS:g} to 0.25, as a share of the height of the "
+            "strip"
         )
     discs, half = _half_period(m, n, least)
     inside = (discs[:, 0] > SAME_DISC * least) & (discs[:, 0] < half - SAME_DISC * least)

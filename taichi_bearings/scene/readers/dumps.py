@@ -83,7 +83,7 @@ class Frames:
             cut = cut or CutOff(path, line, f"it ends at line {line}, where a timestep must follow")
             starts.pop()
         if not starts and cut is None:
-            raise FileError(f"{path} has no timestep; it is no dump")
+            raise FileError(f'{path} is no LAMMPS dump: it has no line "ITEM: TIMESTEP"')
         return cls(path, starts, cut)
 
     def of_step(self, step: int) -> list[int]:
@@ -214,7 +214,8 @@ class _Reader:
         box = Box.of_bounds(np.array(rows), [flag == "pp" for flag in flags] if flags else None)
         if box is None:
             raise self._wrong(
-                "the last of the lines on the box is expected, each with a lower and a larger upper bound"
+                "the last of three lines with the bounds of the box is expected; each must have a lower and a larger "
+                "upper bound"
             )
         return box
 
@@ -254,7 +255,7 @@ class _Reader:
         """
         if lacking := [name for name in wanted if names.count(name) != 1]:
             columns = " ".join(names)
-            raise FileError(f"{self.path} must have one column {lacking[0]}; its columns are {columns}")
+            raise FileError(f"{self.path} must have exactly one column {lacking[0]}; its columns are {columns}")
         places, values = [names.index(name) for name in wanted], array("d")
         for number in range(count):
             line = self._next(f"row {number + 1} of {count}")

@@ -44,7 +44,7 @@ class Sides:
             own = int(np.argmax(beyond))
             body = driven[own]
             raise InputError(
-                f"driven of sphere {own} is {body}; without an array spin it can only be 0, the bottom, or 1, the top"
+                f"driven of sphere {own} is {body}; without an array `spin` it must be -1 (free), 0 (bottom) or 1 (top)"
             )
         rate = np.array([finite_number(name, getattr(self, name)) for name in ("spin_bottom", "spin_top")])
         spin = np.where(driven >= 0, rate[np.maximum(driven, 0)], 0.0)
@@ -75,7 +75,9 @@ def from_centers(
     radius = sizes("radius", radius, count, "sphere")
     share = finite_number("tolerance", tolerance)
     if not 0 <= share <= GAP:
-        raise InputError(f"tolerance is {shown(tolerance)}; it must be from 0 to {GAP:g}, a share of R_i + R_j")
+        raise InputError(
+            f"tolerance is {shown(tolerance)}; it must be from 0 to {GAP:g}, a share of the sum of two radii"
+        )
     length = _lengths(periodic, dimension, float(radius.max()) * (1 + share))
     contact, normal = _contacts(center, radius, share, length)
     driven = given.get("driven")
@@ -131,10 +133,13 @@ def _lengths(periodic: object, dimension: int, largest: float) -> np.ndarray:
     length = own_array("lengths of periodic sides", values)
     if length.shape != (dimension,) or not (np.abs(length) < np.inf).all() or (length < 0).any():
         raise InputError(
-            f"periodic is {shown(periodic)}; it must be {dimension} lengths, 0 or None where nothing closes"
+            f"periodic is {shown(periodic)}; it must be {dimension} lengths, with 0 or None for an axis that is not "
+            "periodic"
         )
     if ((length > 0) & (length <= 2 * largest)).any():
-        raise InputError(f"periodic is {shown(periodic)}; each length must be larger than the largest sphere")
+        raise InputError(
+            f"periodic is {shown(periodic)}; each length must exceed the largest diameter, {2 * largest:g}"
+        )
     return length
 
 
@@ -173,7 +178,10 @@ def _contacts(
             f"they overlap by {overlap} of that, more than the tolerance {share:g}{like}"
         )
     if not len(first):
-        raise InputError(f"no two spheres touch within the tolerance {share:g}; are radii in the unit of the centres?")
+        raise InputError(
+            f"no two spheres touch within the tolerance {share:g} (a share of the sum of their radii); check that "
+            "radii and centres have the same unit"
+        )
     order = np.lexsort((*normal.T, second, first))
     return np.stack([first[order], second[order]], axis=1), (normal / size[:, None])[order]
 
@@ -202,8 +210,13 @@ def _ends(center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarr
     """
     height, name = center[:, -1], "xyz"[center.shape[1] - 1]
     if length[-1]:
-        raise InputError(f"{name} is periodic, so there is no bottom and no top; give a column or an array `driven`")
+        raise InputError(
+            f"the height {name} is periodic, so there is no bottom and no top; give a column or an array `driven`"
+        )
     low, high = height - height.min() <= share * radius, height.max() - height <= share * radius
     if (low & high).any():
-        raise InputError(f"all spheres lie at one height {name}, so there is no bottom and no top; give `driven`")
+        raise InputError(
+            f"all spheres lie at one height {name}, so there is no bottom and no top; give a column or an array "
+            "`driven`"
+        )
     return np.where(high, 1, np.where(low, 0, -1))

@@ -51,7 +51,9 @@ class Asked:
         if self.dimension not in (2, 3):
             raise InputError(f"dimension is {shown(self.dimension)}; it must be 2 or 3")
         if (self.driven is None) == (self.driven_types is None):
-            raise InputError("one of driven and driven_types must say which atoms are driven")
+            raise InputError(
+                "give either driven (atoms) or driven_types (atom types), and not both, to say which atoms are driven"
+            )
 
     @property
     def kinds(self) -> list[str]:
@@ -107,7 +109,8 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
     most = 2 + asked.dimension
     if isinstance(columns, str) or len(columns) not in {2, 3, most, 5}:
         raise InputError(
-            f"columns is {shown(columns)}; it must be a list of 2, 3 or {most} names of columns in {contacts}"
+            f"columns is {shown(columns)}; it must name columns of {contacts}: two with the ids of both atoms, and "
+            "after them none, one with the normal force, or those with all components of the force"
         )
     frame, rows = _frames(atoms, contacts, list(columns), asked)
     kinds, sizes, places = len(asked.kinds), len(asked.size(frame.names)), asked.place(frame.names)
@@ -173,7 +176,7 @@ def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
     of : what the rows of the dump are called, their largest number, function that picks the columns to read, and how
         many of them are whole numbers.
     """
-    error = CutOff(frames.path, 0, f"it has no timestep {step}")
+    error = CutOff(frames.path, 0, f"the file has no timestep {step}")
     for start in frames.of_step(step):
         try:
             return read_frame(frames.path, step, start, *of)
@@ -204,13 +207,19 @@ def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) ->
     """
     if "s" in names[0]:
         if frame.box is None:
-            raise FileError(f"{frame.path} has scaled coordinates (xs, ys, zs), but no box at timestep {frame.step}")
+            raise FileError(
+                f"{frame.path} has scaled coordinates (xs, ys, zs), but at timestep {frame.step} no box to scale "
+                "them with"
+            )
         shares = np.column_stack([place, np.zeros((len(place), 3 - place.shape[1]))])
         place = frame.box.places(shares)
     if asked.dimension == 2 and place.shape[1] == 3 and len(place):
         low, high = float(place[:, 2].min()), float(place[:, 2].max())
         if high - low > FLAT * float(np.abs(place).max()):
-            raise InputError(f"dimension is 2, but atoms of {frame.path} lie at z from {low:g} to {high:g}")
+            raise InputError(
+                f"dimension is 2, but atoms of {frame.path} lie at z from {low:g} to {high:g}; in 2D all must have "
+                "one z"
+            )
     return np.asarray(place[:, : asked.dimension])
 
 
@@ -256,13 +265,13 @@ def _contacts(
     """
     if frame.box is not None and rows.box is not None and not frame.box.is_as(rows.box):
         raise FileError(
-            f"the box in {rows.path} differs from that in {frame.path} at timestep {frame.step}; "
-            "are both dumps of one run?"
+            f"the box in {rows.path} differs from that in {frame.path} at timestep {frame.step}; both dumps must be of "
+            "one run"
         )
     strange = ~np.isfinite(rows.table).all(axis=1)
     if strange.any():
         line = rows.at(int(np.argmax(strange)))
-        raise FileError(f"{line} has a force that is not finite")
+        raise FileError(f"{line} has a force that is infinite or not a number")
     force, row, count = rows.table[:, 2:], np.arange(len(rows.table)), len(rows.table)
     has_forces, is_vector = force.shape[1] > 0, force.shape[1] > 1
     if has_forces:
@@ -307,7 +316,10 @@ def _normals(
     i, j = number[contact[own]].tolist()
     line = rows.at(int(row[own]))
     if is_doubtful[own] and is_near[own]:
-        raise InputError(f"{line}: atoms {i} and {j} touch both directly and across a periodic side; which is meant?")
+        raise InputError(
+            f"{line}: atoms {i} and {j} touch both directly and across a periodic side, so it is not known which "
+            "contact is meant; so narrow a box cannot be read"
+        )
     if wrong[own]:
         unknown = frame.box is None or frame.box.periodic is None
         hint = "; if that is across a periodic side, name it by `periodic`" if unknown and not is_near[own] else ""
@@ -327,7 +339,8 @@ def _periods(frame: Frame, asked: Asked) -> np.ndarray:
         closed = set(axis_numbers(periodic_axes(asked.periodic, AXIS_NAMES[: asked.dimension])))
         if box is None:
             raise InputError(
-                f"periodic is {shown(asked.periodic)}, but {frame.path} has no box at timestep {frame.step}"
+                f"periodic is {shown(asked.periodic)}, but {frame.path} has no box at timestep {frame.step} that says "
+                "how long the periodic sides are"
             )
         if box.periodic is not None:
             raise InputError(

@@ -92,7 +92,7 @@ def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]
         try:
             words = text.decode().strip()
         except UnicodeDecodeError:
-            raise FileError(f"line {line} of {path} is no text in UTF-8") from None
+            raise FileError(f"line {line} of {path} is not text in UTF-8") from None
         if not words:
             continue
         if head is None:
@@ -148,7 +148,9 @@ def _row(path: Path, line: int, cells: list[str], names: Sequence[str]) -> list[
     names : names of the arrays, one for each cell.
     """
     if len(cells) != len(names):
-        raise FileError(f"line {line} of {path} has {len(cells)} cells, and its header {len(names)}")
+        raise FileError(
+            f"line {line} of {path} has {len(cells)} cells; it must have {len(names)}, as many as the header"
+        )
     numbers = []
     for name, cell in zip(names, cells, strict=True):
         try:
