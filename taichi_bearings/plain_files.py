@@ -77,7 +77,7 @@ def refuse_link_out(path: Path) -> None:
     """Raise WriteError for a link to another folder: what lies in a folder must not change anything outside of it."""
     if path.is_symlink() and real_path(path).parent != real_path(path.parent):
         raise WriteError(
-            f"{path} is a symbolic link to another folder, through which nothing is written; remove it first"
+            f"{path} is a link out of its folder; nothing is written through such a link, so remove it first"
         )
 
 

@@ -226,9 +226,9 @@ SAMPLES = _named(
         Quantity("gap", "1", "(power - lower_bound) / power, or with the potential instead of the power; 0 where"
                  " a state without any slip is proven to exist",
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
-        Quantity("status", "1", "how the solve ended: certified (the gap is within the tolerance), stationary or"
-                 " finished (a dynamics), stalled, step-limit, time-limit, interrupted, not-finite; in scans also"
-                 " failed",
+        Quantity("status", "1", "how the solve ended: certified (the gap is within the tolerance); stationary (a"
+                 " dynamics came to rest); finished (it reached its duration); stalled (the method got no closer);"
+                 " step-limit, time-limit, interrupted, not-finite (numbers overflowed); in scans also failed",
                  lambda a: [status.value for status in a.ended]),
         Quantity("method", "1", "method that solved the sample", lambda a: a.solution.method),
         Quantity("law", "1", "contact law", lambda a: a.solution.scene.law.name),

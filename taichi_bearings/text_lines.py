@@ -70,7 +70,7 @@ def read_text_lines(path: Path) -> Generator[bytes, None, None]:
                     )
                 yield line.removeprefix(UTF_8) if number == 1 else line
             if unpacker is not None and unpacker.is_torn:
-                raise CutOff(path, number + 1, f"its compressed data are cut off after line {number}")
+                raise CutOff(path, number + 1, f"the compressed data are cut off after line {number}")
     except FileNotFoundError:
         raise FileError(f"{path} does not exist or is not a file") from None
     except (zlib.error, lzma.LZMAError, EOFError) as error:

@@ -219,10 +219,10 @@ def read_scan(scan: Path) -> StoredScan:
         place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers
         first = round(float(place[0])) if is_real and len(edges) else 0
         if len(place) and not np.allclose(place, first + np.arange(len(place)), rtol=0, atol=1e-6):
-            raise InputError("the edges of the bins in its histograms are not equally spaced in the logarithm")
+            raise InputError("the bins of the histograms are not equally wide on a logarithmic axis")
         counts = SampleCounts(first, BINS_PER_DECADE, count, np.stack(of_states, axis=1))
         if count.shape[1:] != (max(len(edges) - 1, 0),):
-            raise InputError(f"its histograms have {count.shape[1]} bins but {len(edges)} edges")
+            raise InputError(f"the histograms have {count.shape[1]} bins but {len(edges)} edges of bins")
         found = StoredScan(path, attributes_of(file), tuple(map(str, file.attrs["scanned"])), table, counts)
     if any(isinstance(gap, float) and is_crossed(None, None, gap) for gap in found.table.get("gap", ())):
         raise FileError(f"{path} has a lower bound above the power, so it is damaged or was changed")

@@ -572,10 +572,10 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
         import tomli as tomllib
     try:  # texts that would exhaust Python's stack, or take too much memory or time, are refused
         if len(text) > MOST_SETTINGS_TEXT:
-            raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} characters, the most that is read")
+            raise ValueError(f"the text is longer than {MOST_SETTINGS_TEXT:,} characters, the most that is read")
         is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
         if is_deep and max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED:
-            raise ValueError("the brackets of its lists and tables do not close")
+            raise ValueError("the brackets of lists and tables do not close")
         dots = [found[0].count(".") for found in DOTTED.finditer(text)]
         if max(dots, default=0) > MOST_NESTED or sum(dots) > MOST_DOTS:
             raise ValueError(f"a key may have at most {MOST_NESTED} dots, and all keys together {MOST_DOTS:,}")
@@ -606,8 +606,8 @@ def _refuse_unwritable(value: object, depth: int = 0) -> None:
     depth : how deep the value itself is nested.
     """
     if isinstance(value, int) and value.bit_length() > 64:
-        raise ValueError("a whole number in it needs more than 64 bits")
+        raise ValueError("a whole number needs more than 64 bits, the most that is read")
     if depth > MOST_NESTED:
-        raise ValueError(f"its lists and tables are nested more than {MOST_NESTED} deep")
+        raise ValueError(f"lists and tables are nested more than {MOST_NESTED} deep")
     for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _refuse_unwritable(part, depth + 1)

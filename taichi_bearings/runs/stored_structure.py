@@ -91,7 +91,7 @@ class _Stored:
         domain = spheres["domain"].values
         count = self.structure.whole.spheres
         if not (domain.dtype.kind in "iu" and domain.min() >= 0 and domain.max() < count):
-            raise ValueError("its data set domain must hold the number of the rigid domain of each sphere, 0 or more")
+            raise ValueError("the data set domain must hold whole numbers, 0 or more: the rigid domain of each sphere")
         domains = None if self.structure.whole.lattice is None else self._domains(domain)
         return Drawn(spheres, contacts, domains, self._path(), True)
 
@@ -106,7 +106,7 @@ class _Stored:
         fits = len(found.shape) == len(shape) and all(w in (None, n) for n, w in zip(found.shape, shape, strict=True))
         if not fits or found.dtype.kind not in "biuf" or (found.dtype.kind == "f" and not np.isfinite(found).all()):
             raise ValueError(
-                f"its data set {name} must hold finite numbers of shape {shape}; it has {found.dtype} of shape "
+                f"the data set {name} must hold finite numbers of shape {shape}; it has {found.dtype} of shape "
                 f"{found.shape}"
             )
         return found
@@ -145,7 +145,7 @@ class _Stored:
         spheres = np.bincount(domain)
         mean = np.stack([np.bincount(domain, values) / spheres for values in spins.reshape(len(axes), -1)], axis=1)
         if len(found) != count or len(lock) != count or lock.min() < 0 or lock.max() > Lock.BOTH:
-            raise ValueError("its data set domains/lock must have one row for each domain in domains/labels")
+            raise ValueError("the data set domains/lock must have one row for each domain in domains/labels")
         names = [f"component_domain/{AXES[k]}" for k in axes]
         labels = np.stack([self.get(name, *shape) for name in names])
         return RigidDomains(axes, labels, domain.reshape(shape), spheres, mean, 0.0, lock, above[:, first].T)
@@ -164,7 +164,7 @@ class _Stored:
             path = np.ravel_multi_index(tuple(places.T), shape) if len(places) else np.empty(0, dtype=int)
         path = path[path >= 0]
         if len(path) and (path.dtype.kind not in "iu" or path.max() >= count):
-            raise ValueError("its data set path must hold whole numbers, those of spheres")
+            raise ValueError("the data set path must hold whole numbers, those of spheres")
         return np.asarray(path)
 
 

@@ -101,13 +101,13 @@ def _values_of_run(path: Path) -> Json:
     if not has_summary and not has_run:
         return {"status": "unfinished"}
     if not has_summary or not has_run:
-        raise InputError(f"it has no {'run.h5' if has_summary else 'summary.json'}")
+        raise InputError(f"the folder has no {'run.h5' if has_summary else 'summary.json'}")
     summary = read_json(path / "summary.json")
     if not isinstance(summary, dict):
-        raise InputError("its summary.json does not hold a JSON object")
+        raise InputError("summary.json does not hold a JSON object")
     for name, (kind, can_lack) in SUMMARY_KEYS.items():
         if not _fits(summary.get(name), kind, can_lack):
-            raise InputError(f"the value of {name} in its summary.json is missing or of the wrong type")
+            raise InputError(f"the value of {name} in summary.json is missing or of the wrong type")
     return {name: summary.get(name) for name in SUMMARY_KEYS}
 
 

@@ -55,8 +55,9 @@ def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
     carried = spins_of_two_domains(bearing)
     if carried is None:
         raise InputError(
-            "start is 'minimum-cut', but this packing has no minimum cut: that needs two driven bodies in different "
-            "motions, and no closed chain of an odd number of contacts; choose another start"
+            "start is 'minimum-cut', but this packing has no minimum cut: that needs a packing without odd loops "
+            "(closed "
+            "chains of an odd number of contacts) and two driven bodies in different motions; choose another start"
         )
     return bearing.laboratory_spin(carried, bearing.minimum_spin_axes)
 

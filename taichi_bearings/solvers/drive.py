@@ -281,7 +281,7 @@ def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndar
         found, like = stored[name], np.asarray(own)
         if found.dtype.kind != like.dtype.kind or (like.dtype.kind == "f" and found.shape != like.shape):
             raise ValueError(
-                f"its array {name} is of type {found.dtype} and shape {found.shape}; it must be of type {like.dtype} "
+                f"the array {name} is of type {found.dtype} and shape {found.shape}; it must be of type {like.dtype} "
                 f"and shape {like.shape}"
             )
 
@@ -581,7 +581,7 @@ class _Best:
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.network.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
             raise ValueError(
-                "its contact forces (array `proof`) are not one finite number for each contact and component of this "
+                "the contact forces (array `proof`) must be one finite number for each contact and component of this "
                 "scene"
             )
         if not self.keeps_best or "best/staggered" not in state:

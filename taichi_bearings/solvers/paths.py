@@ -84,7 +84,7 @@ def _settled(state: Mapping[str, np.ndarray], number: int, now: Iterate) -> Reso
         is_mask = name not in likes
         like = now.friction if name in ("slipping", "at_limit", "tied") else likes.get(name, now.spins)
         if values.shape != like.shape or values.dtype.kind != ("u" if is_mask else "f"):
-            raise ValueError(f"its array {name} has the wrong type, {values.dtype}, or shape, {values.shape}")
+            raise ValueError(f"the array {name} has the wrong type, {values.dtype}, or shape, {values.shape}")
         given[name] = values.astype(bool) if is_mask else values
     fields = {OF_A_MINIMUM[name]: values for name, values in given.items()}
     return Resolved(**fields, borne=bool(state[begin + "borne"]), viscosity=now.viscosity)

@@ -196,7 +196,7 @@ class Recorder:
         self._last_time = float(state["last_time"])
         # a damaged file may hold anything
         if any(np.asarray(values).dtype.kind not in "fiu" for values in state.values() if np.ndim(values)):
-            raise ValueError("its history or its snapshots hold values that are not numbers")
+            raise ValueError("the history or the snapshots hold values that are not numbers")
         lengths = {len(values) for values in self._columns.values()}
         spins = (
             self._scene.replicas,
@@ -204,6 +204,6 @@ class Recorder:
             *(() if self._scene.network.dimension == 2 else (3,)),
         )
         if lengths and (len(lengths) > 1 or 0 in lengths):
-            raise ValueError("its history has columns of different lengths, or empty ones")
+            raise ValueError("the history has columns of different lengths, or empty ones")
         if [np.shape(spin) for spin in self._snapshot_spins] != [spins] * len(self._snapshot_times):
-            raise ValueError(f"its snapshots must be one array of spins of shape {spins} for each time")
+            raise ValueError(f"the snapshots must be one array of spins of shape {spins} for each time")

@@ -94,8 +94,8 @@ FORGED = [  # file, change, commands that refuse it, and their words
         ("scan", None), ("scan", [3, 4]), ("asked", np.zeros(2)), ("journals", np.zeros(2000)), ("asked", "a"),
     )),
     *((SCAN, column(name, of), [HISTOGRAM], words) for name, of, words in (
-        ("histogram/edges", lambda v: np.full(v.shape, np.inf), "edges of the bins in its histograms"),
-        ("histogram/edges", lambda v: v.astype(complex), "edges of the bins in its histograms"),
+        ("histogram/edges", lambda v: np.full(v.shape, np.inf), "bins of the histograms are not equally wide"),
+        ("histogram/edges", lambda v: v.astype(complex), "bins of the histograms are not equally wide"),
         ("histogram/count", lambda v: -v - 1, "histograms count"),
         ("histogram/count", lambda v: v + 0.5, "histograms count"),
         ("histogram/slipless", lambda v: v.astype(complex), "histograms count"),

@@ -139,7 +139,7 @@ def test_what_cannot_be_made_is_refused():
         (lambda: tb.Packing.random(5), "spheres is '5'"),
         (lambda: tb.Packing.random(100, 4), "dimension is 4"),
         (lambda: tb.Packing.random(100, width=2.0), "width is 2"),
-        (lambda: tb.Packing.random(100, ratio=0.5), "ratio is 0.5"),
+        (lambda: tb.Packing.random(100, ratio=0.5), "is 0.5 and large"),
         (lambda: tb.Packing.random(100, stiffness=1), "unknown argument 'stiffness'.*; allowed are "),
         (lambda: tb.Packing.space_filling(-1, 0), "m is '-1'"),
         (lambda: tb.Packing.space_filling(0, 1.5), "n is '1.5'"),

@@ -160,7 +160,7 @@ WRONG = [
         "line 12 of .*: the contact of atoms 10 and 20 is there a second time",
     ),
     (ATOMS, CONTACTS.replace("c_fn", "fn"), "must have exactly one column c_fn; its columns are index c_pair"),
-    ("", CONTACTS, "atoms has no timestep"),
+    ("", CONTACTS, "atoms is no LAMMPS dump"),
 ]
 
 

@@ -85,12 +85,12 @@ def test_files_give_back_what_was_put(tmp_path, name, kind):
 def test_strange_lattices_are_refused():
     for arguments, words in [
         (("cube", (2, 2, 2)), "did you mean 'cubic'"),
-        (("bcc", (2, 2)), "3 numbers of cells"),
-        (("bcc", (2, 0, 2)), "3 numbers of cells"),
+        (("bcc", (2, 2)), "3 whole numbers"),
+        (("bcc", (2, 0, 2)), "3 whole numbers"),
         (("bcc", (2, 2.5, 2)), "whole numbers"),
         (("bcc", (1, 2, 2), ("x",)), "2 or more"),
         (("square", (2, 2), ("z",)), "names of axes"),
-        (("cubic", (10**9, 10**9, 10**9)), "numbers of cells"),
+        (("cubic", (10**9, 10**9, 10**9)), "at most .* spheres in all"),
     ]:
         with pytest.raises(tb.InputError, match=words):
             tb.Packing.lattice(*arguments)

@@ -97,7 +97,7 @@ def test_figure_and_table_hold_the_same_points(scan, tmp_path):
         (("law", "L"), {}, "texts"),
         (("power/slipping/slipless", "L"), {}, "one over another"),
         (("power", "L"), {"where": ("spin_bottom",)}, "KEY=VALUE"),
-        (("power", "L"), {"where": ("spin_bottom=x",)}, "has numbers"),
+        (("power", "L"), {"where": ("spin_bottom=x",)}, "holds numbers"),
         (("power", "L"), {"where": ("spin_bottom=0.5",)}, r"one of 0.0, 0.1"),
         (("power", "L"), {"where": ("status=failed",)}, "no sample"),
         (("power", "spin_bottom"), {"log": "x"}, "above 0"),

@@ -66,8 +66,8 @@ def built(
     dimension = len(cell.size)
     if len(cells) != dimension or min(cells) < 1 or np.prod([float(n) for n in cells]) > MOST_SPHERES / len(cell.basis):
         raise InputError(
-            f"cells is {shown(cells)}; it must be {dimension} whole numbers, each 1 or more: how often the unit cell "
-            f"of a {kind} lattice is repeated along each axis"
+            f"cells is {shown(cells)}; it must be {dimension} whole numbers, 1 or more each and with at most "
+            f"{MOST_SPHERES:,} spheres in all: how often the unit cell of a {kind} lattice is repeated along each axis"
         )
     closed = set(axis_numbers(periodic_axes(periodic, AXIS_NAMES[:dimension])))
     if short := [AXIS_NAMES[axis] for axis in closed if cells[axis] < 2]:
