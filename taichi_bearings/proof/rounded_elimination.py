@@ -309,9 +309,8 @@ def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
     for number, front in enumerate(fronts):
         if (parent[front.children] >= 0).any() or any(child >= number for child in front.children):
             raise RuntimeError(
-                "internal check failed: the order in which the matrix is eliminated contradicts itself; please "
-                "report it "
-                "with the command"
+                "internal check failed: the order in which the matrix is eliminated contradicts itself; please report "
+                "it with the command"
             )
         parent[front.children] = number
     lost = any(len(f.border) and (p < 0 or f.border[0] < fronts[p].first) for f, p in zip(fronts, parent, strict=True))

@@ -56,8 +56,8 @@ def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
     if carried is None:
         raise InputError(
             "start is 'minimum-cut', but this packing has no minimum cut: that needs a packing without odd loops "
-            "(closed "
-            "chains of an odd number of contacts) and two driven bodies in different motions; choose another start"
+            "(closed chains of an odd number of contacts) and two driven bodies in different motions; choose another "
+            "start"
         )
     return bearing.laboratory_spin(carried, bearing.minimum_spin_axes)
 
