@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 from taichi_bearings_cli.options import answer, json_option, out_options, run_argument, title_option
-from taichi_bearings_cli.progress import Display
+from taichi_bearings_cli.progress import Display, in_lines
 from taichi_bearings_cli.report import lines_of, solved
 
 REPORTED = ("power", "slipless", "slipping", "tied", "undecided", "minimum_is_unique")
@@ -53,7 +53,7 @@ def command(run: Path, as_json: bool, **asked: Any) -> None:
 
     with Display() as display:
         report = analyse(run, **asked)
-    answer(report, as_json, lambda: describe(report, display.times()))
+    answer(report, as_json, lambda: in_lines(describe(report, display.times())))
 
 
 def describe(report: dict[str, Any], times: str) -> str:

@@ -72,6 +72,6 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     if report["slipping"]:
         units = "" if normalise == "none" else f" in units of {report['units']}"
         smallest, largest = report["smallest_power"], report["largest_power"]
-        lines.append(f"power of the slipping contacts from {smallest:.2e} to {largest:.2e}{units}")
+        lines.append(f"power of the slipping contacts in bins from {smallest:.2e} to {largest:.2e}{units}")
     where = f"written into the folder {Path(report['files'][0]).parent}:"
     answer(report, as_json, lambda: "\n".join([*lines, where, *report["files"]]))

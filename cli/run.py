@@ -228,8 +228,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
     times : a sentence on where the time went.
     """
     drawn, is_packing, seeds = summary["coefficients"] is None, summary["shape"] is None, listed(summary["seed"])
-    driven = f", {summary['driven_spheres']:,} of them driven" if is_packing else ""
-    lines = [f"{solved(summary)}{driven}: {ends(summary)}"]
+    lines = [f"{solved(summary)}: {ends(summary)}"]
     lines += [] if drawn else [f"  coefficients from {summary['coefficients']}"]
     kind, names = ("seed", seeds) if drawn else ("sample", range(len(seeds)))
     numbers = (found if isinstance(found := summary.get(key), list) else [found] * len(seeds) for key in OF_A_SAMPLE)

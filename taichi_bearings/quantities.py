@@ -257,7 +257,7 @@ SAMPLES = _named(
                  lambda a: a.solution.counts[:, ContactState.SLIPLESS], r"N_\mathrm{slipless}"),
         Quantity("tied", "1", "number of contacts proven to slip in some states of least power and not in others",
                  lambda a: a.solution.counts[:, ContactState.TIED]),
-        Quantity("undecided", "1", "number of contacts that are undecided: there is no proof whether they slip, and"
+        Quantity("undecided", "1", "number of undecided contacts, for which there is no proof whether they slip, and"
                  " slip and force contradict each other",
                  lambda a: a.solution.counts[:, ContactState.UNDECIDED]),
         Quantity("states_proven", "1", "whether it is proven of every contact that it slips, does not slip or is tied",
@@ -271,7 +271,7 @@ SAMPLES = _named(
         Quantity("separation_decades", "1", "powers of ten between two slip speeds: the smallest of a contact that"
                  " counts as slipping and the largest of one that counts as slipless",
                  _of_unique_slips(_decades)),
-        Quantity("slip_threshold", "length/time", "threshold: slip speed up to which a contact counts as slipless;"
+        Quantity("slip_threshold", "length/time", "threshold of slip speeds, up to which a contact counts as slipless;"
                  " given by the user, or else chosen by the method and used only where no proof decides",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
         Quantity("largest_balance_residual", "force*length", "largest component of the net torque on a free"
@@ -287,8 +287,7 @@ SAMPLES = _named(
         Quantity("version", "1", "version of the program that solved the sample", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force * radius * |spin_top|)",
                  _normalised, r"P\,/\,(F_n R\,\omega_T)"),
-        Quantity("minimum_is_unique", "1", "whether only these slips have the least power: yes or no if that is proven,"
-                 " else left open",
+        Quantity("minimum_is_unique", "1", "whether only these slips have the least power, as far as that is proven",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time that the dynamics has reached", _at_end("time")),
         Quantity("duration", "time", "simulated time at which the dynamics was asked to end",
@@ -303,7 +302,8 @@ SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of 
 FINDINGS = _named(
     [
         Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
-        Quantity("driven_power", "energy/time", "packings: power dissipated by contacts between two driven spheres"),
+        Quantity("driven_power", "energy/time",
+                 "packings: power dissipated by contacts between two driven spheres, not part of the power"),
         Quantity("slipless_motions", "1", "packings: number of independent motions without slip that free spheres have"
                  " while the driven ones rest; spheres that no contacts connect to a driven one do not count"),
         Quantity("cut_is_unique", "1",
@@ -332,7 +332,7 @@ FINDINGS = _named(
 
 STRUCTURE = {
     "minimum cut": [
-        Quantity("power_minimum_cut", "energy/time", "power of the minimum cut: the least power if every sphere"
+        Quantity("power_minimum_cut", "energy/time", "power of the minimum cut, the least power if every sphere"
                  " turns with the bottom or with the top",
                  lambda s: s.interface and s.interface.power, r"P_\mathrm{cut}"),
         Quantity("power_over_cut", "1", "power / power_minimum_cut",
@@ -418,7 +418,7 @@ STRUCTURE = {
                  " bottom to top (or between two driven bodies)",
                  lambda s: s.bottlenecks.parting.sum()),
         Quantity("effective_links", "1", "effective number of contacts that the shortest slipless paths from bottom to"
-                 " top run through: (sum s)^2 / sum s^2 with the share s of these paths through each contact",
+                 " top run through, (sum s)^2 / sum s^2 with the share s of these paths through each contact",
                  lambda s: s.bottlenecks.effective_links),
         Quantity("most_loaded", "1", "the contacts that most shortest slipless paths from bottom to top run through,"
                  " each named by its lower sphere and its axis (0 x, 1 y, 2 z)",

@@ -157,10 +157,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             )
         return _current
     if running_program() is not None:
-        raise DeviceError(
-            f"{compiler.name()} was already started in this process by other code, whose fields a new start would "
-            f"destroy; {OWN_PROCESS}"
-        )
+        raise DeviceError(f"{compiler.name()} was already started in this process by other code; {OWN_PROCESS}")
     kept = compiler.cache_folder()
     compiled_before = kept is not None and any(kept.glob("*.tic"))
     with contextlib.redirect_stdout(io.StringIO()), compiler.environment(), _out_of_memory():

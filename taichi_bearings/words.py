@@ -110,13 +110,14 @@ def driving_words(values: Mapping[str, object]) -> str:
 def sized(values: Mapping[str, Any]) -> str:
     """Return the size of what was solved, in words.
 
-    values : options of the run by name, of which shape or spheres are used.
+    values : options and numbers of the run by name, of which shape, or spheres and driven_spheres, are used.
 
-    >>> sized({"shape": [10, 10]}), sized({"shape": None, "spheres": 256})
-    ('10x10', '256 spheres,')
+    >>> sized({"shape": [10, 10]}), sized({"shape": None, "spheres": 256, "driven_spheres": 32})
+    ('10x10', '256 spheres (32 driven),')
     """
     if values.get("spheres"):
-        return f"{counted(values['spheres'], 'sphere')},"
+        driven = f" ({values['driven_spheres']:,} driven)" if "driven_spheres" in values else ""
+        return f"{counted(values['spheres'], 'sphere')}{driven},"
     return "x".join(map(str, values["shape"])) if isinstance(values["shape"], list) else str(values["shape"] or "")
 
 

@@ -187,7 +187,11 @@ def scaling(rows: Sequence[Line]) -> dict[str, Any]:
 def lines_of(summary: Mapping[str, Any]) -> list[str]:
     """Return the summary in words, as a list of lines."""
     words = [f"{number} {outcome}" for outcome, number in summary["outcomes"].items()]
-    found = [f"{summary['done']} of {summary['cells']} cells: {', '.join(words)}"]
+    found = [
+        f"{summary['done']} of {summary['cells']} cells (a value, method, law and precision each): "
+        f"{', '.join(words)}; not "
+        "reached means that the run says so itself"
+    ]
     for method, of in summary["scaling"].items():
         exact, cells, deviation = (of[key] for key in ("exact", "of", "deviation"))
         found.append(

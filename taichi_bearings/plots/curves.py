@@ -178,7 +178,7 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
     else:
         axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
     whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
-    threshold = f"; threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
+    threshold = f"; slip threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
     outside = f"({_outside(histogram)}{threshold})"
     style.put_title(figure, f"{histogram.slipping:,} slipping contacts{whose}{outside}", page)
     return figure
@@ -198,7 +198,7 @@ def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Pag
     figure = style.new_figure(width, 3.0 + 0.15 * rows, page.dpi)
     axes = figure.add_subplot()
     first = next(iter(histograms.values()))
-    axes.set(xscale="log", yscale="log", xlabel=_label(first), ylabel="share of slipping contacts a decade")
+    axes.set(xscale="log", yscale="log", xlabel=_label(first), ylabel="share of slipping contacts per decade")
     for (value, found), colour in zip(histograms.items(), style.shades(len(histograms)), strict=True):
         empty, centre, error = found.count == 0, _centre(found), found.density_error
         density = np.where(empty, np.nan, found.density)  # no line leads over empty bins
@@ -304,6 +304,8 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
         slanted: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if long else {}
         axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks], **slanted)
         axes.set_xlim(-0.5, len(look.ticks) - 0.5)
+    elif len(values) == 1 and "x" not in look.log:
+        axes.set_xticks(values, [style.short(values[0])])  # nothing between two sizes, where there is one
     elif "x" in look.log and len(values) <= MOST_NAMED_TICKS:
         axes.set_xticks(values, [style.short(value) for value in values.tolist()])
         axes.xaxis.set_minor_locator(NullLocator())

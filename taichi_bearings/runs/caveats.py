@@ -193,7 +193,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
         reached = float(history["time"][-1])
         if settings.duration is not None:
             if reached < settings.duration * (1 - 1e-9):
-                yield f"{reason} at the time {reached:.6g} of {settings.duration:.6g}"
+                yield f"{reason} at the simulated time {reached:.6g} of {settings.duration:.6g}"
             return
         left = float(solution.largest_balance_residual.max())
         yield f"{reason} before the motion was at rest: at the time {reached:.3g} torques of {left:.1e} were left over"
@@ -230,7 +230,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         all_contacts = int((solution.state != ContactState.DRIVEN).sum())
         faster = f"{solution.slip_threshold:.1e} (slip_threshold)"
         kinds = {
-            f"creep faster than {faster} while their friction is below its limit": held,
+            f"slip faster than {faster}, although their friction is below its limit": held,
             "are at their friction limit, and slip too slowly to be told from rest": number - held - passing,
             "slip, but perhaps not in every state of least power": passing,
         }

@@ -431,7 +431,8 @@ def resume(
             reached = float(max(ends, default=0.0))  # by the replica of a packing that is farthest
             if reached > duration * (1 + SAME_TIME):
                 raise InputError(
-                    f"duration is {duration:g}, but {path} has already reached {reached:g}; it must be longer"
+                    f"duration is {duration:g}, but the checkpoint of {path} is at the time {reached:g}; it must be "
+                    "longer"
                 )
         settings = RunSettings.from_mapping(parse_toml(scene, path) | changes, "the options")
         job = prepare(settings, strict=False)

@@ -311,7 +311,7 @@ def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: 
     table = settings_table()
     if not given.keys() & {"coefficients", "packing"} and scan.attributes["scan"]:
         given = {"distribution": table["distribution"].default} | given
-    shown = {request.x, *request.by} | ({"shape"} if SIZE in (request.x, *request.by) else set())
+    shown = {request.x, *request.by}
     found = []
     for key in dict.fromkeys([*NAMED_BY_VALUE, *scan.scanned, *given]):
         values = [value for (value,) in groups(columns, [key])] if key in columns else [given.get(key)]

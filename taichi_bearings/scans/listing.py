@@ -18,6 +18,7 @@ from taichi_bearings.words import counted, driving_words, listed, sized
 
 RUN_KIND, SCAN_KIND = "run", "scan"
 RUN_FILES = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
+STRESS_TABLE = "stress.csv"  # in the folder of `bearings stress`, which has a summary of its own
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
 SUMMARY_KEYS = {  # keys of a summary that are listed: their type, and whether None is allowed
     "law": (str, False), "method": (str, False), "seed": (int, False), "status": (str, False), "power": (float, True),
@@ -73,7 +74,9 @@ def entries(folder: Path) -> list[Entry]:
 
 
 def _kind_of(path: Path) -> str:
-    """Return what a folder is: "run", "scan", or "" for anything else."""
+    """Return what a folder is: "run", "scan", or "" for anything else, such as a report of `bearings stress`."""
+    if (path / STRESS_TABLE).is_file():
+        return ""
     if any((path / name).is_file() for name in RUN_FILES):
         return RUN_KIND
     return SCAN_KIND if (path / "scan.h5").is_file() or journals_in(path) else ""

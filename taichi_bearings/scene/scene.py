@@ -154,9 +154,7 @@ class Scene(Bearing):
         radius = finite_number("radius", others.get("radius", cls.radius))
         lattice = Lattice(SHAPE.named("shape", shape), radius, axis_numbers(others["periodic"]))
         if replicas > (most := MOST_SITES // 8 // lattice.sites):
-            raise InputError(
-                f"replicas is {replicas}; with this shape it must be at most {most}, so that 32-bit indices suffice"
-            )
+            raise InputError(f"replicas is {replicas}; with this shape it must be at most {most} (32-bit indices)")
         others["seeds"] = tuple(range(seed, seed + replicas))
         sources = dict(zip(cls.DRAWN, (distribution, viscosity or "uniform:0.1,1.0"), strict=True))
         values = [source if callable(source) else Distribution.parse(source) for source in sources.values()]

@@ -154,7 +154,8 @@ def test_tables_are_solved_from_the_command_line(tmp_path):
     weakest = np.random.default_rng(0).uniform(0.1, 1.0, 4).min()
     assert told["power"] == pytest.approx(weakest * 50 * 0.5)
     assert any(
-        "4 contacts of 6 spheres found within 0.001 of touching; 1 sphere touches nothing" in w
+        "4 contacts found between 6 spheres, where gap or overlap is at most 0.001 of the sum of two radii; "
+        "1 sphere touches nothing" in w
         for w in told["warnings"]
     )
     for others, sentence in [
@@ -172,4 +173,5 @@ def test_tables_are_solved_from_the_command_line(tmp_path):
 def test_spheres_that_touch_nothing_are_told(caplog):
     center = [[0.0, 0], [1, 0], [0, 1], [9, 0.5], [9, 3]]
     tb.Packing.from_centers(center, driven=[0, -1, 1, -1, -1])
-    assert "2 contacts of 5 spheres found within 0.001 of touching; 2 spheres touch nothing" in caplog.text
+    assert "2 contacts found between 5 spheres, where gap or overlap is at most 0.001 " in caplog.text
+    assert "; 2 spheres touch nothing" in caplog.text

@@ -196,3 +196,6 @@ def test_ticks_have_few_digits_and_sizes_are_whole_numbers():
     x = np.array([4.0, 5.0, 6.0])
     figure = draw_scan([Curve("", x, x, x, x)], Look("L", "P"))
     assert all(tick == round(tick) for tick in figure.axes[0].get_xticks())
+    x = np.array([10.0])
+    figure = draw_scan([Curve("", x, x, x, x)], Look("L", "P"))
+    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["10"]

@@ -46,6 +46,9 @@ def outputs(tmp_path_factory):
         file.write(b'{"crc32": "00000000", "sample": {"key": "torn", "scalars": {"status": "certified"')
     (folder / "figures").mkdir()
     (folder / "notes.txt").write_text("mine")
+    (folder / "stress").mkdir()  # a report of `bearings stress`, which is neither a run nor a scan
+    for name in ("summary.json", "stress.csv", "cells.jsonl"):
+        (folder / "stress" / name).write_text("{}")
     for age, name in enumerate(("one", "two", "scan")):
         for file in (folder / name).iterdir():
             os.utime(file, (1e9 - age, 1e9 - age))

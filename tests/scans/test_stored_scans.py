@@ -155,3 +155,12 @@ def test_one_seed_in_different_systems_is_as_many_samples_and_the_figure_says_so
     assert pooled([read_source(folder)])[None].density_error.any()
     lines, rows = told(folder, "power", "L", by=("shape",))
     assert (lines, [row["number"] for row in rows]) == (["all 9 samples"], ["3", "3", "3"])
+
+
+def test_the_title_of_a_figure_over_sizes_names_the_shape_if_there_is_but_one(plan_of, tmp_path):
+    for shapes, named in (("[[3, 2, 6]]", True), ("[[3, 6], [3, 2, 6]]", False)):
+        folder = tmp_path / f"scan {named}"
+        scan(plan_of(f"[scan]\nshape = {shapes}\nseed = {{ start = 0, stop = 2 }}\n"), folder, engine=Here())
+        stored, request = open_scan(folder), Request("power", "L")
+        columns = columns_of(stored, request)
+        assert ("3x2x6" in look_of(stored, columns, points_of(columns, request), request).title) == named

@@ -115,9 +115,14 @@ def contact_summary(contact: np.ndarray, spheres: int, tolerance: float) -> tupl
     tolerance : gap or overlap, relative to the sum of two radii, up to which spheres touch.
     """
     alone = spheres - len(np.unique(contact))
-    of = f"{counted(len(contact), 'contact')} of {counted(spheres, 'sphere')} found within {tolerance:g} of touching"
-    none = f"{counted(alone, 'sphere')} touch{'es' if alone == 1 else ''} nothing" if alone else "each touches another"
-    return f"{of}; {none}", alone
+    pairs = f"{counted(len(contact), 'contact')} found between {counted(spheres, 'sphere')}"
+    rule = f"where gap or overlap is at most {tolerance:g} of the sum of two radii"
+    none = (
+        f"{counted(alone, 'sphere')} touch{'es' if alone == 1 else ''} nothing"
+        if alone
+        else "every sphere touches another"
+    )
+    return f"{pairs}, {rule}; {none}", alone
 
 
 def _lengths(periodic: object, dimension: int, largest: float) -> np.ndarray:
