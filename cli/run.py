@@ -90,7 +90,9 @@ def command(
 
     def words() -> str:
         """Return the report in words, and the verdict of --verify if there is one."""
-        report = describe(summary, display.times()) + (_how_to_go_on(found.path) if found.interrupted else "")
+        report = describe(summary, display.times()) + (
+            _how_to_go_on(found.path, _is_complete(found)) if found.interrupted else ""
+        )
         return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
     answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
@@ -101,13 +103,21 @@ def command(
     context.exit(0 if found.reached and is_there and (verdict is None or verdict["verified"]) else 1)
 
 
-def _how_to_go_on(folder: Path) -> str:
+def _is_complete(found: Any) -> bool:
+    """Return True if the interrupted result `found` of a lattice lacks nothing but figures: all samples were solved."""
+    return found.reached and not found.solution.interrupted and not found.asked.is_packing
+
+
+def _how_to_go_on(folder: Path, complete: bool) -> str:
     """Return a line on how an interrupted run can be continued, or what it lacks.
 
     folder : the run directory.
+    complete : True if only figures were interrupted.
     """
     from taichi_bearings.runs.run_directory import CHECKPOINT_NAME
 
+    if complete:
+        return "\n  the result is complete; only figures are missing, which `bearings plot` and `histogram` draw"
     if (folder / CHECKPOINT_NAME).is_file():
         return f"\n  `bearings run --resume {folder}` goes on from the last checkpoint"
     return "\n  this run cannot be resumed; with --checkpoint-every SECONDS it could be"

@@ -108,7 +108,7 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
     if not path.is_file():
         unfinished = path.with_name(CHECKPOINT_NAME).is_file()
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
-        lacking = f"{path} is not a file" if path.exists() else f"there is no {path}"
+        lacking = f"{path} is not a file" if path.exists() else f"there is no file or folder {path}"
         raise FileError(f"{run} is not a run: {lacking}{hint}")
     with read_hdf5(path, "run", changed) as file:
         yield path, file, attributes_of(file)

@@ -271,4 +271,7 @@ def test_an_interrupted_run_says_how_it_goes_on(tmp_path):
     assert (process.returncode, last) == (130, "`bearings run --resume run` goes on from the last checkpoint")
     assert tb.load(tmp_path / "run").status == "interrupted"
     checkpoint.unlink()
-    assert _how_to_go_on(tmp_path / "run").strip().startswith("this run cannot be resumed; with --checkpoint-every")
+    assert (
+        _how_to_go_on(tmp_path / "run", False).strip().startswith("this run cannot be resumed; with --checkpoint-every")
+    )
+    assert _how_to_go_on(tmp_path / "run", True).strip().startswith("the result is complete; only figures are missing")

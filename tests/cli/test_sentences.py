@@ -79,7 +79,7 @@ def test_the_root_of_the_file_system_is_no_place_for_a_run(refused):
 
 @pytest.mark.parametrize("command", ["analyse", "verify"])
 def test_what_is_there_but_no_file_of_a_run_is_told_apart_from_what_is_missing(refused, tmp_path, command):
-    assert refused(command, "nowhere").endswith("nowhere is not a run: there is no nowhere")
+    assert refused(command, "nowhere").endswith("nowhere is not a run: there is no file or folder nowhere")
     (tmp_path / "folder" / "run.h5").mkdir(parents=True)
     assert refused(command, "folder").endswith("folder/run.h5 is not a file".replace("/", os.sep))
     with h5py.File(tmp_path / "bare.h5", "w") as file:
