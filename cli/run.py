@@ -105,7 +105,7 @@ def command(
 
 def _is_complete(found: Any) -> bool:
     """Return True if the interrupted result `found` of a lattice lacks nothing but figures: all samples were solved."""
-    return found.reached and not found.solution.interrupted and not found.asked.is_packing
+    return bool(found.reached and not found.solution.interrupted and not found.asked.is_packing)
 
 
 def _how_to_go_on(folder: Path, complete: bool) -> str:
