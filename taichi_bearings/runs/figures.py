@@ -76,7 +76,9 @@ def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
     """
     if len(shape) == 1:
         if page.planes:
-            raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
+            raise InputError(
+                "plane is given, but a packing has no lattice planes to cut along; leave it out (--view turns the packing)"
+            )
         return
     if page.planes and kind not in WITH_PLANES:
         raise InputError(f"plane is given, but {kind} shows no planes; these do: {', '.join(WITH_PLANES)}")

@@ -217,7 +217,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         if float(state["time_step"]) != self.time_step:
             raise InputError(
                 f"time_step is {self.time_step!r}, but the run to be resumed has {float(state['time_step'])!r}; "
-                "that run was made by another version or library"
+                "continue it with the version of program and libraries that began it"
             )
         super().restore(state)
         for name in self._changing:
