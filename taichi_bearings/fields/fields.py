@@ -99,7 +99,8 @@ class Fields:
         if count > MOST_FIELD_NUMBERS:
             most = MOST_FIELD_NUMBERS
             raise DeviceError(
-                f"{layout.sites} spheres need {count} numbers in one array, which can have at most {most}; take fewer spheres"
+                f"{layout.sites} spheres need {count} numbers in one array, which can have at most {most}; take "
+                "fewer spheres"
             )
         try:
             self.values, self._host = self._allocate(count)

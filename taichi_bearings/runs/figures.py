@@ -77,7 +77,8 @@ def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
     if len(shape) == 1:
         if page.planes:
             raise InputError(
-                "plane is given, but a packing has no lattice planes to cut along; leave it out (--view turns the packing)"
+                "plane is given, but a packing has no lattice planes to cut along; leave it out (--view turns the "
+                "packing)"
             )
         return
     if page.planes and kind not in WITH_PLANES:
