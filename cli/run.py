@@ -90,9 +90,7 @@ def command(
 
     def words() -> str:
         """Return the report in words, and the verdict of --verify if there is one."""
-        report = describe(summary, display.times()) + (
-            _how_to_go_on(found.path, _is_complete(found)) if found.interrupted else ""
-        )
+        report = describe(summary, display.times()) + _ending(found)
         return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
     answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
@@ -103,16 +101,17 @@ def command(
     context.exit(0 if found.reached and is_there and (verdict is None or verdict["verified"]) else 1)
 
 
-def _is_complete(found: Any) -> bool:
-    """Return True if the interrupted result `found` of a lattice lacks nothing but figures: all samples were solved."""
-    return bool(found.reached and not found.solution.interrupted and not found.asked.is_packing)
+def _ending(found: Any) -> str:
+    """Return a line on how the result `found` of a run can be continued if it was interrupted; else an empty text."""
+    complete = found.reached and not found.solution.interrupted and not found.asked.is_packing
+    return _how_to_go_on(found.path, complete) if found.interrupted else ""
 
 
 def _how_to_go_on(folder: Path, complete: bool) -> str:
     """Return a line on how an interrupted run can be continued, or what it lacks.
 
     folder : the run directory.
-    complete : True if only figures were interrupted.
+    complete : True if all samples were solved, so that only figures are missing.
     """
     from taichi_bearings.runs.run_directory import CHECKPOINT_NAME
 
