@@ -97,7 +97,9 @@ def test_a_run_says_what_its_bound_rests_on(page, tmp_path):
     found = runs.run(settings, tmp_path / "run")
     assert found.summary["status"] == "certified"
     assert found.summary["warnings"][0].startswith("what is proven rests on the law 'thickening' as it was given")
-    with pytest.raises(FileError, match="has the law 'thickening'; coulomb, viscous, coulomb-viscous can be verified"):
+    with pytest.raises(
+        FileError, match="has the law 'thickening'; only coulomb, viscous, coulomb-viscous can be verified"
+    ):
         verify(tmp_path / "run")
     known = LAWS.pop("thickening")
     try:

@@ -212,7 +212,10 @@ def test_a_run_says_which_sides_are_closed(name, tmp_path):
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         del file.attrs["sha256"]
         file["coefficient/x"][..., -1, 1] *= 1 + 1e-15  # that of the seam
-    assert any("the coefficient differs from what seed 5 gives" in said for said in verify(tmp_path)["contradictions"])
+    assert any(
+        "the coefficient in the file differs from what seed 5 gives" in said
+        for said in verify(tmp_path)["contradictions"]
+    )
 
 
 @pytest.mark.parametrize(("said", "words"), [

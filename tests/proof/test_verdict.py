@@ -210,7 +210,9 @@ def test_a_sample_beside_that_of_its_seed_is_not_the_seeds(tmp_path):
         del file.attrs["sha256"]
         file.attrs["coefficients"] = ""
         file.attrs["scene"] = file.attrs["scene"].replace('coefficients = "run.h5"\n', "")
-    assert verify(tmp_path / "moved")["contradictions"] == ["the coefficient differs from what seed 3 gives"]
+    assert verify(tmp_path / "moved")["contradictions"] == [
+        "the coefficient in the file differs from what seed 3 gives"
+    ]
     assert other.solution.power[0] == pytest.approx(verify(tmp_path / "run")["power"], rel=1e-15)
 
 
