@@ -41,7 +41,7 @@ the path the middle contact has nearly no margin and slips by nearly 4. With the
 Steps of :func:`resolve`.
 
 1. Guess S from the last two points of the path (:func:`_seem_to_stick`). This is done in small samples only; in large
-   ones some guess is nearly always wrong.
+   ones, and where minima may tie, some guess is nearly always wrong.
 2. Find the minimum of the smooth power by Newton's method (:class:`_SmoothPower`). A slip that has shrunk below a
    hundredth and would be reversed leaves S; a larger one only shortens the step. The last Newton steps are in twice the
    precision (polish.py), as slips go down to 1e-15 of the jump and below.
@@ -194,23 +194,39 @@ def resolve(
         there.
     """
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
-        steps = zip(iterates, before, strict=True)
-        # Steps 1 and 2: guess the slipping contacts from the last two points of the path; minima of the smooth power.
-        slipping = [~_seem_to_stick(here, there) if small and there is not None else None for here, there in steps]
-        minima = _smooth_minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, shared)
-        # Step 3, after step 2: forces of the slipless contacts at the minima for these guesses.
-        found = _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], shared)
+        # Steps 1 to 3: a guess, where minima do not tie; there it is hardly ever right.
+        several = [may_have_several_minima(iterate.friction, np.zeros(0, dtype=bool)) for iterate in iterates]
+        found = _guessed(iterates, before, [small and not ties for ties in several], shared)
         for number, iterate in enumerate(iterates):
-            # Step 4, for samples without a sure minimum.
+            # Step 4, for samples without a sure minimum; the guess after it, where it finds nothing.
             quickly = found[number]
             sure = quickly is not None and quickly.sure
-            if not sure and (last[number] or may_have_several_minima(iterate.friction, np.zeros(0, dtype=bool))):
+            if not sure and (last[number] or several[number]):
                 with suppress(NotPositiveDefinite):
                     found[number] = _minimum_along_path(iterate, before[number], shared) or quickly
+                if found[number] is None and several[number]:
+                    (found[number],) = _guessed([iterate], [before[number]], [small], shared)
         shared.matrix.forget()
         # Step 5: compare with the power of the path, and look for ties.
         pairs = zip(iterates, found, strict=True)
         return [settled and _checked(iterate, settled, shared) for iterate, settled in pairs]
+
+
+def _guessed(
+    iterates: Sequence[Iterate], before: Sequence[Iterate | None], wanted: Sequence[bool], shared: Surroundings
+) -> list[Resolved | None]:
+    """Return the minimum of each sample that follows from a guess of its slipping contacts, by the last two points of
+    its path; None where none is found.
+
+    iterates : for each sample the last point.
+    before : the points one step before, None where unknown: then no guess is made.
+    wanted : for each sample whether a guess is wanted.
+    shared : what all samples share.
+    """
+    steps = zip(iterates, before, wanted, strict=True)
+    slipping = [~_seem_to_stick(here, there) if own and there is not None else None for here, there, own in steps]
+    minima = _smooth_minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, shared)
+    return _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], shared)
 
 
 def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resolved | None:
