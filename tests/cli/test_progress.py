@@ -32,15 +32,17 @@ def test_a_run_names_its_phases_on_one_line_and_says_where_the_time_went(tmp_pat
 
 
 def test_a_packing_says_power_and_gap_on_the_way_and_nothing_in_a_pipe(tmp_path):
-    words = ("run", "--shape", "22,22,20", "--driven", "shaft:2", "--threads", "1", "--figures", "none")
-    session = on_terminal(*words, "--out", tmp_path / "a", columns=140)
+    words = ("run", "--threads", "1", "--figures", "none")
+    session = on_terminal(
+        *words, "--shape", "22,22,20", "--driven", "shaft:2", "--out", tmp_path / "a", columns=140
+    )  # long enough to be seen
     assert session.returncode == 0
     told = [
         found for _, line in session.frames if (found := re.search(r"iterations?, P = ([\d.]+), gap [\d.]+e-", line))
     ]
     assert told
     assert all(float(found[1]) > 0 for found in told)
-    piped = bearings(*words, "--out", tmp_path / "b")
+    piped = bearings(*words, "--shape", "5,5,4", "--driven", "shaft:1", "--out", tmp_path / "b")
     assert (piped.returncode, piped.stderr) == (0, "")
 
 

@@ -71,7 +71,7 @@ def minimum_of(scene, start="linear"):
 
 HARD = [  # shape, seed, slipping contacts, order of the smallest slip: where the end of the central path tells wrongly
     ((12, 12, 12), 29, 1751, 1e-13),
-    pytest.param((16, 16, 16), 1, 2992, 1e-11, marks=pytest.mark.slow),
+    pytest.param((16, 16, 16), 1, 2992, 1e-11, marks=pytest.mark.thorough),
     pytest.param((16, 16, 16), 4, 4143, 1e-14, marks=pytest.mark.slow),
 ]
 

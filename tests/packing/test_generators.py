@@ -80,7 +80,7 @@ def test_a_deep_random_packing_has_the_isostatic_number_of_contacts_inside():
     assert 0.57 < volume < 0.65  # between random loose and random close packing
 
 
-@pytest.mark.parametrize("family", [(0, 0), (0, 1), (1, 1), (2, 1), (3, 5)])
+@pytest.mark.parametrize("family", [(0, 0), (0, 1), (1, 1), pytest.param((2, 1), marks=pytest.mark.thorough), (3, 5)])
 def test_space_filling_bearings_touch_fill_and_turn_without_slip(family):
     m, n = family
     packing = tb.Packing.space_filling(m, n, 0.01, periods=2)

@@ -80,7 +80,7 @@ def test_stiff_springs_come_near_it():
     assert apart[1] < apart[0] / 3
 
 
-@pytest.mark.parametrize("seed", some_of(12, 3))
+@pytest.mark.parametrize("seed", some_of(12, 5))  # of each law one
 def test_random_networks_come_to_rest_at_the_proven_minimum(seed):
     law = KNOWN_LAWS[seed % len(KNOWN_LAWS)]
     packing = random_packing(np.random.default_rng([44, seed]), 2 + seed // 3 % 2, law, contrast=1)

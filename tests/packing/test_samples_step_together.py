@@ -54,9 +54,9 @@ def test_samples_that_are_stepped_together_have_the_bits_of_each_alone(options, 
     joins = []
     join = together.Together._join
     monkeypatch.setattr(together.Together, "_join", lambda self: (joins.append(len(self.joined)), join(self)))
-    ones = samples(law, kind, 4)
+    ones = samples(law, kind, 3)
     whole = solved(Packing.together(ones), options, stop)
-    assert joins[:1] == ([] if options.name == "rigid-limit" else [4])
+    assert joins[:1] == ([] if options.name == "rigid-limit" else [3])
     for number, one in enumerate(ones):
         assert_same(whole.sample(number), solved(one, options, stop))
     if law == "coulomb" and options.name != "rigid-limit":
@@ -64,7 +64,7 @@ def test_samples_that_are_stepped_together_have_the_bits_of_each_alone(options, 
 
 
 def test_samples_go_by_so_many_as_fit_and_snapshots_are_those_of_each(monkeypatch):
-    ones, stop = samples("coulomb", "triangular", 5), StopRule(1e-9, duration=0.003)
+    ones, stop = samples("coulomb", "triangular", 3), StopRule(1e-9, duration=0.003)
     monkeypatch.setattr(together, "MOST_ON_CPU", 2 * ones[0].spheres)
     times = {"history": np.array([0.001, 0.002]), "snapshots": np.array([0.0, 0.002])}
     whole = solved(Packing.together(ones), tb.CundallStrack(), stop, times=times)
