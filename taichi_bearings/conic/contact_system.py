@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
-from taichi_bearings.numerics.double_double import add, scaled, two_sum
+from taichi_bearings.numerics.double_double import Pair, add, scaled, two_sum
 from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.network import Network
@@ -54,6 +54,8 @@ class ContactSystem:
     contact : (n,), numbers of the contacts in the network.
     slot : (d, n), the spin component or the tangent of each row.
     place : (D dimensions, unknowns), where the sphere of each unknown is.
+    offset_rest : (d, n), what `offset` lacks: both added are what imposed spins contribute in twice the precision. None
+        where `offset` is exact.
     whole : the network whose contacts these are; None for a lattice in strides.
     sphere : (unknowns,), the sphere of each unknown.
     moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0.
@@ -70,6 +72,7 @@ class ContactSystem:
     contact: np.ndarray | None = None
     slot: np.ndarray | None = None
     place: np.ndarray | None = None
+    offset_rest: np.ndarray | None = None
     whole: Network | None = None
     sphere: np.ndarray = field(default_factory=_nothing)
     moved: np.ndarray = field(default_factory=_nothing)
@@ -287,8 +290,8 @@ class ContactSystem:
         ends = np.tile(self.ends, count)
         ends = np.where(ends >= 0, ends + shift, -1)
         offset, felt = np.tile(self.offset, count), np.tile(self.felt, count)
-        place = None if self.place is None else np.tile(self.place, count)
-        return ContactSystem(self.unknowns * count, offset, felt, ends, place=place)
+        place, rest = (None if of is None else np.tile(of, count) for of in (self.place, self.offset_rest))
+        return ContactSystem(self.unknowns * count, offset, felt, ends, place=place, offset_rest=rest)
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """Return the change of the slips that a change of the spins makes, (d, n), of n contacts with up to d
@@ -305,6 +308,15 @@ class ContactSystem:
         spins : (unknowns,), values of the unknown spins.
         """
         return self.change(spins) + self.offset
+
+    def precise_differences(self, spins: Pair) -> np.ndarray:
+        """Return the slips (d, n) of n contacts with up to d components, so exactly that even a slip far below the
+        rounding of the spins has most of its digits, where each slip is a difference of two unknowns.
+
+        spins : (unknowns,), values of the unknown spins as sums of two doubles.
+        """
+        rest = self.change(spins[1])
+        return self.differences(spins[0]) + (rest if self.offset_rest is None else rest + self.offset_rest)
 
     def torques(self, forces: np.ndarray) -> np.ndarray:
         """Return the torques (unknowns,) that contact forces exert: K^T times the forces, where K is the matrix that
@@ -442,7 +454,9 @@ def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndar
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 
 
-def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:
+def lattice_system(
+    lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray, jump_rest: np.ndarray | None = None
+) -> ContactSystem:
     """Return the system of all contacts of a lattice that can slip, with slips as differences of staggered spins: spins
     with their sign flipped on every second sphere.
 
@@ -450,6 +464,7 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
     spin_axes : numbers of the C spin components that are unknown. The number of an unknown is that of its free sphere
         times C, plus the position of its component in `spin_axes`.
     jump : (C, *plane), staggered spin of the top, measured from the bottom; (C,) if it is the same on the whole top.
+    jump_rest : of the same shape, what the rounding of `jump` leaves out; None for nothing.
     """
     sphere, unknowns = number_free(lattice.shape), int(np.prod(lattice.free_shape)) * len(spin_axes)
     is_top = np.zeros(lattice.shape, dtype=bool)
@@ -457,8 +472,13 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
     contact, slot, felt = slipping_components(lattice.tangential_mask(spin_axes) & ~lattice.between_driven)
     sphere_at = sphere.ravel()[lattice.ends][:, None, contact]
     ends = np.where((sphere_at >= 0) & felt, sphere_at * len(spin_axes) + slot, -1)
-    imposed = np.broadcast_to(jump.reshape(len(jump), -1), (len(jump), lattice.sites // lattice.shape[-1]))
     rises = is_top.ravel()[lattice.ends[1][contact]]
-    offset = np.where(felt & rises, imposed[slot, lattice.column[contact]], 0.0)
+
+    def of_rows(imposed: np.ndarray) -> np.ndarray:
+        """Return what spins of the top, `imposed` (C, *plane) or (C,), contribute to the slips: (d, n)."""
+        of_columns = np.broadcast_to(imposed.reshape(len(jump), -1), (len(jump), lattice.sites // lattice.shape[-1]))
+        return np.where(felt & rises, of_columns[slot, lattice.column[contact]], 0.0)
+
+    offset, rest = of_rows(jump), None if jump_rest is None else of_rows(jump_rest)
     place = np.repeat(np.indices(lattice.free_shape).reshape(lattice.dimension, -1), len(spin_axes), axis=1)
-    return ContactSystem(unknowns, offset, felt, ends, contact=contact, slot=slot, place=place)
+    return ContactSystem(unknowns, offset, felt, ends, contact=contact, slot=slot, place=place, offset_rest=rest)

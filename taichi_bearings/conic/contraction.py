@@ -14,7 +14,7 @@ import numpy as np
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.cholesky.fronts import coupled
-from taichi_bearings.numerics.double_double import Pair, two_sum
+from taichi_bearings.numerics.double_double import Pair, add, subtract, two_sum
 
 # number of unknowns from which a sample has an order of its own, and of a region that then is not divided
 OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = 2_000, 20
@@ -86,7 +86,7 @@ class Contraction:
         ones make their two ends equal, are left out as well.
     unknowns : number of sets.
     number : (spins,), index of the set of each spin, -1 if the set is tied to a driven plane.
-    imposed : (spins,), spin of the driven plane where `number` is -1, else 0.
+    imposed : (spins,), spin of the driven plane where `number` is -1, else 0; a sum of two doubles.
     owners : the sample of each new unknown and of each contact left.
     contradicts : (samples,) mask, True where tied contacts join driven planes that turn differently, which cannot be.
     """
@@ -114,21 +114,21 @@ class Contraction:
         samples : number of samples, of equal size.
         """
         assert whole.ends is not None
-        (below, above), offset = whole.ends[:, :, tied], whole.offset[:, tied]
+        (below, above), offsets = whole.ends[:, :, tied], [part[:, tied] for part in _offset(whole)]
         # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
         up, down = (below >= 0) & (above < 0), (above >= 0) & (below < 0)
-        imposed, value = np.append(below[up], above[down]), np.append(offset[up], -offset[down])
+        imposed, values = np.append(below[up], above[down]), [np.append(of[up], -of[down]) for of in offsets]
         count, label = whole.pieces(tied)
-        imposed_value, owner = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
+        imposed_values, owner = np.zeros((2, count)), np.zeros(count, dtype=np.int64)
         owner[label] = np.arange(whole.unknowns) // max(whole.unknowns // samples, 1)
-        held = label[imposed]
-        imposed_value[held] = value
-        self.contradicts = np.zeros(samples, dtype=bool)
-        self.contradicts[owner[held[imposed_value[held] != value]]] = True
-        is_free = np.isnan(imposed_value)
+        held, is_free = label[imposed], np.ones(count, dtype=bool)
+        is_free[held], self.contradicts = False, np.zeros(samples, dtype=bool)
+        for of_sets, value in zip(imposed_values, values, strict=True):
+            of_sets[held] = value
+            self.contradicts[owner[held[of_sets[held] != value]]] = True
         number = np.where(is_free, np.cumsum(is_free) - 1, -1)
-        self.unknowns, self._owner = int(is_free.sum()), owner[is_free]
-        self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
+        self.unknowns, self._owner, self.number = int(is_free.sum()), owner[is_free], number[label]
+        self.imposed: Pair = (imposed_values[0][label], imposed_values[1][label])
 
     def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
         """Return the contacts that can still slip after others were tied: their indices (q,) in the system `whole`, and
@@ -140,12 +140,18 @@ class Contraction:
         """
         assert whole.ends is not None
         ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
-        (below, above), imposed = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
-        offset, same = whole.offset[:, places] + imposed[1] - imposed[0], below == above
+        (below, above), imposed = np.append(self.number, -1)[ends], [np.append(of, 0.0)[ends] for of in self.imposed]
+        offset, rest = _offset(whole)
+        offset, rest, same = offset[:, places], rest[:, places], below == above
+        of_driven = np.nonzero((imposed[0] != 0).any(axis=0))
+        (low, low_rest), (high, high_rest) = ([of[end][of_driven] for of in imposed] for end in range(2))
+        jump = subtract((high, high_rest), (low, low_rest))
+        offset[of_driven], rest[of_driven] = add((offset[of_driven], rest[of_driven]), jump)
         left = np.flatnonzero((~same | (offset != 0)).any(axis=0))
         ends = np.where(same, -1, np.stack([below, above]))[:, :, left]
         kept = places[left]
-        return kept, ContactSystem(self.unknowns, offset[:, left], whole.felt[:, kept], ends)
+        offset_rest = None if whole.offset_rest is None else rest[:, left]
+        return kept, ContactSystem(self.unknowns, offset[:, left], whole.felt[:, kept], ends, offset_rest=offset_rest)
 
     @property
     def heads(self) -> np.ndarray:
@@ -207,7 +213,7 @@ class Contraction:
         spins : (unknowns,), one for each set; sums of two doubles, as is the result.
         """
         high, low = (np.append(part, 0.0)[self.number] for part in spins)  # number is -1 where a spin is imposed
-        return high + self.imposed, low
+        return high + self.imposed[0], low + self.imposed[1]
 
     def differences(self, spins: Pair) -> np.ndarray:
         """Return the slips (d, contacts left) of the contacts that are not tied, so exactly that even the smallest one
@@ -219,7 +225,14 @@ class Contraction:
         rounding of the low parts. Slips that were followed on their own would not, and contacts at rest would seem to
         slip by what is missing.
         """
-        return self.system.differences(spins[0]) + self.system.change(spins[1])
+        return self.system.precise_differences(spins)
+
+
+def _offset(system: ContactSystem) -> Pair:
+    """Return what imposed spins contribute to the slips of a system, (d, n) of n contacts with up to d slip components,
+    as a sum of two doubles."""
+    rest = np.zeros_like(system.offset) if system.offset_rest is None else system.offset_rest
+    return system.offset, rest
 
 
 def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: slice | None = None) -> np.ndarray:

@@ -76,7 +76,8 @@ class LastDecades:
         before : the point one Newton step before, None if unknown.
         matrix : Newton matrix of the system of contacts.
         """
-        path = cls(iterate, exactly(iterate.spins), iterate.system.differences(iterate.spins), matrix)
+        spins = exactly(iterate.spins)
+        path = cls(iterate, spins, iterate.system.precise_differences(spins), matrix)
         if before is not None:
             path._ratios, path._product = before.slip_over_margin, before.complementarity
         return path

@@ -43,7 +43,6 @@ def polished(
     matrix: NewtonMatrix,
     strengths: Strengths,
     spins: Pair,
-    top: Pair | None,
     chosen: np.ndarray,
 ) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
     """Return spins, slips and forces near the given ones, with all torques in balance to twice the precision.
@@ -52,17 +51,16 @@ def polished(
     matrix : Newton matrix of the system `tied.system`.
     strengths : friction and viscosity (n,) of the contacts left; no viscosity: None.
     spins : (unknowns left,), where to begin.
-    top : for each unknown of a sample the imposed spin of the top above it; None where imposed spins are doubles.
     chosen : (samples,) mask of the samples to try.
     returns : spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
         n); mask (samples,) of the chosen samples in which it succeeds and no slip has become 0.
 
     Letters: n contacts with up to d slip components.
     """
-    system = _PreciseSystem(tied, top)
+    system = _PreciseSystem(tied)
     # the small parts of the given spins may be larger than the rounding of the large ones
     balanced, slips, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen)
-    return system.expanded(balanced), slips[0], -_along(strengths[0], slips)[0], fine
+    return tied.expanded(balanced), slips[0], -_along(strengths[0], slips)[0], fine
 
 
 def _balanced(
@@ -112,35 +110,19 @@ class _PreciseSystem:
     two ends are made equal, as one unknown; n contacts with up to d slip components are left.
 
     contracted : the contacts that are left; its unknowns are sets of tied spins. owners : sample of each of them.
-    top : (spins,), for each single spin the imposed spin of the top above it, sum of two doubles; None where imposed
-        spins are doubles.
-    imposed : places in (d, n) where imposed spins contribute to the slips, and how much, as sums of two doubles: -1 or
-        1 times the jump.
+    imposed : places in (d, n) where imposed spins contribute to the slips, as two arrays of indices, and how much, as
+        sums of two doubles.
     """
 
-    def __init__(self, tied: Contraction, top: Pair | None) -> None:
+    def __init__(self, tied: Contraction) -> None:
         """Find where imposed spins contribute to the slips of the contacts that are left.
 
         tied : the contacts that are left when others were tied, and their unknowns, one for each set of tied spins.
-        top : for each unknown of a sample the imposed spin of the top above it, a sum of two doubles; None where
-            imposed spins are doubles.
         """
-        self.contracted, self.owners, self._tied = tied.system, tied.owners, tied
-        self.top = top and (np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number)))
-        self.imposed = self._imposed()
-
-    def _imposed(self) -> tuple[tuple[np.ndarray, ...], Pair]:
-        """Return where in slips (d, n) imposed spins contribute, as indices, and how much, as sums of two doubles: -1
-        or 1 times the jump between bottom and top.
-        """
-        offset = self.contracted.offset
-        places = np.nonzero(offset)
-        if self.top is None:
-            return places, exactly(offset[places])
-        assert self._tied.whole.ends is not None
-        spin = self._tied.whole.ends.max(axis=0)[:, self._tied.kept][places]
-        times = _multiples(offset[places], self.top[0][spin])
-        return places, (times * self.top[0][spin], times * self.top[1][spin])
+        self.contracted, self.owners = tied.system, tied.owners
+        places, rest = np.nonzero(tied.system.offset), tied.system.offset_rest
+        high = tied.system.offset[places]
+        self.imposed = places, (exactly(high) if rest is None else (high, rest[places]))
 
     def differences(self, unknown: Pair) -> Pair:
         """Return the slips (d, n) as sums of two doubles, from the unknowns (unknowns,). Letters: n contacts with up to
@@ -171,27 +153,6 @@ class _PreciseSystem:
             rest = rest - leading
             largest = largest * 2.0 ** (SUM_BITS - 52)
         return total + self.contracted.torques(rest + pulls[1])
-
-    def expanded(self, unknown: Pair) -> Pair:
-        """Return the spins (unknowns,) of the whole system: equal within each set of tied spins, and exactly the
-        imposed ones where a set is tied to a driven plane.
-
-        unknown : (unknowns left,). Both are sums of two doubles.
-        """
-        if self.top is None:
-            return self._tied.expanded(unknown)
-        times = _multiples(self._tied.imposed, self.top[0])
-        high, low = (np.append(part, 0.0)[self._tied.number] for part in unknown)
-        return high + times * self.top[0], low + times * self.top[1]
-
-
-def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
-    """Return the whole numbers by which the jump (difference of the imposed spins of top and bottom) has to be
-    multiplied to give some values; 0 where the jump is 0.
-
-    values, jump : arrays of one shape.
-    """
-    return np.rint(np.divide(values, jump, out=np.zeros_like(values), where=jump != 0))
 
 
 def _forces(strengths: Strengths, difference: Pair) -> Pair:

@@ -158,14 +158,11 @@ class Surroundings:
     system : the contacts of one sample, as a function of its unknown spins.
     order : (unknowns,), numbers of the unknowns in the order in which a factorisation eliminates them.
     newton : Newton matrix of one sample, or of several at once; None where nothing has to be solved.
-    top : for each spin of a sample the imposed spin of the top sphere above it, as a sum of two doubles; None where
-        imposed spins are doubles.
     """
 
     system: ContactSystem
     order: np.ndarray
     newton: NewtonMatrix | None
-    top: Pair | None
 
     @property
     def matrix(self) -> NewtonMatrix:
@@ -414,7 +411,7 @@ def _smooth_minima(
     for _ in range(NEWTON_TRIALS if numbers else 0):
         trial = _SmoothPower([iterates[number] for number in numbers], slipping, shared)
         at_rest = trial.descend((np.concatenate([s[0] for s in spins]), np.concatenate([s[1] for s in spins])))
-        for number, resolved in zip(numbers, trial.resolved(shared.top), strict=True):
+        for number, resolved in zip(numbers, trial.resolved(), strict=True):
             found[number] = resolved
         again = np.flatnonzero(trial.tied.owners.any(at_rest)).tolist()
         if not again:
@@ -513,17 +510,14 @@ class _SmoothPower:
         each, along its slip. Letters: d slip components."""
         return -self.friction * self.difference / length(self.difference)
 
-    def resolved(self, top: Pair | None) -> list[Resolved | None]:
+    def resolved(self) -> list[Resolved | None]:
         """Return the minimum of each sample: None where torques do not balance; in twice the precision where that is
         reached, else in doubles.
-
-        top : for each spin of a sample the imposed spin of the top above it, as a sum of two doubles; None where
-            imposed spins are doubles.
         """
         if not self.balanced.any():
             return [None] * self.samples
         (spins, rest), difference, dual, fine = polished(
-            self.tied, self.matrix, (self.friction, self.viscosity), self.spins, top, self.balanced
+            self.tied, self.matrix, (self.friction, self.viscosity), self.spins, self.balanced
         )
         # the minima in twice the precision; in doubles, for samples that are not `fine`: where that was not reached
         rests = np.split(rest, self.samples)

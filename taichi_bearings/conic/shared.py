@@ -18,6 +18,7 @@ from taichi_bearings.conic.resolution import Surroundings
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Engine, dissect
 from taichi_bearings.numerics.cholesky.tuning import LAUNCH_UNKNOWNS
+from taichi_bearings.numerics.double_double import Pair
 from taichi_bearings.scene.bearing import Bearing
 
 KEPT_UNKNOWNS = 30_000  # from so many unknowns on the matrix of a network is not kept for its other samples (memory)
@@ -103,7 +104,7 @@ def surroundings_of(system: ContactSystem) -> Surroundings:
     return found
 
 
-def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: np.ndarray, small: bool) -> Surroundings:
+def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: Pair, small: bool) -> Surroundings:
     """Return what all samples of a lattice share: contact system over staggered spins, order of elimination, and Newton
     matrix; no matrix if top and bottom have the same spins, so that nothing has to be solved.
 
@@ -111,17 +112,19 @@ def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: n
 
     lattice : the spheres and contacts.
     spin_axes : numbers of the axes of the C spin components that are computed.
-    top : (C, *plane), imposed spins of the top plane less those of the bottom, in the unit of spins on the path.
+    top : (C, *plane), imposed spins of the top plane less those of the bottom, in the unit of spins on the path, as
+        sums of two doubles.
     small : True to factorise several samples in one launch.
     """
 
     def make() -> Made:
         """Return the contact system, order of elimination and Newton matrix, newly made."""
-        system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
-        matrix = NewtonMatrix(system, order, engine=Engine.LAUNCH if small else None) if top.any() else None
-        return system, Surroundings(system, order, matrix, None)
+        system = lattice_system(lattice, spin_axes, top[0], top[1] if top[1].any() else None)
+        order = dissect(lattice, spin_axes)
+        matrix = NewtonMatrix(system, order, engine=Engine.LAUNCH if small else None) if top[0].any() else None
+        return system, Surroundings(system, order, matrix)
 
-    system, found = last.find((lattice, spin_axes, small), (top,), make)
+    system, found = last.find((lattice, spin_axes, small), top, make)
     assert found is not None
     if system.unknowns >= KEPT_UNKNOWNS:
         last.forget()
@@ -147,4 +150,4 @@ def _made(rows: ContactSystem) -> Surroundings:
     rows : the contacts over the unknowns that are solved for.
     """
     order = order_by_place(rows)
-    return Surroundings(rows, order, NewtonMatrix(rows, order, engine=Engine.LAUNCH if is_small(rows) else None), None)
+    return Surroundings(rows, order, NewtonMatrix(rows, order, engine=Engine.LAUNCH if is_small(rows) else None))

@@ -5,7 +5,6 @@ Letters: R samples, E contacts of the lattice, n contacts among them that a free
 """
 
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
@@ -81,12 +80,9 @@ class LatticePaths(Paths):
         top, self.unit = scene.driving.top_in_units(spin_axes), float(scene.driving.unit[0][0])
         self.frustrated = bool(top[0].any())
         small = scene.lattice.sites < BATCHED_SITES  # samples so small are stepped several at a time
-        shared = surroundings_of_lattice(scene.lattice, spin_axes, top[0], small)
+        shared = surroundings_of_lattice(scene.lattice, spin_axes, top, small)
         self.system = shared.system
-        sphere = (len(spin_axes), 1, *scene.lattice.shape)
-        # spin of the top above each free sphere, as a pair of doubles
-        high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)
-        super().__init__(replace(shared, top=(high, low)), scene.lattice.sites, small, settles=True, asked=settle)
+        super().__init__(shared, scene.lattice.sites, small, settles=True, asked=settle)
         if self.frustrated:
             together = LANES if small and scene.replicas > 1 else 1
             compile_passes(together)  # all before the clock starts, but for what a last sample needs if left alone

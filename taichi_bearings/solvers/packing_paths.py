@@ -106,7 +106,7 @@ class PackingPaths(Paths):
             shared = surroundings_of(system)
             path = shared.system.in_units(self.fastest)
         else:  # no path, so that neither order nor matrix is used
-            shared, path = Surroundings(system, np.zeros(0, dtype=int), None, None), system
+            shared, path = Surroundings(system, np.zeros(0, dtype=int), None), system
         settles, spheres = path.sign is not None, len(np.unique(system.sphere))
         super().__init__(replace(shared, system=path), spheres, is_small(path), settles)
         self.samples = [_begun(system, path, of, shared.matrix) for of in self.strengths.values()]

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from taichi_bearings.conic import polish
+from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
 from tests.proof.laboratory import Laboratory, dot
 from tests.proof.samples import samples_of
@@ -97,6 +99,34 @@ def test_slips_have_all_their_digits_where_polishing_ends_early(seed, monkeypatc
     assert np.allclose(early.slip, late.slip, rtol=1e-14, atol=0)
 
 
+def test_slips_have_their_digits_where_the_jump_is_no_double():
+    """Spins within 1e-17 of those of the top, 1 / sqrt(2) as a sum of two doubles, against exact fractions."""
+    lattice, rng = Lattice((3, 4, 5)), np.random.default_rng(4)
+    jump = divide(exactly(np.ones(1)), square_root(exactly(np.full(1, 2.0))))
+    system = lattice_system(lattice, (0, 1), *(np.full(2, part[0]) for part in jump))
+    tied = Contraction(system, np.arange(system.unknowns), rng.uniform(size=system.offset.shape[1]) < 0.3)
+    assert (tied.number < 0).any()
+    assert tied.unknowns > 5
+    spins = np.full(tied.unknowns, jump[0][0]), jump[1][0] + rng.uniform(-1e-19, 1e-19, tied.unknowns)
+    high, low = tied.expanded(spins)
+    top, found = exact(jump, 0), tied.differences(spins)
+    of_sphere = dict(enumerate(zip(high.reshape(-1, 2), low.reshape(-1, 2), strict=True)))
+    for contact, slips in zip(tied.kept, found.T, strict=True):
+        lower, upper = (np.unravel_index(end[system.contact[contact]], lattice.shape) for end in lattice.ends)
+        for component, slip in zip(system.slot[:, contact], slips, strict=True):
+            ends = []
+            for site in (lower, upper):
+                if site[-1] in (0, lattice.shape[-1] - 1):
+                    ends.append(top if site[-1] else Fraction(0))
+                else:
+                    ends.append(
+                        exact(of_sphere[np.ravel_multi_index((*site[:2], site[2] - 1), lattice.free_shape)], component)
+                    )
+            along = int(np.argmax(np.subtract(upper, lower)))
+            true = 0 if component == along else ends[1] - ends[0]
+            assert abs(Fraction(slip) - true) <= abs(true) * Fraction(1, 10**12)
+
+
 def test_contacts_that_join_both_planes_cannot_all_be_tied():
     from tests.conic.test_slipless_forces import BOTTOM, TOP, chain
 
@@ -105,4 +135,4 @@ def test_contacts_that_join_both_planes_cannot_all_be_tied():
     tied = Contraction(system.copies(3), order, np.concatenate([one, both, one]), samples=3)
     assert tied.contradicts.tolist() == [False, True, False]
     assert tied.number.tolist() == [-1, -1, -1]
-    assert (tied.imposed[[0, 2]] == 0).all()
+    assert (np.array(tied.imposed)[:, [0, 2]] == 0).all()
