@@ -92,6 +92,15 @@ def keep_freed() -> None:
         mallopt(option, size)
 
 
+def give_back_freed() -> None:
+    """Have the C library give the memory that arrays have left free back to the system, before much is needed at once.
+
+    Without the GNU library nothing changes.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 def refuse_before(needed: float, what: str) -> None:
     """Raise NotEnoughMemory if `needed` bytes, an estimate that may be too low by ESTIMATE_MARGIN, are not free.
     what : what needs them, for the message."""

@@ -21,7 +21,7 @@ from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels import elimination, substitution
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.launch import prepared
-from taichi_bearings.memory import aligned_zeros, refuse_beyond
+from taichi_bearings.memory import aligned_zeros, give_back_freed, refuse_beyond
 from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.dense import DOUBLE_BYTES, DenseFront
 from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, SparsePattern, analyse
@@ -84,6 +84,8 @@ class Memory:
         self.changes += 1
         if len(self._numbers) < size:
             self._numbers = np.zeros(0)
+            if size > tuning.HUGE_FACTOR_NUMBERS:
+                give_back_freed()
             refuse_beyond(8 * size, what)
             self._numbers = aligned_zeros(size, LANES)
         return self._numbers

@@ -78,8 +78,12 @@ class Layout:
         updates = update_size(self.border, self.update_height)
         branches = _branches(pattern) if apart else np.zeros((0, 2), dtype=np.int64)
         batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1, branches)
-        places, peak = _places_with_branches(pattern.parent, updates, batches, branches)
-        self.update, self.size = ends[-1] + places, int(ends[-1]) + peak + unit  # kernels read up to a vector more
+        places, extents = _places_with_branches(pattern.parent, updates, batches, branches)
+        # Updates are counted from the far end of the memory, so they may lie where the columns of fronts that are
+        # worked on later come to lie: memory has to hold, for each batch, the columns up to then and its updates.
+        used = np.maximum.accumulate([ends[of].max() for of in batches])
+        end = int((used + whole(extents, unit)).max())
+        self.update, self.size = end - places - updates, end + unit  # kernels read up to a vector more
         if self.size > tuning.MOST_FACTOR_NUMBERS:
             raise MemoryError(
                 f"the sample is too large: its matrix factorisation needs {self.size} numbers, "
@@ -269,9 +273,9 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray
 
 def _places_with_branches(
     parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray], branches: np.ndarray
-) -> tuple[np.ndarray, int]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; and
-    the most doubles of it that are in use at one time.
+    for each batch, (batches,), how many doubles from there on are in use while it is worked on.
 
     parent : (fronts,) index of the front above each, or -1.
     size : (fronts,) doubles of each update.
@@ -286,23 +290,25 @@ def _places_with_branches(
         above[above == end - 1 - first] = -1
         alone = [np.array([n]) for n in range(end - 1 - first)]
         # updates that the last front takes stay until it does
-        inside[first : end - 1], scratch[number], _ = _places(above, short, alone, np.zeros(len(alone), dtype=np.int64))
+        inside[first : end - 1], within, _ = _places(above, short, alone, np.zeros(len(alone), dtype=np.int64))
+        scratch[number] = within.max(initial=0)
     of_branch = _branch_of(len(size), branches)
-    within = [np.unique(of_branch[members]) if of_branch[members[0]] >= 0 else branches[:0, 0] for members in batches]
-    lengths = np.array([scratch[own].sum() for own in within])
-    places, peak, starts = _places(parent, lasting, batches, lengths)
-    for start, own in zip(starts.tolist(), within, strict=True):
+    of_batch = [np.unique(of_branch[members]) if of_branch[members[0]] >= 0 else branches[:0, 0] for members in batches]
+    lengths = np.array([scratch[own].sum() for own in of_batch])
+    places, extents, starts = _places(parent, lasting, batches, lengths)
+    for start, own in zip(starts.tolist(), of_batch, strict=True):
         for number, begin in zip(own.tolist(), (start + np.cumsum(scratch[own]) - scratch[own]).tolist(), strict=True):
             first, end = branches[number]
             places[first : end - 1] = begin + inside[first : end - 1]
-    return places, peak
+    return places, extents
 
 
 def _places(
     parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray], scratch: np.ndarray
-) -> tuple[np.ndarray, int, np.ndarray]:
-    """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; the
-    most doubles of it that are in use at one time; and where each batch has its scratch memory, (batches,).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; for
+    each batch, (batches,), how many doubles from there on are in use while it is worked on; and where each batch has
+    its scratch memory, (batches,).
 
     The update of a front is the matrix that its elimination adds to that of the later unknowns it is coupled to. It
     lies there until the front above has taken it. Memory is taken at the first free stretch that is long enough.
@@ -312,9 +318,9 @@ def _places(
     batches : for each batch the indices of its fronts, which are worked on at once; children come first.
     scratch : (batches,) doubles that each batch needs besides, while it is worked on.
     """
-    places, free, peak = np.empty(len(size), dtype=np.int64), [(0, ENDLESS)], 0  # starts and lengths, never touching
+    places, free = np.empty(len(size), dtype=np.int64), [(0, ENDLESS)]  # starts and lengths, never touching
     batch, waiting = np.full(len(size) + 1, len(batches)), [list[tuple[int, int]]() for _ in range(len(batches) + 1)]
-    starts = np.empty(len(batches), dtype=np.int64)
+    starts, extents = np.empty((2, len(batches)), dtype=np.int64)
     for number, members in enumerate(batches):
         batch[members] = number
     for number, members in enumerate(batches):
@@ -324,11 +330,8 @@ def _places(
         which = next(i for i, (_, stretch) in enumerate(free) if stretch >= length)
         start, whole_length = free[which]
         free[which : which + 1] = [(start + length, whole_length - length)] if whole_length > length else []
-        peak, places[members], starts[number] = (
-            max(peak, start + length),
-            start + ends - size[members],
-            start + ends[-1],
-        )
+        extents[number] = max(free[-1][0], start + length)  # behind the last free stretch nothing is in use
+        places[members], starts[number] = start + ends - size[members], start + ends[-1]
         waiting[number].append((int(starts[number]), int(scratch[number])))
         taken_by = batch[parent[members]]  # where there is no parent, no batch takes it
         cuts = np.flatnonzero(np.diff(taken_by)) + 1
@@ -342,7 +345,7 @@ def _places(
                 if free and sum(free[-1]) == start:
                     start, length = free[-1][0], free.pop()[1] + length
                 free.append((start, length))
-    return places, peak, starts
+    return places, extents, starts
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:

@@ -8,7 +8,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky.dissection import Region, divide
 from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LEAF_UNKNOWNS
 
-JOINED = 2.1  # measured: so much more of updates is alive, as fronts are joined and branches go side by side
+JOINED = 1.9  # measured: so much more of updates is alive, as fronts are joined and branches go side by side
 Tree = tuple[float, float, tuple[float, ...]]
 """What a region of the lattice takes, in doubles: its factor; the update matrices that are alive at one time, at most;
 all update matrices at each depth of its dissection, the region's own first. (An update matrix is what the elimination
