@@ -32,6 +32,8 @@ class LightestCuts:
         light as the lightest one, or heavier by no more than the slack that the caller of `lightest_cuts` allows.
     above : (nodes,) True on the last node's side, for the lightest cut with the fewest nodes on the other side.
     some, every : (edges,) True for edges with capacity that belong to some lightest cut, or to every one (no slack).
+    residual : directed graph (nodes, nodes) of the arcs with capacity left. A lightest cut that has node i on the side
+        of the first node has every node there that i reaches along these arcs.
     """
 
     near: np.ndarray
@@ -39,6 +41,7 @@ class LightestCuts:
     above: np.ndarray
     some: np.ndarray
     every: np.ndarray
+    residual: csr_array
 
     @property
     def between(self) -> np.ndarray:
@@ -104,7 +107,7 @@ def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: fl
     within = (
         (within_reach(pairs, left, 0, slack), within_reach(pairs, left[::-1], last, slack)) if slack else (near, far)
     )
-    return LightestCuts(*within, ~near, some, every)
+    return LightestCuts(*within, ~near, some, every, arcs)
 
 
 def cuts_between(

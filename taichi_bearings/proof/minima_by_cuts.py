@@ -23,8 +23,16 @@ The proof
 4. Where cuts tie, the contacts that are left are decided in whole numbers (numerics/exact_cuts.py): which are in all
    lightest cuts, in some, in none.
 
+5. At a minimum each step has a lightest cut, and each is contained in that of the step below. Any lightest cut of one
+   step goes with such cuts of the others (the union and the intersection of lightest cuts of two steps are lightest
+   ones), and so does the smallest of those that leave out a contact. So a contact is tied if it is in some lightest cut
+   of a step and in all of them at no step.
+
 Where loops have an odd number of contacts no signs fit. Then every sphere has two nodes, u and -u, and every contact
-two edges (double cover); both together have twice the excess.
+two edges (double cover); both together have twice the excess. Minima are those of the double cover in which the two
+nodes of a sphere have opposite values: the mean of any minimum and of its mirror image is one. A contact slips in it if
+either of its edges does. So it slips at every minimum if at some step every lightest cut has one of its two edges, this
+or that one. A sphere at rest, u = 0, is the common case: its nodes may both be above or both below.
 
 Example. A chain bottom - a - b - top of discs whose contacts have mu F_n = 3, 1, 2, and one step of 1. Friction in
 balance is 1 everywhere, so E = 0 at the minimum, and mu F_n - f = 2, 0, 1. "Above" follows from a to bottom and from
@@ -34,6 +42,7 @@ top to b, so a is below and b above: only the contact a - b slips, at every mini
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from math import prod
 
 import numpy as np
@@ -49,6 +58,7 @@ from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 NEARLY_LEAST = 1e-9  # excess over the power, up to which cuts are counted in whole numbers
 MOST_COUNTED = 40_000  # most contacts of a sample for which that is done
 MOST_LEVELS = 100  # most steps between imposed values of a part that are looked at, the largest ones
+MOST_SOUGHT = 300  # most nodes from which a search of all that follows is begun
 
 
 @dataclass(frozen=True)
@@ -137,78 +147,138 @@ def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
 
     * SLIPPING if for some step it is between the sides of every lightest cut;
     * SLIPLESS if for all steps it is within one side of every lightest cut;
-    * TIED if there is one step only, and it is in some of its lightest cuts, but not in all;
+    * TIED if for some step it is between the sides of some lightest cuts, and for no step of all;
     * UNDECIDED if stored friction and excess of power do not tell.
 
     bounds : the network, its friction, and the excess of the power over what the friction proves."""
     network, graph = bounds.network, CutGraph.of(bounds, k)
-    own, low, high, label, node = graph.own, graph.low, graph.high, graph.label, graph.node
-    sample, part, size, copies = network.sample_of(own), label[node], len(label), 1 + graph.is_double
+    own, label, node = graph.own, graph.label, graph.node
+    part, size = label[node], len(label)
     # Steps between successive imposed values of a part, and their rank by size in each part, the largest first.
     step = graph.value[1:] - graph.value[:-1]
     differs = (graph.value.high[1:] != graph.value.high[:-1]) | (graph.value.low[1:] != graph.value.low[:-1])
     steps = np.flatnonzero(differs & (part[1:] == part[:-1]))
     steps = steps[np.lexsort((-step.high[steps], part[steps]))]
     rank = np.arange(len(steps)) - np.searchsorted(part[steps], part[steps])
-    # For each edge: the sum of the sizes of the steps at which it may slip; whether it is surely on one side of all
-    # lightest cuts of a step; whether it slips, or is tied; whether its part has one step alone.
-    open_ = np.bincount(part[steps], np.where(rank < MOST_LEVELS, 0.0, step.most[steps]), size)[label[low]]
-    alike, slips, tied = (np.full(len(low), of) for of in (True, False, False))
-    once = (np.bincount(part[steps], minlength=size) == 1)[label[low]]
+    unknown = np.isin(label[graph.low[: len(own)]], part[steps[rank >= MOST_LEVELS]])
+    slips, tied = np.zeros((2, len(own)), dtype=bool)
     for number in range(min(int(rank.max(initial=-1)) + 1, MOST_LEVELS)):
-        # One step of each part at a time: where it begins in the list of driven nodes, and bounds of its size.
+        # One step of each part at a time: where it begins in the list of driven nodes, and a lower bound of its size.
         mine = steps[rank == number]
-        begin, most, least = np.full(size, len(node)), np.zeros(size), np.zeros(size)
-        begin[part[mine]], most[part[mine]], least[part[mine]] = mine, step.most[mine], step[mine].lower()
-        margin = copies * np.tile(bounds.excess[sample], copies) / np.maximum(least[label[low]], 0.0) * UP
-        follows = graph.follows(margin)
-        # Nodes above and below every lightest cut, as they follow from driven ones; then edges on one side, and across.
-        together = connected_components(follows, directed=True, connection="strong")[1]
-        place, known = np.arange(len(node)), begin[part] < len(node)
-        above = reached(follows, node[known & (place > begin[part])])
-        below = reached(follows.T.tocsr(), node[known & (place <= begin[part])])
-        alike = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
-        apart = (above[low] & below[high]) | (below[low] & above[high])
-        if not (graph.is_double or (alike | apart).all()):
-            near, some, every = _in_whole_numbers(bounds, own, np.stack([low, high]), above, below)
-            alike[near], apart[near] = ~some, every
-            tied[near] |= some & ~every & once[near]
-        slips |= apart
-        open_ = open_ + np.where(alike, 0.0, most[label[low]])
-    slips, tied, open_ = slips[: len(own)], tied[: len(own)], open_[: len(own)]
+        begin, least = np.full(size, len(node)), np.zeros(size)
+        begin[part[mine]], least[part[mine]] = mine, step[mine].lower()
+        rests, parted, both = _at_one_step(bounds, graph, begin, np.maximum(least, 0.0))
+        slips, tied, unknown = slips | parted, tied | both, unknown | ~(rests | parted | both)
     states = np.where(network.acts & network.counts & network.feels[k], UNDECIDED, SLIPLESS)
-    states[own] = np.select([slips, tied, open_ == 0], [SLIPPING, TIED, SLIPLESS], UNDECIDED)
+    states[own] = np.select([slips, unknown, tied], [SLIPPING, UNDECIDED, TIED], SLIPLESS)
     return states
 
 
+def _at_one_step(
+    bounds: Bounds, graph: CutGraph, begin: np.ndarray, least: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Say of each of m contacts where it lies in the lightest cuts of one step between imposed values. Returns three
+    masks (m,): it is in none of them; it is in all; it is in some and not in others. None is True where that is not
+    known.
+
+    With two nodes for each sphere a contact is "in" a cut if one of its two edges is.
+
+    bounds : the network, its friction, and the excess of each sample.
+    graph : the graph with its m contacts.
+    begin : (nodes,), for each connected part (by its label) the index in `graph.node` of the driven node below the
+        step; the number of driven nodes for parts without a step.
+    least : (nodes,), lower bound of the size of the step of each part, by its label."""
+    low, high, label, count = graph.low, graph.high, graph.label, len(graph.own)
+    copies = 1 + graph.is_double
+    with np.errstate(divide="ignore"):
+        margin = copies * np.tile(bounds.excess[bounds.network.sample_of(graph.own)], copies) / least[label[low]] * UP
+    follows = graph.follows(margin)
+    # Nodes above and below every lightest cut, as they follow from driven ones; then edges on one side, and across.
+    together = connected_components(follows, directed=True, connection="strong")[1]
+    place, known = np.arange(len(graph.node)), begin[label[graph.node]] < len(graph.node)
+    above = reached(follows, graph.node[known & (place > begin[label[graph.node]])])
+    below = reached(follows.T.tocsr(), graph.node[known & (place <= begin[label[graph.node]])])
+    alike = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
+    parted = (above[low] & below[high]) | (below[low] & above[high])
+    rests, both = alike[:count] & alike[-count:], np.zeros(count, dtype=bool)
+    parted = parted[:count] | parted[-count:]
+    if graph.is_double:
+        left = np.flatnonzero(~(rests | parted))
+        edges = np.stack([low, high]).reshape(2, 2, count)[:, :, left]
+        parted[left] = _in_either_copy(follows, together, above, below, edges)[0]
+    if not (rests | parted).all():
+        near, some, every = _in_whole_numbers(bounds, graph, together, above, below)
+        rests[near], parted[near], both[near] = ~some, every, some & ~every
+    return rests, parted, both
+
+
 def _in_whole_numbers(
-    bounds: Bounds, own: np.ndarray, ends: np.ndarray, above: np.ndarray, below: np.ndarray
+    bounds: Bounds, graph: CutGraph, together: np.ndarray, above: np.ndarray, below: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Decide with whole numbers, and so exactly, which contacts belong to lightest cuts, where several cuts have
     (nearly) the same weight.
 
-    A cut divides the spheres into two sides; its weight is the sum of the friction limits of the contacts between them.
-    Only contacts are decided that have an end which is neither in `above` nor in `below`. Samples are left out whose
-    excess, power less its proven lower bound, is above NEARLY_LEAST of the power, or that have more than MOST_COUNTED
-    such contacts.
+    A cut divides the nodes into two sides; its weight is the sum of the friction limits of the edges between them. Only
+    contacts are decided with an edge whose ends may be on different sides. Samples are left out whose excess, power
+    less its proven lower bound, is above NEARLY_LEAST of the power, or that have more than MOST_COUNTED such contacts.
 
     bounds : the network, its friction, and the excess of each sample.
-    own : (m,), indices in the network of the contacts that are looked at.
-    ends : (2, m), the two spheres of each.
-    above, below : (spheres,), masks of the spheres that are proven to be above, or below, every lightest cut.
+    graph : the graph with its m contacts, each with one edge or, with two nodes for each sphere, with two.
+    together : (nodes,), labels, equal for nodes that are on one side of every lightest cut.
+    above, below : (nodes,), masks of the nodes that are surely above, surely below every lightest cut.
 
-    Returns the positions (q,) in `own` of the contacts that were decided; the mask (q,) of those that are in some
-    lightest cut; and the mask (q,) of those that are in all of them."""
-    network, between = bounds.network, ~(above | below)
-    near = np.flatnonzero(between[ends].any(axis=0))
-    sample = network.sample_of(own[near])
+    Returns the indices (q,) of the contacts that were decided; the mask (q,) of those that are in some lightest cut
+    (with one of their edges); and the mask (q,) of those that are in all of them."""
+    network, place = bounds.network, np.unique(together, return_index=True)[1]  # a node of each label
+    above, between = above[place], ~(above | below)[place]
+    edges = together[np.stack([graph.low, graph.high])].reshape(2, -1, len(graph.own))  # (both ends, copies, contacts)
+    near = np.flatnonzero((between[edges].any(axis=0) & (edges[0] != edges[1])).any(axis=0))
+    sample = network.sample_of(graph.own[near])
     counts = (bounds.excess <= NEARLY_LEAST * bounds.upper) & (
         np.bincount(sample, minlength=network.count) <= MOST_COUNTED
     )
     near = near[counts[sample]]
-    weight = prod((whole_numbers(of[own[near]]) for of in network.factors), start=np.ones(len(near), dtype=object))
-    cuts = cuts_between(ends[:, near], weight, above, between)[0]
-    return near, cuts.some, cuts.every
+    whole = [whole_numbers(of[graph.own[near]]) for of in network.factors]
+    weight, edges = prod(whole, start=np.ones(len(near), dtype=object)), edges[:, :, near]
+    copies = edges.shape[1]
+    cuts, place = cuts_between(edges.reshape(2, -1), np.tile(weight, copies), above, between)
+    some, every = (of.reshape(copies, -1).any(axis=0) for of in (cuts.some, cuts.every))
+    if graph.is_double:
+        left = np.flatnonzero(some & ~every)
+        together = connected_components(cuts.residual, directed=True, connection="strong")[1]
+        every[left], is_known = _in_either_copy(cuts.residual, together, cuts.near, cuts.far, place[edges[:, :, left]])
+        kept = np.delete(np.arange(len(near)), left[~is_known])
+        near, some, every = near[kept], some[kept], every[kept]
+    return near, some, every
+
+
+def _in_either_copy(
+    follows: sparse.csr_array, together: np.ndarray, begin: np.ndarray, end: np.ndarray, edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Say of each of n contacts whether every lightest cut has at least one of its two edges between its sides, where
+    each sphere has two nodes. Returns the mask (n,) of those for which that follows, and the mask (n,) of those for
+    which everything that follows was looked at (all but the searches beyond MOST_SOUGHT).
+
+    Suppose that a lightest cut has neither of both edges, p - q and r - s, between its sides. If p is on the first side
+    then q is there, too, and all that follows from q. If r follows from q, then s is there. So if p is known to be on
+    the first side and s on the second one, there is no such cut.
+
+    follows : directed graph of the nodes: whatever a node reaches is on the first side if that node is.
+    together : (nodes,), labels, equal for nodes that reach each other.
+    begin, end : (nodes,), masks of the nodes that are surely on the first side, surely on the second one.
+    edges : (2, 2, n), nodes at both ends (first axis) of both edges (second axis) of each contact."""
+    found, is_known = np.zeros(edges.shape[2], dtype=bool), np.ones(edges.shape[2], dtype=bool)
+    for copy, near, far in product((0, 1), repeat=3):
+        p, q, r, s = edges[near, copy], edges[1 - near, copy], edges[far, 1 - copy], edges[1 - far, 1 - copy]
+        asked = np.flatnonzero(~found & begin[p] & end[s])
+        found[asked] = together[q[asked]] == together[r[asked]]
+        asked = asked[~found[asked]]
+        sources = np.unique(q[asked])
+        is_known[asked[np.isin(q[asked], sources[MOST_SOUGHT:])]] = False
+        for source in sources[:MOST_SOUGHT]:
+            some = asked[q[asked] == source]
+            found[some] = np.isin(r[some], breadth_first_order(follows, source, return_predecessors=False))
+    return found, found | is_known
 
 
 def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:

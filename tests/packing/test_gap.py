@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
-from tests.packing.fraction_twin import least_power_of_discs
+from tests.packing.fraction_twin import least_power_of_discs, states_of_discs
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
 
@@ -71,7 +71,25 @@ def test_discs_have_the_least_power_of_exact_cuts(seed):
     friction = friction if draw.random() < 0.7 else 10.0 ** np.round(np.log10(friction))
     normal = draw.uniform(0.5, 2, packing.contacts) if draw.random() < 0.5 else 1.0
     packing = tb.Packing(**packing.arrays() | {"friction": friction, "normal_force": normal})
-    check(tb.solve(packing), least_power_of_discs(packing), certified=False)
+    found = tb.solve(packing)
+    check(found, least_power_of_discs(packing), certified=False)
+    states = states_of_discs(packing)
+    assert found.state[found.proven].tolist() == [of for of, known in zip(states, found.proven, strict=True) if known]
+    if found.status == "certified":
+        assert found.states_proven
+
+
+@pytest.mark.parametrize("friction", ["constant:0.5", "uniform:0.1,1.0", "bimodal:0.1,1.0,0.5"])
+@pytest.mark.parametrize("spin", [(1.0, 1.0), (1.0, 0.7), (1.0, -1.0)])
+def test_around_discs_at_rest_amid_odd_loops_all_slipping_contacts_are_proven(friction, spin):
+    """The two copies of a disc at rest are above or below together, so no lightest cut is the only one."""
+    packing = tb.Packing.lattice("triangular", (5, 6), seed=2, distribution=friction)
+    imposed = np.select([packing.driven == 0, packing.driven == 1], spin)
+    packing = tb.Packing(**packing.arrays() | {"spin": imposed})
+    found = tb.solve(packing)
+    assert found.states_proven
+    assert found.state.tolist() == states_of_discs(packing)
+    assert (found.state == 1).any()
 
 
 @pytest.mark.parametrize("weak", [1e-6, 1e-12, 1e-15])
