@@ -47,6 +47,7 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.exact_motions import ExactMotions
+from taichi_bearings.proof.listed import ROUNDED_NORMAL
 from taichi_bearings.proof.loops import FrictionBounds, Piece, block_norms, tangent_rows, weighted_lengths
 from taichi_bearings.proof.resting import known_friction
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor
@@ -97,7 +98,7 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     # below all their limits can replace the optimal one.
     loop_pieces = friction_bounds.split_into_pieces()
     for piece in loop_pieces:
-        found[piece.contacts] = piece.largest < network.holding.least[piece.contacts]
+        found[piece.contacts] = piece.largest < (1 - ROUNDED_NORMAL) * network.holding.least[piece.contacts]
     found &= rests
     if exact.contacts.any():
         found[exact.contacts] = ExactlyRolling(friction_bounds, loop_pieces).rests()
@@ -309,7 +310,7 @@ class ExactlyRolling:
         of_sphere[self.friction_bounds.sphere[self.columns]] = part
         first, second = network.graph.contact[:, self.contacts]
         own = of_sphere[np.where(network.free[first], first, second)]
-        bears = (largest + corrected[own]) * UP < network.holding.least[self.contacts]
+        bears = (largest + corrected[own]) * UP < (1 - ROUNDED_NORMAL) * network.holding.least[self.contacts]
         return np.asarray(np.bincount(own, ~bears)[own] == 0)
 
 

@@ -17,6 +17,11 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, in_cache, joined, length
 from taichi_bearings.scene.network import Network
 
+# Most that a stored normal, made from places and rounded, may differ from the true unit vector. Where the true normals
+# make minima tie, a contact bears all its friction, and may seem to have a rest of it left only because of this
+# difference; a proof that it rests has to leave at least this share of its limit.
+ROUNDED_NORMAL = 8 * float(np.finfo(np.float64).eps)
+
 
 class Listed:
     """Contacts given by the indices of their spheres, for proofs: m contacts and n spheres of R samples in all, with C

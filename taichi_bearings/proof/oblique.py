@@ -60,7 +60,7 @@ from taichi_bearings.proof.curvature import MOST_RELATIVE_CHANGE, Floor, Form
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judged_network import JudgedNetwork
-from taichi_bearings.proof.listed import moments
+from taichi_bearings.proof.listed import ROUNDED_NORMAL, moments
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
 from taichi_bearings.proof.springs import floor_by_contact, numbered, slip_rows
 
@@ -526,6 +526,11 @@ class Centre:
             + 2 * self._relative_to_slip(distance) * self.strength.most
             + self.damping.most * distance
         )
+        # The true normals differ from the stored ones by rounding, and so does what resting contacts have to bear.
+        used = length(self.friction).most
+        for end in network.graph.contact:
+            np.add.at(torque, end, np.where(network.counts, ROUNDED_NORMAL * used, 0.0)[:, None])
+        torque = np.where(self.number >= 0, torque, 0.0)
         # The friction of resting contacts is corrected by no more than what the floors say: first at loose contacts,
         # for the spheres that exact motions leave out, then at exactly rolling ones. The first correction brings
         # torques of its own to the spheres of these, from each contact no more than its size.
@@ -535,9 +540,9 @@ class Centre:
         for end in network.graph.contact[:, self.resting]:
             np.add.at(torque, end, change[:, None] * UP)
         by_exact = self._norms_on_spheres(exact.unit * torque, exact.spheres) / exact.floor * UP**2
-        margin = (network.holding - length(self.friction)).lower()[self.resting]
+        margin = (network.holding - length(self.friction)).lower() - ROUNDED_NORMAL * network.holding.most
         change = np.where(rolls, by_exact[sample], change)
-        return self._of_all(margin > change * UP, sample)
+        return self._of_all(margin[self.resting] > change * UP, sample)
 
 
 def _without_error(values: Enclosure) -> Enclosure:

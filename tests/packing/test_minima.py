@@ -1,5 +1,7 @@
 """Least dissipation of packings against solvers that share nothing with the package's, and against lattices."""
 
+from pathlib import Path
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -301,3 +303,25 @@ def test_levels_of_mirror_images_are_those_of_all_cuts(seed, levels):
     spins = packing.spins_of(exactly(system.all_spins(found)))[0]
     assert spins.tolist() == pytest.approx(middle, abs=1e-15)
     assert (nested_cuts.least_spins(system, packing) == found).all()
+
+
+def test_a_tie_of_two_contacts_is_not_broken_by_the_rounding_of_normals():
+    """A free sphere that touches two others by contacts of equal friction may share the slip between them in any way:
+    its spin along the line across both normals does not change the power. But the normals are rounded, so that one of
+    both contacts may seem to have 1e-16 of its friction left."""
+    with np.load(Path(__file__).with_name("tied_by_rounding.npz")) as stored:
+        packing = tb.Packing(**stored, normal_force=1.0)
+    found = tb.solve(packing)
+    assert found.status == "certified"
+    lonely = 33
+    tied = np.flatnonzero((packing.contact == lonely).any(axis=1) & (packing.friction > 0))
+    along = np.cross(*packing.normal[tied])
+    u = found.spin * packing.radius[:, None]
+    powers = []
+    for share in (-0.05, -0.02, 0.0, 0.02, 0.05):
+        u[lonely] = found.spin[lonely] * packing.radius[lonely] + share * along / np.linalg.norm(along)
+        slips = np.cross(u[packing.contact].sum(axis=1), packing.normal)[tied]
+        powers.append(np.linalg.norm(slips, axis=1).sum())
+    assert min(np.ptp(powers[:3]), np.ptp(powers[2:])) < 1e-14
+    assert not found.proven[tied].any()
+    assert found.proven[found.state == 0].any()
