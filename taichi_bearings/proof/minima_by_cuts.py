@@ -242,7 +242,7 @@ def _in_whole_numbers(
     weight, edges = prod(whole, start=np.ones(len(near), dtype=object)), edges[:, :, near]
     copies = edges.shape[1]
     cuts, place = cuts_between(edges.reshape(2, -1), np.tile(weight, copies), above, between)
-    some, every = np.stack([cuts.some, cuts.every]).reshape(2, copies, -1).any(axis=1)
+    some, every = (np.any(list(of.reshape(copies, -1)), axis=0) for of in (cuts.some, cuts.every))
     if graph.is_double:
         left = np.flatnonzero(some & ~every)
         together = connected_components(cuts.residual, directed=True, connection="strong")[1]
