@@ -16,7 +16,7 @@ p|). Errors made by contacts that begin or cease to slip come on top, and are no
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import comb
 
 import numpy as np
@@ -72,6 +72,7 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
     return matrix
 
 
+@lru_cache(maxsize=1000)  # of networks solved one after the other it is mostly the same
 def largest_stable_step(order: int, decay_rate: float, frequency_squared: float) -> float:
     """Return the largest time step at which the stiffest mode and all softer modes are stable; infinity if any step is.
 
