@@ -72,7 +72,8 @@ from taichi_bearings.conic.ties import sometimes_slipping
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
-# Numbers below without a reason were found by trial. None can pass a wrong set S: a bad guess costs a further trial.
+# Numbers below without a reason were found by trial. A bad guess of S costs a further trial; what is found is proven
+# elsewhere (taichi_bearings/proof).
 # The power of a minimum may lie above that of the path by so much, relative: sums of 1e5 contacts round by about 1e-12.
 # It may lie below by the second number: paths that come here have relative gaps of at most 1e-8.
 MOST_ABOVE_PATH, MOST_BELOW_PATH = 1e-12, 1e-6

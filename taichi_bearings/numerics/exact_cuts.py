@@ -99,7 +99,7 @@ def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: fl
     slack = int(3 * rounding * int(size[parted].sum())) + (rounding > 0)
     # strongly connected components of the residual graph: cuts pass between them, never through one
     row, column = np.concatenate([pairs, pairs[::-1]], axis=1)[:, np.asarray(left > 0, dtype=bool).ravel()]
-    arcs = csr_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(nodes, nodes))
+    arcs = csr_array((np.ones(len(row), dtype=bool), (row, column)), shape=(nodes, nodes))
     label = connected_components(arcs, directed=True, connection="strong")[1]
     some, every = always.copy(), always.copy()
     some[taken] = (label[pairs[0]] != label[pairs[1]])[:-1]

@@ -1,7 +1,7 @@
 """Which contacts slip at every minimum, at some or at none, where one component of the spins matters: theorem 6.
 
-This covers all of 2D, and cubic lattices driven about x or y. The power has no curvature there: it is the sum of mu F_n
-|slip|, and minima are mixtures of cuts.
+This covers friction alone in all of 2D, in cubic lattices driven about x or y, and in packings alike. The power has no
+curvature there: it is the sum of mu F_n |slip|, and minima are mixtures of cuts.
 
 Symbols
     u : spin times radius along the component, with signs such that a contact slips by u_high - u_low between its nodes.
@@ -23,16 +23,18 @@ The proof
 4. Where cuts tie, the contacts that are left are decided in whole numbers (numerics/exact_cuts.py): which are in all
    lightest cuts, in some, in none.
 
-5. At a minimum each step has a lightest cut, and each is contained in that of the step below. Any lightest cut of one
-   step goes with such cuts of the others (the union and the intersection of lightest cuts of two steps are lightest
-   ones), and so does the smallest of those that leave out a contact. So a contact is tied if it is in some lightest cut
-   of a step and in all of them at no step.
+5. At a minimum each step has a lightest cut, and each is contained in that of the step below. The union and the
+   intersection of lightest cuts of two steps are lightest cuts of these steps. So any lightest cut of one step belongs
+   to a minimum. Those that do not have a given contact between their sides are closed under union and intersection as
+   well, so if there is such a cut for each step, the smallest ones make a minimum at which the contact rests. So a
+   contact is tied if it is in some lightest cut of a step and in all of them at no step.
 
 Where loops have an odd number of contacts no signs fit. Then every sphere has two nodes, u and -u, and every contact
-two edges (double cover); both together have twice the excess. Minima are those of the double cover in which the two
-nodes of a sphere have opposite values: the mean of any minimum and of its mirror image is one. A contact slips in it if
-either of its edges does. So it slips at every minimum if at some step every lightest cut has one of its two edges, this
-or that one. A sphere at rest, u = 0, is the common case: its nodes may both be above or both below.
+two edges (double cover); both together have twice the excess. The mean of a minimum of the double cover and of its
+mirror image is one in which the two nodes of a sphere have opposite values, and such minima are those of the network.
+No edge has slips of opposite signs at two minima, so nothing cancels in the mean: the contact slips there if either of
+its edges does. So it slips at every minimum if at some step every lightest cut has one of its two edges, this or that
+one. A sphere at rest, u = 0, is the common case: its nodes may both be above or both below.
 
 Example. A chain bottom - a - b - top of discs whose contacts have mu F_n = 3, 1, 2, and one step of 1. Friction in
 balance is 1 everywhere, so E = 0 at the minimum, and mu F_n - f = 2, 0, 1. "Above" follows from a to bottom and from
@@ -58,7 +60,7 @@ from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 NEARLY_LEAST = 1e-9  # excess over the power, up to which cuts are counted in whole numbers
 MOST_COUNTED = 40_000  # most contacts of a sample for which that is done
 MOST_LEVELS = 100  # most steps between imposed values of a part that are looked at, the largest ones
-MOST_SOUGHT = 300  # most nodes from which a search of all that follows is begun
+MOST_SOUGHT = 300  # most nodes from which a search of all that follows is begun, for each of eight orders of nodes
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class CutGraph:
         """
         size, rises, falls = len(self.label), self.up > margin, self.down > margin
         tail, head = np.append(self.high[rises], self.low[falls]), np.append(self.low[rises], self.high[falls])
-        return sparse.csr_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(size, size))
+        return sparse.csr_array((np.ones(len(tail), dtype=bool), (tail, head)), shape=(size, size))
 
 
 def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
@@ -199,6 +201,7 @@ def _at_one_step(
     above = reached(follows, graph.node[known & (place > begin[label[graph.node]])])
     below = reached(follows.T.tocsr(), graph.node[known & (place <= begin[label[graph.node]])])
     alike = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
+    alike |= begin[label[low]] == len(graph.node)  # where there is no step, nothing slips
     parted = (above[low] & below[high]) | (below[low] & above[high])
     rests, both = alike[:count] & alike[-count:], np.zeros(count, dtype=bool)
     parted = parted[:count] | parted[-count:]
@@ -261,7 +264,9 @@ def _in_either_copy(
 
     Suppose that a lightest cut has neither of both edges, p - q and r - s, between its sides. If p is on the first side
     then q is there, too, and all that follows from q. If r follows from q, then s is there. So if p is known to be on
-    the first side and s on the second one, there is no such cut.
+    the first side and s on the second one, there is no such cut. Nothing else can exclude it: a way from the first side
+    to the second one that uses each edge once at most is one of these eight (either edge first, either end of each), or
+    uses one edge alone, which the caller has looked at.
 
     follows : directed graph of the nodes: whatever a node reaches is on the first side if that node is.
     together : (nodes,), labels, equal for nodes that reach each other.
@@ -289,8 +294,8 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
     starts : indices of the nodes to begin with."""
     size = follows.shape[0]
     ends = (np.full(len(starts), size), starts)
-    source = sparse.csr_array((np.ones(len(starts), dtype=np.int8), ends), shape=(size + 1, size + 1))
-    whole = sparse.block_diag([follows, sparse.csr_array((1, 1), dtype=np.int8)], format="csr") + source
+    source = sparse.csr_array((np.ones(len(starts), dtype=bool), ends), shape=(size + 1, size + 1))
+    whole = sparse.block_diag([follows, sparse.csr_array((1, 1), dtype=bool)], format="csr") + source
     reached = np.zeros(size + 1, dtype=bool)
     reached[breadth_first_order(whole, size, return_predecessors=False)] = True
     return reached[:-1]

@@ -277,7 +277,11 @@ class Centre:
         value = size_of * np.append(across.T.ravel(), np.ones(further))
         rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ self.rows)
         # Rounding of an entry: slip, cross product, division, root, sum of three products: fewer than 32 operations.
-        doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
+        # An error e of the slip y turns the unit vector across it by up to 2 e / |y|, and changes the root by less.
+        error = np.sqrt(sum(part.error[turning] ** 2 for part in self.slips))
+        relative = np.full(len(size_of), 32 * EPS)
+        relative[: 3 * len(some)] += np.tile(4 * error / self.size.least[some], 3)
+        doubt = sparse.csr_array((relative * size_of, (row, at)), shape=shape) @ abs(self.rows)
         return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts, samples=self.samples)
 
     def improved(self) -> Centre:
@@ -441,10 +445,10 @@ class Centre:
         scale = np.zeros(self.number.shape)
         scale[self.number >= 0] = curvature.scale * floor.unit
         # reach = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2 in scaled unknowns x, each in its own unit, for the
-        # z of step 2: 0.72 of the bound on |x| at the minimum. Friction of size F at a small angle to the slip has a
-        # part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that is angle
-        # (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most, which counts in r, as does what
-        # the size of F misses.
+        # z of step 2. Times 12, see below, it bounds |x| at the minimum. Friction of size F at a small angle to the slip
+        # has a part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that is
+        # angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most, which counts in r, as does
+        # what the size of F misses.
         pull, taken, inexact = self._newton_step(curvature, floor)
         torque = self._largest_torques(size_error + size_by_law * angle**2 * UP, taken)
         torque[self.number >= 0] = (torque[self.number >= 0] + inexact) * (curvature.scale * floor.unit)
@@ -509,7 +513,7 @@ class Centre:
         """
         some, angle, size_error = self.with_friction, np.zeros(len(self.slipping)), self._distance_from_law.copy()
         size_by_law = self.strength + self.damping * self.size if self.network.law.flows else self.strength
-        angle[some] = ((self._distance_from_law / size_by_law.least + 2 * to_v / self.size.least) * UP)[some]
+        angle[some] = (2 * (self._distance_from_law / size_by_law.least + to_v / self.size.least) * UP)[some]
         size_error[some] = (length([part.at(self.slipping) for part in self.friction]) - size_by_law).most[some]
         return angle, size_error, size_by_law.most
 
@@ -526,7 +530,8 @@ class Centre:
             + 2 * self._relative_to_slip(distance) * self.strength.most
             + self.damping.most * distance
         )
-        # The true normals differ from the stored ones by rounding, and so does what resting contacts have to bear.
+        # The proof is about the normals as stored. The true ones differ from them by rounding, and a tie of theirs must
+        # not be decided by it. So contacts have to bear such changes of the torques at hand as well.
         used = length(self.friction).most
         for end in network.graph.contact:
             np.add.at(torque, end, np.where(network.counts, ROUNDED_NORMAL * used, 0.0)[:, None])
