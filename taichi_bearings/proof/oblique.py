@@ -445,10 +445,10 @@ class Centre:
         scale = np.zeros(self.number.shape)
         scale[self.number >= 0] = curvature.scale * floor.unit
         # reach = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2 in scaled unknowns x, each in its own unit, for the
-        # z of step 2. Times 12, see below, it bounds |x| at the minimum. Friction of size F at a small angle to the slip
-        # has a part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that is
-        # angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most, which counts in r, as does
-        # what the size of F misses.
+        # z of step 2. Times 12, see below, it bounds |x| at the minimum. Friction F at a small angle to the slip has a
+        # part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that is angle
+        # (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most, which counts in r, as does what
+        # the size of F misses.
         pull, taken, inexact = self._newton_step(curvature, floor)
         torque = self._largest_torques(size_error + size_by_law * angle**2 * UP, taken)
         torque[self.number >= 0] = (torque[self.number >= 0] + inexact) * (curvature.scale * floor.unit)
