@@ -3,9 +3,10 @@
 What is decided. The power of the contacts, the sum of mu |v| over all contacts, is to be least. At a minimum each
 contact either slips (v is not 0) or does not (v = 0). The central path (central_path.py) comes near the minimum, but at
 each of its points all contacts slip a little: mu times slip speed times friction margin is about the same for all
-(exactly the product mu b - v . f, with a bound b of the slip speed). A slip of 1e-9 can therefore be seen only where
-margins of 1e-9 can, and double precision ends before. This module decides for every contact, and returns spins, slips
-and forces of the minimum (:class:`Resolved`).
+(exactly the product mu b - v . f, with a bound b of the slip speed). Where this product is 1e-14, near the end of
+double precision, a slipping contact with the slip 1e-9 still has the margin 1e-5, and a contact without slip at the
+minimum that has this margin seems to slip as fast: both look alike. This module decides for every contact, and returns
+spins, slips and forces of the minimum (:class:`Resolved`).
 
 Symbols (all words are in conic/__init__.py).
 
@@ -30,9 +31,9 @@ So it is enough to guess S, and to check. Tie every contact outside S: its two e
 *tied* means that alone; contacts that slip at some minima and rest at others, which other files call tied, are
 `sometimes_slips` here.) Then the power is a smooth function of the spins that are left; its minimum fulfils (b), and
 (a) for the tied sets of spins. What remains is (c): do forces within friction balance the torques inside the tied sets?
-If they do, all of (a) to (c) hold, and the guess was right. A wrong guess cannot pass, so no guess needs a proof. (All
-this is in floating point; taichi_bearings/proof makes it rigorous. With a viscosity eta the power has eta |v|^2 / 2
-more for each contact and the force eta v more; nothing else changes.)
+If they do, all of (a) to (c) hold, and the guess was right: no guess needs a proof. (All this is in floating point, so
+torques and friction are checked up to about 1e-9; taichi_bearings/proof makes it rigorous. With a viscosity eta the
+power has eta |v|^2 / 2 more for each contact and the force eta v more; nothing else changes.)
 
 Example: three contacts in a row with frictions 3, 1, 2, the first end at rest, the last one driven by a jump of 4. On
 the path the middle contact has nearly no margin and slips by nearly 4. With the others tied its slip is 4 and its force
@@ -40,16 +41,17 @@ the path the middle contact has nearly no margin and slips by nearly 4. With the
 
 Steps of :func:`resolve`.
 
-1. Guess S from the last two points of the path (:func:`_seem_to_stick`). This is done in small samples only; in large
-   ones, and where minima may tie, some guess is nearly always wrong.
+1. Guess S from the last two points of the path (:func:`_seem_to_stick`), in small samples only: in large ones some
+   guess is nearly always wrong. So it is where minima may tie; there the guess is made after step 4, if that fails.
 2. Find the minimum of the smooth power by Newton's method (:class:`_SmoothPower`). A slip that has shrunk below a
    hundredth and would be reversed leaves S; a larger one only shortens the step. The last Newton steps are in twice the
    precision (polish.py), as slips go down to 1e-15 of the jump and below.
 3. Look for the forces (c) (slipless_forces.py). If they exist and no slip is as small as rounding, the sample is done.
-4. Else follow the path on until slip and margin of each contact have parted (last_decades.py), and repeat steps 2 and 3
-   with the contacts that slip there, up to four times with different contacts tied (:func:`_minimum_along_path`).
-5. Refuse a minimum whose power differs from that of the path; find contacts that slip at some minima and rest at others
-   (ties.py).
+4. Else, if the path has ended or minima may tie, follow it on until slip and margin of each contact have parted
+   (last_decades.py), and repeat steps 2 and 3 with the contacts that slip there, three or four times with different
+   contacts tied (:func:`_minimum_along_path`).
+5. Refuse a minimum whose power differs from that of the path. If its states are sure and there is no viscosity, find
+   contacts that slip at some minima and rest at others (ties.py).
 """
 
 from collections.abc import Sequence
@@ -84,7 +86,9 @@ STICKING_TREND = 0.6
 # It sticks whatever its slip does, if that is below the first number, in units of the jump, and its margin above the
 # second: the slip is hardly more than the rounding of the spins then, some 1e-13.
 NOISY_SLIP, WIDE_MARGIN = 1e-11, 0.1
-DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be undecided when the trials on the last decades begin
+DOUBTFUL_SHARE = (
+    1e-2  # share of the contacts with friction that may be undecided when the trials on the last decades begin
+)
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
 FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trial, made if minima can be unique
 # Largest torque over the mean friction: below the first, some 1e4 roundings of a force, Newton's method ends; below the
@@ -287,8 +291,8 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     several, as frictions repeat  4      none                                  no contact is undecided
     ============================  =====  ====================================  ===================================
 
-    Tying contacts helps as the stiffness of those that stick blurs the forces of the others. The last minimum found is
-    returned even if its states are not sure.
+    Tying contacts helps as the stiffness of those that stick blurs the forces of the others. If no states are sure, the
+    last minimum that trial 2 or a later one has found is returned (with repeated frictions: that any trial has found).
     """
     path, settled = LastDecades.after(iterate, before, shared.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:

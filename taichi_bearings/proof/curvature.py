@@ -389,7 +389,7 @@ class Form:
         Return None where a column is 0 or not finite.
 
         rows : (p, q), the matrix A of p rows for q unknowns before its columns are scaled.
-        doubt : (p, q), bounds on the errors of its entries.
+        doubt : (p, q), bounds on the errors of its entries, and on the rounding of two further products with each.
         place : (d, q), positions of the unknowns in d dimensions. If `of_rows` is True: (d, p), positions of the rows,
             and each unknown is put at the mean of its rows, weighted by the squares of their entries.
         parts : the groups in which unknowns are eliminated; None to find them.
@@ -571,8 +571,9 @@ def _curvature_rows(
     root of eta. Friction in one component has no curvature: mu F_n |slip| is straight."""
     # The unit vector at right angles to each slip, two components.
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
-    # Relative error of the root: that of its square, and 16 roundings where a root, products and a sum make five.
-    root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS
+    # Relative error of the root: at most that of its square, and 16 roundings where a root, products and a sum make
+    # five; the others are for the products of a form's matrix with units.
+    root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.least + 16 * EPS
     rows, doubt = [], []
     for part, change in zip(across, (whole[contacts.curved] for whole in changes), strict=True):
         rows.append(_row_scaled(root * part.value, change))

@@ -19,7 +19,7 @@ Symbols
 The proof
 1. V is not empty, and some of its spins are close to the given ones. Where contacts of T set more conditions than their
    spheres have freedoms, all of them can rest only in motions in which they roll exactly; these are found in fractions
-   (exact_motions.py), with a floor of the singular values of K, but 0, for these contacts. For the loose contacts and
+   (exact_motions.py), with a bound on the friction that these contacts need for torques. For the loose contacts and
    spheres an elimination proves that the rows of K are independent, with a number for each contact that says how large
    spins have to be to give it a slip (springs.floor_by_contact).
 2. Within V the potential has one minimum close to these spins. Its curvature along x is |B x|^2, the sum over S of (mu
@@ -28,7 +28,8 @@ The proof
    Friction resists a change by at least 0.72 of its curvature while no slip changes by more than a quarter
    (curvature.py says why), damping by all of it. For any motion z, r . x = (B z) . (B x) + (r - B^T B z) . x. So the
    potential rises wherever |B x| exceeds (|B z| + |r - B^T B z| / tau^1/2 + |a|) / 0.72, and the minimum is closer than
-   that. With a step of Newton's method as z hardly any torque is left for tau: stiff contacts bear most of r.
+   that. (This is meant with B at the nearest spins in V; a factor covers what the one at hand may differ from it.) With
+   a step of Newton's method as z hardly any torque is left for tau: stiff contacts bear most of r.
 3. This minimum in V is a minimum over all spins, if T can bear what S leaves to it. The friction of S at the minimum is
    known closely. The potential has no slope within V, so some friction on T balances the torques; the floors of step 1
    bound how far it is from the friction of T at hand. If it stays below mu F_n at each contact of T, then it is optimal
@@ -446,9 +447,9 @@ class Centre:
         scale[self.number >= 0] = curvature.scale * floor.unit
         # reach = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2 in scaled unknowns x, each in its own unit, for the
         # z of step 2. Times 12, see below, it bounds |x| at the minimum. Friction F at a small angle to the slip has a
-        # part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that is angle
-        # (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most, which counts in r, as does what
-        # the size of F misses.
+        # part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that of friction
+        # and damping together, it is angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most,
+        # which counts in r, as does what the size of F misses.
         pull, taken, inexact = self._newton_step(curvature, floor)
         torque = self._largest_torques(size_error + size_by_law * angle**2 * UP, taken)
         torque[self.number >= 0] = (torque[self.number >= 0] + inexact) * (curvature.scale * floor.unit)
@@ -457,8 +458,9 @@ class Centre:
         largest = scale.max(axis=1)
         # Where 12 comes from:
         # 2, as two spheres change a slip by up to 2^1/2 scale |x|, and 2^1/2 / 0.72 < 2;
-        # 3, as the curvature that counts is that in V. It is 0.8 tau at least where slips are a quarter longer there,
-        #    times (1 - 8^-1/2)^2 as directions lose tau / 8 at most (checked below): 0.334 tau, more than tau / 3;
+        # 3, as the curvature that counts is that in V. It is at least 0.8 of |B x|^2 where slips are a quarter longer
+        #    there, times (1 - 8^-1/2)^2 as directions lose tau |x|^2 / 8 at most (checked below), which is at most
+        #    |B x|^2 / 8: that is 0.334 |B x|^2, more than a third;
         # 1.5, as |B z| and |B x| are taken of B as doubles have it: what it misses is below tau^1/2 / 2;
         # 4 / 3, to spare.
         distance = (to_v + 12 * largest[ends].max(axis=0) * reach[sample] * UP**2 + TINY) * UP
