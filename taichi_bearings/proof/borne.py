@@ -378,5 +378,5 @@ class SpringsUnderLoad:
         motions = self.loaded.motions
         if not motions.shape[1]:
             return load, np.zeros((0, load.shape[1]))
-        amounts = lu_solve(self.loaded.products, motions.T @ load)
+        amounts = lu_solve(self.loaded.products, motions.T @ load, check_finite=False)
         return load - motions @ amounts, amounts

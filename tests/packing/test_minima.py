@@ -325,3 +325,26 @@ def test_a_tie_of_two_contacts_is_not_broken_by_the_rounding_of_normals():
     assert min(np.ptp(powers[:3]), np.ptp(powers[2:])) < 1e-14
     assert not found.proven[tied].any()
     assert found.proven[found.state == 0].any()
+
+
+def test_a_proof_that_runs_into_infinite_loads_leaves_contacts_open():
+    """Sixteen spheres of bcc whose contacts have two values of friction; loads beside what rolls are not finite."""
+    center = np.array([[a + i, b + i, c + i] for a in (0, 2) for b in (0, 2) for c in (0, 2) for i in (0, 1)])
+    center = center / 2 * (2 / np.sqrt(3))
+    apart = np.linalg.norm(center[:, None] - center, axis=2)
+    contact = np.argwhere(np.triu(np.abs(apart - 1) < 1e-9))
+    spin = np.zeros((16, 3))
+    spin[3::4, 0] = 1
+    weak = [2, 5, 9, 11, 12, 13, 14, 16, 18, 19, 24]
+    packing = tb.Packing(
+        center,
+        contact,
+        np.tile([0, -1, -1, 1], 4),
+        spin,
+        friction=np.where(np.isin(np.arange(len(contact)), weak), 0.1, 1.0),
+        normal_force=1.0,
+    )
+    found = tb.solve(packing)
+    assert found.status == "certified"
+    assert found.power == pytest.approx(1.3713221653370282, rel=1e-12)
+    assert found.lower_bound <= found.power
