@@ -146,11 +146,12 @@ def by_default() -> Iterator[None]:
 
 @contextlib.contextmanager
 def by_default_next_time() -> Iterator[None]:
-    """Let the second signal inside the block end the command's process as the system does by default.
+    """Let the second signal inside the block end the command's process, as the system does by default.
 
-    The first one is heard as always. Where it is not, since a call of a library never returns and lets no other thread
-    work, a person who presses Ctrl-C again is rid of the process. It needs a C library that forgets a handler once it
-    was called, as that of GNU can; elsewhere nothing changes.
+    The first signal is left to Python's handler as usual. Python runs a handler only between two of its own steps, so
+    never while a call of a library does not return. Even then a second Ctrl-C ends the process. This needs the function
+    `sysv_signal` of the GNU C library, whose handlers are called once only; elsewhere nothing changes. Nothing changes
+    either while something is being saved, or in threads other than the main one.
     """
     if not _watched or _saving or threading.current_thread() is not threading.main_thread():
         yield

@@ -133,11 +133,14 @@ def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> d
 
 
 def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
-    """Return by name the values that claims use of the minima: `per_force`, for each normal force the power over it (R
-    samples,); `states`, the contact states (R, E contacts) for each; `proven`, the least number of samples whose states
-    are all proven; `slipless`, the number of slipless contacts.
+    """Return what the claims check of the minima, by name; there are R samples of E contacts.
 
-    minima : solution for each normal force.
+    * `per_force`: for each normal force, (R,), the least power over this force.
+    * `states`: list of arrays (R, E), the states of the contacts, one array for each normal force.
+    * `proven`: number of samples all of whose states are proven, at the normal force where these are fewest.
+    * `slipless`: number of slipless contacts of all samples together, at the first normal force.
+
+    minima : for each normal force the solution of the R samples.
     """
     return {
         "per_force": {force: found.power / force for force, found in minima.items()},

@@ -553,8 +553,12 @@ class _SmoothPower:
         return [replace(of, viscosity=iterate.viscosity) for of, iterate in zip(found, self.iterates, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
-        """Return for each sample an array (..., n) over all its n contacts: `values` (..., kept) at the contacts that
-        are not tied, `kept` in number in all samples together, 0 at the others."""
+        """Spread values of the contacts that can slip over all contacts. Return for each sample an array (..., n), one
+        value for each of its n contacts, 0 at those that cannot slip because contacts are tied (their two ends are made
+        to turn as one).
+
+        values : (..., K), for the K contacts of all samples that can slip, sample after sample.
+        """
         found = np.zeros((*values.shape[:-1], self.tied.whole.offset.shape[1]), values.dtype)
         found[..., self.tied.kept] = values
         return np.split(found, self.samples, axis=-1)

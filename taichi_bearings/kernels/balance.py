@@ -42,7 +42,7 @@ class BalanceKernels:
     stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
     sites : spheres of one sample.
     longest : spheres of the longest chain.
-    weight : stiffness of the springs along the chains."""
+    weight : relative stiffness of the springs along the chains."""
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
         """Set the constants for which the kernels are compiled: rows of the fields `pull` and `potential`, spheres of a
@@ -77,7 +77,8 @@ class BalanceKernels:
 
     @ti.func
     def chain(self, slot: ti.template(), stride_x, stride_y, sites):
-        """Return the number of spheres in a chain, and the distance in memory from one of them to the next.
+        """Return the number of spheres in a chain (a row of spheres along one side of the lattice), and the distance in
+        memory from one of them to the next.
 
         slot : number of the spin component, which decides whether its chains run along x or along y.
         stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
@@ -94,8 +95,8 @@ class BalanceKernels:
         """Compute one block of TILE x TILE entries of the matrix product `given` @ `sines`, and write it into `found`,
         or add it.
 
-        given, found : flat arrays that contain the two matrices: row r has `height` numbers, one for each sphere of
-            a column along the height. The first and the last belong to driven spheres and take no part.
+        given, found : flat arrays that contain the two matrices, row by row. A row has `height` numbers, one for each
+            sphere of a column along the height; the first and the last belong to driven spheres and take no part.
         sines : (m, m) matrix with m = height - 2, flat.
         source, target : index of the first number of the matrix in `given` and in `found`.
         kept : factor of what `found` holds: 1 to add the product to it, 0 to replace it.
@@ -177,8 +178,8 @@ class BalanceKernels:
 
     @ti.func
     def tiles(self, count, stride_x, stride_y):
-        """Return into how many tiles, blocks of TILE x TILE entries, the sine transform of one spin component is
-        divided.
+        """Return the number of tiles, blocks of TILE x TILE entries, into which the sine transform of one spin
+        component is divided. It is a matrix product with a row for each column of spheres along the height.
 
         count : spheres of all samples.
         stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y."""
@@ -187,8 +188,8 @@ class BalanceKernels:
 
     @ti.func
     def lines(self, count, stride_x, stride_y, sites):
-        """Return the number of chains of all spin components and samples: for each sine along the height, one for every
-        row of spheres along the side on which contacts couple that component.
+        """Return the number of chains of all spin components and samples. A chain has the spheres in a row along the
+        side on which contacts couple a component, for one sine along the height; a column has as many sines as spheres.
 
         count : spheres of all samples.
         stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
@@ -201,7 +202,8 @@ class BalanceKernels:
 
     @ti.func
     def write(self, modes: ti.template(), place, row: ti.template(), rest):
-        """Write the first `rest` numbers of a block to `modes`; in one go if the block is whole, which is faster.
+        """Write the first `rest` numbers of a block of neighbouring chains, one number of each, to `modes`; in one go
+        if all belong to chains, which is faster.
 
         modes : flat array, which is changed from the index `place` on.
         row : the numbers of the block: a vector, or one number if a block is one sphere.
@@ -224,19 +226,21 @@ class BalanceKernels:
         chain has the spheres along one side of the lattice, for one sine along the height.
 
         A chain is solved by Gaussian elimination from its first sphere to its last, and by substitution back. The
-        factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`. For rings the pull across the ends
-        is summed up on the way (`ring_closures` there), and its share is taken from each sphere on the way back.
+        factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`. A ring is a chain with one more
+        spring between its ends: the scalar product of the pulls with a vector z (`ring_closures` there) is summed up on
+        the way, and z times this sum is subtracted on the way back.
 
         modes : (C components, R samples, *N spheres) pulls, flat, replaced by the solutions.
-        chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies.
+        chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies; with
+            periodic axes followed by as many numbers, the vectors z.
         slot : number of the spin component.
-        group : number of the block of chains.
-        count : sites of all replicas.
+        group : number of the block of chains, among those of this component in all samples.
+        count : spheres of all samples.
         stride : distance in memory from one sphere of a chain to the next.
         side : number of spheres of a chain.
         height : spheres along the height.
         longest : spheres of the longest chain.
-        weight : stiffness of the springs along the chains.
+        weight : relative stiffness of the springs along the chains.
         """
         # where the block begins among the modes and in the tables of factors
         across, pitch = (stride + self.block - 1) // self.block, height + self.block
@@ -286,7 +290,8 @@ class BalanceKernels:
         longest: int,
         weight: float,
     ):
-        """Solve all chains on a CPU, in place; each worker takes an equal share of the blocks of chains.
+        """Solve all chains on a CPU, in place; each worker takes an equal share of the blocks of chains. A chain has
+        the spheres in a row along one side of the lattice, for one sine along the height.
 
         workers : number of threads.
         modes : (C components, R samples, *N spheres) pulls in each mode, flat, replaced by the solutions.

@@ -52,13 +52,14 @@ GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # recentring does its work, or keeps
 
 @ti.func
 def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: ti.template(), m):
-    """Return a vector of one contact as a list: its numbers in one or two rows that follow each other.
+    """Return the 1 or 2 numbers of a vector of one contact, one from each of as many rows that follow each other, as a
+    list.
 
     values : all numbers, flat, row by row; a row has one number of each contact.
     at : for each row the index in `values` of the number that the first contact of a block has there.
-    row : first of the rows that are read.
-    like : a list with one entry for each row to be read, 1 or 2; only its length is used.
-    m : number of the contact within its block."""
+    row : number of the first of the rows that are read.
+    like : any list as long as the vector, 1 or 2; its entries do not matter.
+    m : number of the contact within its block, 0 to BLOCK - 1."""
     return [values[at[row + k] + m] for k in ti.static(range(len(like)))]
 
 
@@ -94,8 +95,8 @@ def determinant(head, tail: ti.template()):
 
 @ti.func
 def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti.template()):
-    """Return a point (head, tail) after a hyperbolic rotation, which keeps head^2 - |tail|^2: a list that begins with
-    the head. The rotation is the one that takes the point (1, 0) to (by_head, by_tail).
+    """Return the list [head, *tail] of a point after a hyperbolic rotation, which keeps head^2 - |tail|^2. The rotation
+    is the one that takes the point (1, 0) to (by_head, by_tail).
 
     by_head, by_tail : a number, and a list of one or two numbers, with by_head^2 - |by_tail|^2 = 1.
     head, tail : the point, in the same form.
@@ -107,13 +108,14 @@ def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti
 
 @ti.func
 def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m, sign: ti.template()):
-    """Return W x or W^-1 x for a point x = (head, tail): a list that begins with the head. W is the scaling of Nesterov
-    and Todd of a contact: the symmetric matrix with W^-1 (bound of the slip, slip) = W (friction limit, minus force).
+    """Return W x or W^-1 x for a point x = (head, tail), as the list [head, *tail]. W is the scaling of Nesterov and
+    Todd of a contact: the symmetric matrix with W^-1 (bound of the slip, slip) = W (friction limit, minus force).
 
-    values : numbers of all contacts, flat, row by row; some rows hold W, as a weight and a rotation.
+    values : numbers of all contacts, flat, row by row (a row has one number of each contact); W stands in some of these
+        rows, as a weight and a hyperbolic rotation.
     at : for each row of the iterate the index in `values` of the number that the block's first contact has there.
-    head, tail : a number, and a list of one or two numbers.
-    m : number of the contact within its block.
+    head, tail : the point x: a number, and a list of one or two numbers.
+    m : number of the contact within its block, 0 to BLOCK - 1.
     sign : 1 for W, -1 for W^-1.
     """
     weight = values[at[WEIGHT] + m]
@@ -125,8 +127,8 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
 
 @ti.func
 def jordan(a, b: ti.template(), c, e: ti.template()):
-    """Return the Jordan product of two points of a cone, (a, b) o (c, e) = (a c + b.e, a e + c b): a list that begins
-    with its head, the first number.
+    """Return the Jordan product of two points of a cone, (a, b) o (c, e) = (a c + b.e, a e + c b), as the list [head,
+    *tail].
 
     a, c : heads of the two points.
     b, e : their tails, lists of one or two numbers."""
@@ -135,15 +137,17 @@ def jordan(a, b: ti.template(), c, e: ti.template()):
 
 @ti.func
 def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Return W^-1 x for the point x with p o x = (head, tail): a list that begins with the head.
+    """Solve p o x = (head, tail) for the point x, where o is the Jordan product, (a, b) o (c, e) = (a c + b.e, a e + c
+    b). Return W^-1 x as the list [head, *tail].
 
-    W is the Nesterov-Todd scaling of the contact, and p its scaled point: p = W^-1 (bound of the slip, slip) = W
-    (friction limit, minus force). o is the Jordan product, (a, b) o (c, e) = (a c + b.e, a e + c b).
+    W is the Nesterov-Todd scaling of the contact, a symmetric matrix, and p its scaled point: p = W^-1 (bound of the
+    slip, slip) = W (friction limit, minus force).
 
-    values : numbers of all contacts, flat, row by row; some rows hold W and p.
+    values : numbers of all contacts, flat, row by row (a row has one number of each contact); W and p stand in some of
+        these rows.
     at : for each row of the iterate the index in `values` of the number that the block's first contact has there.
-    head, tail : the right-hand side; the tail is a list of one or two numbers.
-    m : number of the contact within its block."""
+    head, tail : the right-hand side: a number, and a list of one or two numbers.
+    m : number of the contact within its block, 0 to BLOCK - 1."""
     by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
     first, share = (by * head - dot(by_tail, tail)) / determinant(by, by_tail), 1.0 / by
     rest = [(tail[k] - by_tail[k] * first) * share for k in ti.static(range(len(tail)))]
@@ -152,17 +156,17 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
 
 @ti.func
 def right_side_and_pull(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Return a list: the right-hand side (head, tail) of a Newton step at one contact, and the pull that follows from
-    it, 1 or 2 numbers, one for each slipping component.
+    """Return the list [head, *tail, *pull] of one contact: the right-hand side (head, tail) of a Newton step, as it is
+    given, and the pull that follows from it, one number for each slipping component.
 
-    The pull is the force with which the contact enters the equations of its spheres, once the unknown change of its
-    bound of the slip is eliminated. At a contact in no cone, where the block INVERSE is stored as 0, it is minus the
-    friction.
+    The pull is the force by which the contact enters the torque balance of its two spheres. A contact has a further
+    unknown, the change of its bound of the slip; the pull is what its elimination leaves of the right-hand side. A
+    contact in no cone (its number in row INVERSE is 0) has no such unknown; its pull is minus the friction force.
 
-    values : numbers of all contacts, flat, row by row.
+    values : numbers of all contacts, flat, row by row; a row has one number of each contact.
     at : for each row of the iterate the index in `values` of the number that the block's first contact has there.
-    head, tail : the right-hand side; the tail is a list of one or two numbers.
-    m : number of the contact within its block."""
+    head, tail : the right-hand side: a number, and a list with one number for each slipping component, 1 or 2.
+    m : number of the contact within its block, 0 to BLOCK - 1."""
     dual = vector(values, at, DUAL, tail, m)
     off = vector(values, at, OFF, tail, m)
     inverse = values[at[INVERSE] + m]
@@ -192,21 +196,22 @@ def step_to_boundary(head, tail: ti.template(), head_step, tail_step: ti.templat
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact what all Newton steps from an iterate share, and the right-hand side of the first one.
+    """Return for one contact a list of what all Newton steps from an iterate share, and of the aim of the first step.
 
     A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force), each a head
-    and a tail. The first step aims at their product 0, as at the minimum. A scaling W makes both one scaled point, W^-1
-    primal = W dual. The list has: weight and rotation (head, tail) of W; that point (head, tail); of W^-2 the inverse
-    of its entry head-head, and the entries head-tail; the stiffness of the contact, 1 number or 3 of a triangle;
-    right-hand side (head, tail); and pull on the spheres. A contact in no cone (row SMOOTH above 0) has the stiffness
-    of the friction law, and the inverse 0.
+    (one number) and a tail (1 or 2, one for each slipping component). A symmetric matrix W scales both to one point p =
+    W^-1 primal = W dual. The list has, in this order:
 
-    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
-    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
-        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
-        slipping components, 1 or 2; only its length is used.
-    numbers : at m, a small work: where the friction law has no stiffness along the slip, it gets work / slip^2.
-    m : number of the contact within its block."""
+    * W as a weight and a rotation (head, tail); p (head, tail);
+    * of W^-2 the inverse of the entry head-head (0 for a contact in no cone: row SMOOTH above 0), and those head-tail;
+    * the stiffness of the contact (in no cone that of the friction law): 1 number, or xx, xy, yy of a symmetric matrix;
+    * right-hand side (head, tail) for a product 0 of both points, as at the minimum; and its pull on the spheres.
+
+    values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
+    at : lists. at[0] has for each row of the iterate the index in `values` of the number of the block's first contact;
+        at[2] is as long as the contact has slipping components, 1 or 2. The others are not used here.
+    numbers : numbers[m] is a small work: a contact in no cone gets the stiffness work / slip^2 along its slip.
+    m : number of the contact within its block, 0 to BLOCK - 1."""
     state, like = at[0], at[2]
     friction, bound = values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
     slip = vector(values, state, SLIP, like, m)
@@ -228,8 +233,7 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     strength, inverse_core = dual_norm * inverse_norm, 1.0 / (2.0 * by * by - 1.0)
     inverse = ti.select(smooth, 0.0, square * inverse_core)
     off = [-2.0 * strength * by * by_tail[k] for k in axes]
-    # the stiffness along a direction and across it: that of the slip in no cone, else that of the rotation, or any if
-    # the rotation has none
+    # stiffness along a direction and across it: of the slip in no cone, else of the rotation; any if that has none
     slip_size, turn = ti.max(size(slip), LEAST_DIVISOR), size(by_tail)
     known = (turn > 0.0) | smooth
     inverse_length = 1.0 / ti.select(known, ti.select(smooth, slip_size, turn), 1.0)
@@ -260,19 +264,20 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, dual), where the dual is
     minus the force; both must stay in the cone, where the first number is at least the length of the rest. The list has
 
-    * the step of the bound, and the step of the dual (one or two numbers);
-    * the largest factors of these steps that keep the primal and the dual point in the cone;
+    * the step of the bound, one number, and the step of the dual, 1 or 2 numbers;
+    * the largest factors of the primal step (of bound and slip) and of the dual step that keep each point in its cone;
     * friction limit * bound + slip . dual; its derivatives by the factor of the primal and of the dual step; and the
       mixed derivative.
 
-    For a contact in no cone (INVERSE is 0) the last four numbers are 0, and its slip may change by half.
+    For a contact in no cone (INVERSE is 0) the step of the bound and the last four numbers are 0, its slip may change
+    by half, and its dual step has no end (ENDLESS_STEP).
 
-    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
-    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
-        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
-        slipping components, 1 or 2; only its length is used.
-    numbers : not used; all laws take the same arguments.
-    m : number of the contact within its block."""
+    values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
+    at : four lists. at[0] has, for each row of the iterate, the index in `values` of the number of the block's first
+        contact; so have at[1] for the rows of the step that is read, and at[3] for those of the step that is written.
+        at[2] has one entry for each slipping component, 1 or 2: only its length matters, as the length of vectors.
+    numbers : not used; all functions of a pass over the contacts take the same arguments.
+    m : number of the contact within its block, 0 to BLOCK - 1."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     inverse = values[state[INVERSE] + m]
@@ -314,20 +319,21 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact the right-hand side of the corrector (the second solve of a Newton step), and the pull on
-    the contact's spheres that follows from it, in a list: head, tail, pull. The head is one number, for the bound of
-    the slip; tail and pull have one number for each slipping component.
+    """Return for one contact the aim of the corrector (the second solve of a Newton step), as the list [head, *tail,
+    *pull]: the right-hand side, a number and a vector, and the pull on the contact's spheres that follows from it, a
+    vector. Vectors have one number for each slipping component, 1 or 2.
 
-    The corrector aims at a given product of the contact's primal and dual point, less the second-order error of the
-    predictor (Mehrotra 1992). That error is the Jordan product of the predictor's scaled steps p and q: a point with
-    the head p . q, over head and tail, and with the tail (head of p) * (tail of q) + (head of q) * (tail of p).
+    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force). The corrector
+    aims at a given value of their product, friction limit * bound - force . slip, and makes up for the second-order
+    error of the predictor, the first solve (Mehrotra 1992). That error is the Jordan product of the predictor's steps
+    of both points, each scaled: (a, b) o (c, e) = (a c + b.e, a e + c b), with heads a, c and tails b, e.
 
-    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
-    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
-        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
-        slipping components, 1 or 2; only its length is used.
-    numbers : at m, the product that is aimed at, which is the head of the Jordan product of the two points.
-    m : number of the contact within its block.
+    values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
+    at : four lists. at[0] has, for each row of the iterate, the index in `values` of the number of the block's first
+        contact; so have at[1] for the rows of the step that is read, and at[3] for those of the step that is written.
+        at[2] has one entry for each slipping component, 1 or 2: only its length matters, as the length of vectors.
+    numbers : numbers[m] is the value that is aimed at.
+    m : number of the contact within its block, 0 to BLOCK - 1.
     """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
@@ -344,21 +350,22 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 
 @ti.func
 def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact the right-hand side of a further corrector (Gondzio 1996), and the pull on the contact's
-    spheres that follows from it, in a list: head, tail, pull.
+    """Return for one contact the aim of a further corrector (Gondzio 1996), as the list [head, *tail, *pull]: the
+    right-hand side, a number and a vector, and the pull on the contact's spheres that follows from it, a vector.
+    Vectors have one number for each slipping component, 1 or 2.
 
-    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force). Their Jordan
-    product after steps of given lengths has two eigenvalues, head - |tail| and head + |tail|. The corrector brings
-    those outside given limits to the nearer limit, but lowers none by more than the upper limit.
+    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force). The Jordan
+    product of both, scaled, after steps of given lengths has two eigenvalues, head - |tail| and head + |tail|. The
+    corrector brings those outside given limits to the nearer limit, but lowers none by more than the upper limit.
 
-    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
-    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
-        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
-        slipping components, 1 or 2; only its length is used.
-    numbers : at m, m + BLOCK, ... : length of the primal step, of the dual step, lower limit, upper limit, and a
-        choice: GO_ON, or, in a sample that needs no further corrector, AS_READ or AS_WRITTEN to keep the right-hand
-        side of the step that is read or that of the step that is written.
-    m : number of the contact within its block.
+    values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
+    at : four lists. at[0] has, for each row of the iterate, the index in `values` of the number of the block's first
+        contact; so have at[1] for the rows of the step that is read, and at[3] for those of the step that is written.
+        at[2] has one entry for each slipping component, 1 or 2: only its length matters, as the length of vectors.
+    numbers : (5 * BLOCK,), of which this contact has those at m, m + BLOCK, ...: length of the primal step, length of
+        the dual step, lower limit, upper limit, and a choice: GO_ON to compute the aim; AS_READ or AS_WRITTEN, in a
+        sample that needs no further corrector, to take the right-hand side of the step that is read or written.
+    m : number of the contact within its block, 0 to BLOCK - 1.
     """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
@@ -396,17 +403,22 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     """Return for one contact its numbers after a step, those before, and its share of two sums after the step.
 
-    The list has: bound of the slip, slip, and dual, which is minus the force (slip and dual by slipping component); the
-    same three before the step; friction limit * |slip|, of which the sum is the power; and that plus slip . dual, of
-    which the sum is the excess of the power over the work of the forces. A contact in no cone (row SMOOTH above 0) gets
-    |slip| as its bound, and its dual is minus the friction along the slip.
+    The list has, where vectors have one number for each slipping component, 1 or 2:
 
-    values : numbers of all contacts, flat, row by row: the iterate and two steps; a row has one number of each contact.
-    at : four lists. at[0], at[1] and at[3] say where each row of the iterate, of the step that is read, and of the step
-        that is written begins for this block (indices in `values`). at[2] has as many entries as the contact has
-        slipping components, 1 or 2; only its length is used.
-    numbers : at m and at m + BLOCK, the lengths of the primal and of the dual step.
-    m : number of the contact within its block."""
+    * bound of the slip, slip (vector), and dual, which is minus the force (vector), after the step;
+    * the same three before the step;
+    * friction limit * |slip|, of which the sum over the contacts is the power;
+    * friction limit * |slip| + slip . dual, of which the sum is the excess of the power over the work of the forces.
+
+    After the step a contact in no cone (row SMOOTH above 0) has the bound |slip|, and minus the friction along the slip
+    as its dual.
+
+    values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
+    at : four lists. at[0] has, for each row of the iterate, the index in `values` of the number of the block's first
+        contact; so have at[1] for the rows of the step that is read, and at[3] for those of the step that is written.
+        at[2] has one entry for each slipping component, 1 or 2: only its length matters, as the length of vectors.
+    numbers : numbers[m] is the length of the primal step (of bound and slip), numbers[BLOCK + m] that of the dual step.
+    m : number of the contact within its block, 0 to BLOCK - 1."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     smooth, friction, bound = values[state[SMOOTH] + m] > 0.0, values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
@@ -433,6 +445,8 @@ def _row_numbers(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], t
 
     rows : for each quantity a pair: the number of its first row; and how many rows it has, itself a pair, for contacts
         with one component and with two.
+
+    A scalar in row 1 and a vector from row 2 on, (1, (1, 1)) and (2, (1, 2)), give ((1, 2), (1, 2, 3)).
     """
     one, two = (tuple(first + k for first, counts in rows for k in range(counts[kind])) for kind in (0, 1))
     return one, two
@@ -462,18 +476,19 @@ def apply_to_block(
 
     values : numbers of the iterate and of two steps, flat, row by row; a row has one number of each contact.
     blocks : the same memory as vectors of BLOCK numbers.
-    found : (FOUND, n) sums and least numbers, flat, changed in place: each is a vector with one number for each place
-        in a block. Blocks take turns among the n, so that each sample has sums of its own, which are added up in the
-        same order however many samples there are.
-    law : function of one contact that returns a list of numbers, such as `prepared`.
+    found : flat array of FOUND * n vectors of BLOCK numbers for n samples, changed in place. Result k of block b goes
+        to the vector k * n + b % n, place by place. So a sample has BLOCK sums, made in one order for any n.
+    law : function law(values, [state, old, like, new], numbers, m) of contact m of the block. Three lists say where its
+        numbers stand: in rows of the iterate, of the step that is read, and of the step that is written. It returns a
+        list: as many numbers as `writes` has rows, then as many as `finds` has entries.
     length : length of a row.
     block : number of the block.
     slots : two numbers, 0 or 1: which of the two steps is read, and which is written.
-    writes : two tuples: rows of the iterate, and rows of the step, into which the first numbers of the list go.
-    finds : for each further number of the list, its index (0 to FOUND - 1) on the first axis of `found`; below
-        LEAST_FOUND the least is kept, else the sum.
-    like : tuple with one entry for each slipping component of these contacts, 1 or 2; only its length is used.
-    numbers : what the law takes besides, such as the length of a step.
+    writes : two tuples: rows of the iterate, and rows of the step that is written, for the first numbers of the list.
+    finds : for each further number of the list its k, 0 to FOUND - 1; below LEAST_FOUND the least number is kept, else
+        the sum.
+    like : tuple with one entry for each slipping component of these contacts, 1 or 2; only its length matters.
+    numbers : what the law takes besides, such as the length of a step: BLOCK numbers of each kind.
     """
     # where the numbers of the block's first contact stand, in the rows of the iterate and of the two steps
     first = block * BLOCK
@@ -503,9 +518,9 @@ def _kernels_over_contacts(
     those with two, and one for both kinds. Only those that are used are compiled; one kernel for both kinds takes less
     time to compile than two.
 
-    law : function of one contact that returns a list of numbers, such as `prepared`: first the new values of the rows
-        that it writes (a row has one number of each contact), then numbers of which the sum or the least over all
-        contacts is found.
+    law : function of one contact, such as `prepared`, that returns a list: first the new values of the rows that are
+        written (a row has one number of each contact), then numbers of which the sum or the least over all contacts is
+        found.
     iterate : rows of the iterate that the law writes, as two tuples: for contacts with one slipping component, and for
         contacts with two, whose vectors take more rows.
     step : rows of the step that the law writes, as two such tuples; their values follow those of `iterate` in the list.
@@ -540,9 +555,9 @@ def _kernel_over_contacts(law: Callable, of_one: tuple | None, of_two: tuple | N
 
         values : numbers of the iterate and of two steps, flat, row by row; a row has one number of each contact.
         blocks : the same memory as vectors of BLOCK numbers, one for each contact of a block.
-        found : (FOUND, n) sums and least numbers, flat, changed in place: each is a vector with one number for each
-            place in a block. Blocks take turns among the n.
-        numbers : what the law takes besides, such as the length of a step.
+        found : flat array of FOUND * n vectors of BLOCK numbers for n samples: sums and least numbers, changed in
+            place. Result k of block b goes to the vector k * n + b % n, place by place.
+        numbers : what the law takes besides, such as the length of a step: BLOCK numbers of each kind.
         length : length of a row.
         first_two : number of the first block of contacts with two slipping components; those with one stand before it.
         end : number of all blocks.

@@ -24,13 +24,16 @@ def length(components: ti.template()):
 
 @ti.func
 def smaller(a, b):
-    """Return the smaller of two numbers as one machine instruction; unlike ti.min it makes no promise about NaN."""
+    """Return the smaller of two numbers, of vectors entry by entry, as one machine instruction; unlike ti.min it makes
+    no promise about NaN."""
     return ti.select(a < b, a, b)
 
 
 @ti.func
 def clamp(value, low, high):
-    """Return `value` where it lies within [low, high], else the nearer end; for numbers, or vectors entry by entry."""
+    """Return `value` where it lies within [low, high], else the nearer end.
+
+    value, low, high : numbers, or vectors, which are compared entry by entry."""
     inside = ti.select(value < low, low, value)
     return ti.select(inside > high, high, inside)
 

@@ -27,12 +27,13 @@ class ListSweeps(Sweeps):
     component `at_spheres`. Samples of the same network, called copies, stand one after another, each with COPY_NUMBERS
     constants of its own.
 
-    Fields of contacts that all subclasses have (C components of a spin, d tangents of a contact):
+    Fields of contacts that all subclasses have, with so many numbers a contact (C components of a spin, d tangents of a
+    contact: 3 and 2 of spheres, 1 and 1 of discs):
 
-    across : (d C), the unit tangents T; none for discs.
-    coefficient : the friction coefficient of the law.
-    viscosity : only if the law has one besides.
-    force : (C), T f, the friction force as a vector, from its components f along the tangents.
+    across : d C, the unit tangents T; none for discs.
+    coefficient : 1, the friction coefficient of the law, or its viscosity if it has no friction.
+    viscosity : 1, only if the law has one besides.
+    force : C, the friction force as a vector, T f, from its components f along the tangents.
 
     Five integers, `size`, tell kernels where numbers stand: lengths of the rows of spheres and of contacts of all
     copies, the same of one copy, and the length of a row of constants. In `tables` they are followed by the lists: the
@@ -42,12 +43,12 @@ class ListSweeps(Sweeps):
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
         """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every
-        sphere, or of every contact) each field stands, and which fields there are. With `elongation` contacts hold
-        friction by springs, with `work` an energy balance is kept, with `force_sum` averages are taken, with `spin`
-        there is a momentum.
+        sphere, or of every contact) each field stands, and which fields there are. With a field `elongation` contacts
+        have friction by springs, with `work` an energy balance is kept, with `force_sum` averages are taken, with
+        `spin` there is a momentum.
 
-        spec : names and numbers of components of the fields of spheres, and of those of contacts.
-        law : name of a force law in `contact.FORCES`.
+        spec : two tuples of pairs (name of a field, number of its components): fields of spheres, and of contacts.
+        law : name of a force law in `contact.FORCES`: "coulomb", "viscous" or "coulomb-viscous".
         corrector : coefficients of Gear's corrector; empty for gradient descent."""
         super().__init__(block_size())
         # rows of each field by name, counted from 0 for the fields of spheres and again for those of contacts
@@ -88,10 +89,10 @@ class ListSweeps(Sweeps):
         """Do one part of a sweep for one block: of contacts (part 0) or of spheres (part 1).
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
-        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
-            and the length of a row of constants.
+        size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
+            copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
         number : number of the block.
         numbers : not used, as each copy of the network has constants of its own among `values`.
         sweep : number of the sweep.
@@ -111,8 +112,8 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def contact_places(self, name: ti.template(), size: ti.template(), first):
-        """Return a list: for each row of a field of contacts the index, among all fields, of its number for the first
-        contact of a block.
+        """Return a list: for each row of a field of contacts the index, in the flat array of all fields, of its number
+        for the first contact of a block. A row is one number of every contact.
 
         name : name of the field.
         size : integers, of which the first two are the lengths of the rows of spheres and of contacts.
@@ -124,16 +125,17 @@ class ListSweeps(Sweeps):
         self, values: ti.template(), name: ti.template(), across: ti.template(), tables: ti.template(),
         size: ti.template(), first,
     ):  # fmt: skip
-        """Return the slips T (u_i + u_j) of a block of contacts: a list with an entry for each tangent.
+        """Return the slips T (u_i + u_j) of a block of contacts, length/time: a list with an entry for each tangent, a
+        vector over the contacts of the block.
 
-        u is radius times spin of the two spheres, T the unit tangents of the contact.
+        u is radius times spin of the two spheres i and j, T the unit tangents of the contact.
 
         values : all fields, flat.
         name : name of the field of spheres that holds u.
         across : unit tangents T, a list of the 6 components of both; not used for discs.
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
-        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
-            and the length of a row of constants.
+        size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
+            copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
         first : number of the block's first contact.
         """
         both = [zero(self.block) for _ in self.rows[name]]
@@ -146,10 +148,11 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def gathered(self, values: ti.template(), row, tables: ti.template(), first):
-        """Return `block` numbers of spheres in the order of a list: a vector, or one number if a block is one site.
+        """Return as many numbers of spheres as a block has sites, in the order of a list of spheres: a vector, or one
+        number if a block is one site.
 
         values : all fields, flat.
-        row : index at which the row of the numbers begins.
+        row : index in `values` at which the row begins that has these numbers for all spheres.
         tables : integers, among them lists of spheres.
         first : index in `tables` of the number of the first sphere; those of the others follow.
         """
@@ -169,8 +172,8 @@ class ListSweeps(Sweeps):
         along them.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
-        rows : list of the indices where the components of the vectors stand.
+        blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
+        rows : list of the indices in `values` of the components of the force on the block's first contact.
         across : T, a list of the 6 components of both tangents; not used for discs.
         force : f, a list with an entry for each tangent.
         """
@@ -183,15 +186,15 @@ class ListSweeps(Sweeps):
     @ti.func
     def pull(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), first):
         """Return one component of the force on each sphere of a block, minus the sum of T f over its contacts: a
-        vector.
+        vector, or one number if a block is one site.
 
         T f is the friction force of a contact as a vector, from its tangents T and the components f along them.
 
         values : all fields, flat.
-        row : index at which the row of that component of T f begins.
+        row : index in `values` at which the row of that component of T f begins.
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
-        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
-            and the length of a row of constants.
+        size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
+            copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
         first : number of the block's first sphere.
         """
         if ti.static(self.block == 1):
@@ -208,10 +211,10 @@ class ListSweeps(Sweeps):
         T f is the friction force of a contact as a vector, from its tangents T and the components f along them.
 
         values : all fields, flat.
-        row : index at which the row of that component of T f begins.
+        row : index in `values` at which the row of that component of T f begins.
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
-        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
-            and the length of a row of constants.
+        size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
+            copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
         sphere : number of the sphere.
         """
         total, start = 0.0, self.measures + 2 * size[1]
@@ -230,27 +233,35 @@ def dot(a: ti.template(), b: ti.template()):
 @ti.data_oriented
 class CundallStrackLists(SpringsAndSpins, ListSweeps):
     """Cundall-Strack steps over lists: springs at the contacts, Gear's method for the spins. The unknowns are u =
-    radius * spin.
+    radius * spin, length/time.
 
-    Fields of spheres, by spin component: `gear_n`, the n-th time derivative of u times (time step)^n / n!; `predicted`,
-    u extrapolated to the end of the next step, and, with friction, `integral`, its mean over that step; `is_free`, one
-    number a sphere, 1 / inertia, 0 of driven ones. Fields of contacts: `elongation` of the spring along each tangent,
-    with friction; `force` as a vector. With an energy balance, sums over the steps: `work` of each contact, and
-    `impulse`, the forces on driven spheres."""
+    Fields of spheres, with a number for each spin component:
+
+    gear_n : the n-th time derivative of u times (time step)^n / n!.
+    predicted : u extrapolated to the end of the next step.
+    integral : its mean over that step; only with friction.
+    is_free : one number a sphere: 1 / inertia, 0 of driven ones.
+    impulse : sum over the steps of the forces on driven spheres; only with an energy balance.
+
+    Fields of contacts:
+
+    elongation : stretch of the spring along each tangent; only with friction.
+    force : the tangential force, a vector.
+    work : sum over the steps of force times slip; only with an energy balance."""
 
     @ti.func
     def at_contacts(
         self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
         across: ti.template(), numbers: ti.template(),
     ):  # fmt: skip
-        """Stretch the springs and write the forces of a block of contacts; before, add the work of the last step to its
-        sum.
+        """Stretch the springs of a block of contacts, and write their elongations and forces into the fields. Before
+        that, add the work of the last step to its sum if an energy balance is kept.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
-        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
-            and the length of a row of constants.
+        size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
+            copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
         numbers : constants: radius * time step, stiffness of the spring, damping * radius, kinetic and static friction
@@ -284,14 +295,15 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
         numbers: ti.template(), sweep,
     ):  # fmt: skip
-        """Make Gear's step of one spin component for a block of spheres.
+        """Advance one spin component of a block of spheres by one time step (Gear's predictor-corrector). With an
+        energy balance, add the force on driven spheres to the field `impulse`.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
         c : number of the spin component.
-        pull : force on each sphere by its contacts, this component.
+        pull : this component of the force of its contacts on each sphere, a vector over the block.
         first : number of the block's first sphere.
-        size : lengths of the rows of numbers of spheres and of contacts.
+        size : integers, of which the first two are the lengths of the rows of spheres and of contacts.
         numbers : constants of the step, of which the one at place 7 is the response, time step * radius / inertia.
         sweep : not used.
         """
@@ -307,13 +319,19 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
 @ti.data_oriented
 class DescentLists(ListSweeps):
     """Sweeps of gradient descent over lists: each moves all free spins down the gradient of the dissipated power. The
-    unknowns are u = radius * spin.
+    unknowns are u = radius * spin, length/time.
 
-    Fields of spheres, by spin component: `point`, u at which forces are computed; `inverse_weight`, 1 / (sum over the
-    sphere's contacts of a bound on their curvature), 0 for driven spheres, which therefore stay; with a momentum
-    `spin`, u before it is added; for averages `spin_sum`, the sum of u over sweeps. Fields of contacts: their forces,
-    and for averages the sums of these. Spins are not kept within a box, as they are on lattices: that would be wrong
-    where the normals of contacts are oblique."""
+    Fields of spheres, with a number for each spin component:
+
+    point : u at which forces are computed.
+    inverse_weight : 1 / (sum over the sphere's contacts of a bound on their curvature); 0 for driven spheres, which
+        therefore stay.
+    spin : u before the momentum is added; only with a momentum.
+    spin_sum : sum of `point` over sweeps; only for averages.
+
+    Fields of contacts: `force`, the friction force as a vector, and `force_sum`, the sum of its components along the
+    tangents over sweeps; only for averages. Spins are not kept within an interval, as they are on lattices: that would
+    be wrong where the normals of contacts are oblique."""
 
     repeats = 2
 
@@ -327,13 +345,14 @@ class DescentLists(ListSweeps):
         They are also added to the field `force_sum` if there is one and the constant numbers[8] is above 0.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
-        size : five integers: lengths of the rows of spheres and of contacts, of all copies of the network and of one;
-            and the length of a row of constants.
+        size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
+            copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
         first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
-        numbers : constants of the sweep, of which the one at place 1 is 1 over the slip up to which friction grows.
+        numbers : constants of the sweep. Place 1: 1 over the slip speed up to which friction grows. Place 8: above 0 to
+            add the forces to their sums.
         """
         own = load_each(values, self.contact_places("coefficients", size, first), self.block)
         force = self.force_law(self.slip(values, "point", across, tables, size, first), own, numbers[1])
@@ -347,14 +366,15 @@ class DescentLists(ListSweeps):
         self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
         numbers: ti.template(), sweep,
     ):  # fmt: skip
-        """Move one spin component of a block of spheres down the gradient, and on by its momentum.
+        """Move one spin component of a block of spheres down the gradient of the power, and on by its momentum if there
+        is one; for averages add it, as it was before, to its sum.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
         c : number of the spin component.
-        pull : force on each sphere by its contacts, this component.
+        pull : this component of the force of its contacts on each sphere, a vector over the block.
         first : number of the block's first sphere.
-        size : lengths of the rows of numbers of spheres and of contacts.
+        size : integers, of which the first two are the lengths of the rows of spheres and of contacts.
         numbers : constants of the sweep. Place 0: the step. Place 8: 1 if spins are to be added to their sums. Place 9:
             sweeps that were made, before this launch, since the momentum was last set to zero.
         sweep : number of the sweep within the launch.

@@ -27,10 +27,11 @@ from taichi_bearings.kernels.team import Sweeps
 
 
 class SpringsAndSpins:
-    """The law of one contact, and Gear's step of one spin; lattices and lists of contacts share them.
+    """The force of a contact by its spring (:meth:`spring`), and a step of Gear's method for a spin (:meth:`motion`);
+    lattices and lists of contacts share them.
 
     order : how many numbers Gear's method keeps of a spin: the spin and its time derivatives.
-    corrector : coefficients of Gear's corrector, one for each of these numbers.
+    corrector : (order,), coefficients of Gear's corrector, one for each of these numbers.
     """
 
     order: int
@@ -45,17 +46,17 @@ class SpringsAndSpins:
         coefficients: ti.template(),
         numbers: ti.template(),
     ):
-        """Return the elongation and the force of contacts with friction after one step: a list of the components of the
-        first, then of the second.
+        """Return the elongation and the force of a block of contacts with friction after one step: a list of the 1 or 2
+        components of the elongation, then of as many of the force.
 
         The spring and its damper bear a trial force, K stretch + A speed. If that exceeds static friction the contact
         slips: its force is cut off at kinetic friction, and its spring is set back. A viscosity adds a force to either.
-        A component is a vector with an entry for each contact of a block.
+        A component is a vector with an entry for each contact of the block, or one number if a block is one site.
 
         moved : mean over the step of the difference of the spins, by component, 1/time.
         speed : that difference at the end of the step, by component, 1/time.
         before : elongation before the step by component, length.
-        coefficients : friction of each contact in a unit that they share, and viscosity if there is one.
+        coefficients : list of the friction coefficient of each contact, and of its viscosity if there is one.
         numbers : constants, in this order:
 
         * radius * time step;
@@ -86,11 +87,12 @@ class SpringsAndSpins:
 
         x_n is the n-th time derivative of the spin times (time step)^n / n!, at the end of this step. `end` is the spin
         that is predicted for the end of the next step. `mean` is the mean spin predicted for the next step, plus Gear's
-        correction of the mean of this step.
+        correction of the mean of this step. All are spins, 1/time: vectors over the spheres of a block, or numbers.
 
-        old : the numbers x_n before the step, a list.
-        pull : sum of the contact forces on the sphere, torque over radius.
-        is_free : 0 for driven spheres, whose spin stays; else the factor 1, or 1 / inertia where spheres differ.
+        old : list of the numbers x_n before the step.
+        pull : sum of the contact forces on each sphere, torque over radius.
+        is_free : 0 for driven spheres, which no force accelerates; else the factor 1, or 1 / inertia where spheres
+            differ.
         response : time step * radius / inertia, which turns a force into the change of a spin.
         """
         # the predicted derivative at the end of the step, and how far the torque's differs from it
@@ -117,8 +119,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     Fields, with one number for each spin component of a sphere, or for each component of a contact's force:
 
-    gear_n : for n = 0 ... q, the n-th time derivative of the staggered spin (spin with signs by which neighbours
-        differ) times (time step)^n / n!.
+    gear_n : for n = 0 ... q, with q the order of Gear's method, the n-th time derivative of the staggered spin (spin
+        with signs by which neighbours differ) times (time step)^n / n!.
     predicted, integral : the spin extrapolated to the end of the next step, and its mean over that step; the second
         only with friction. On large lattices the first is not stored but added up: it is the sum of all `gear_n`.
     is_free : one number a sphere, 0 for driven ones and 1 for others.
@@ -151,6 +153,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
         order, holds, tally : how many numbers are kept of a spin; whether contacts have friction, by springs; whether
             an energy balance is kept.
+        unstored : 1 if the spin predicted for the end of a step has no field of its own, else 0.
         slot : first row of each field, by name. moved : first rows of the fields that a step of the spheres writes.
         spin, integral, force, elongation : for each axis, the rows of the spin components that make its contacts slip,
             or of the forces or springs along these.
@@ -191,11 +194,11 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         list with an entry for each row, which is a vector over the sites of a block.
 
         values : all fields, flat.
-        rows : indices of the rows; a row has one value for every site.
-        row : length of a row, which has one number of every site.
+        rows : numbers of the rows that are read; a row has one number of every site.
+        row : length of a row.
         first : index in a row of the first site of the block.
-        side : list with the distance in memory to the upper neighbour; on lattices with periodic axes also with the
-            number of sites after which a ring along the axis closes, and with the place of the first site in its ring.
+        side : list with the distance in memory to the upper neighbour. On lattices with periodic axes two entries
+            follow: the length in memory of a ring along the axis, and the place of the first site in its ring.
         """
         up = load_neighbours(values, rows, row, first, side, 1, self.block)
         return minus(up, load_each(values, places(rows, row, first), self.block))
@@ -207,10 +210,11 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         that makes these contacts slip.
 
         values : all fields, flat.
+        axis : number of the axis.
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        side : list with the distance in memory to the upper neighbour; on lattices with periodic axes also with the
-            number of sites after which a ring along the axis closes, and with the place of the first site in its ring.
+        side : list with the distance in memory to the upper neighbour. On lattices with periodic axes two entries
+            follow: the length in memory of a ring along the axis, and the place of the first site in its ring.
         """
         here = load_each(values, places(self.ahead[0][axis], row, first), self.block)
         up = load_neighbours(values, self.ahead[0][axis], row, first, side, 1, self.block)
@@ -233,16 +237,16 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         numbers: ti.template(),
     ):
         """Stretch the springs of the contacts from a block of sites to their upper neighbours along each axis, and
-        write their elongations and forces. Without friction there are no springs: the force is coefficient *
-        numbers[2] * D, with D the difference of the spins.
+        write their elongations and forces into the fields. Without friction there are no springs: the force is
+        coefficient * numbers[2] * D, with D the difference of the spins, upper less lower sphere.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
-            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
-            in its ring. strides[axis::3] is what belongs to one axis.
+        strides : list of the distances in memory from a site to its upper neighbour along x, y and z. On lattices with
+            periodic axes two more triples follow: the length in memory of a ring along each axis, and the place of
+            `first` in its ring. strides[axis::3] is what belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, and compliance and memory of a spring that slips; others are not used."""
         if ti.static(self.tally):
@@ -267,12 +271,12 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         a constant factor: force times spin difference, summed over the contacts with the upper neighbours.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
-            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
-            in its ring. strides[axis::3] is what belongs to one axis.
+        strides : list of the distances in memory from a site to its upper neighbour along x, y and z. On lattices with
+            periodic axes two more triples follow: the length in memory of a ring along each axis, and the place of
+            `first` in its ring. strides[axis::3] is what belongs to one axis.
         """
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
@@ -285,23 +289,25 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        """Make one step of Gear's method for the spins of a block of spheres, by the contact forces that pull on them.
+        """Advance the spins of a block of spheres by one time step (Gear's predictor-corrector), under the contact
+        forces that pull on them.
 
-        `motion` of the base class gives for each spin component the new numbers that are kept of a spin (itself and its
-        scaled derivatives), its predicted end, and its predicted mean; they are written into the rows `moved`.
-        `pulling` says which forces act on a component. With `tally` forces on driven spheres are summed too. The loop
-        over the components is one at run time, so that its body is compiled once.
+        For each spin component the force on a sphere is summed over its contacts (`pulling` names the rows). `motion`
+        returns the new spin and its scaled time derivatives; the spin predicted for the end of the next step; and that
+        averaged over the next step. They are written into the rows `moved`, without the second where it is not stored.
+        If an energy balance is kept (`tally`), the forces on driven spheres are added to `impulse`.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
-        row : length of a row, which has one number of every site.
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
+        row : length of a row, which has one number of every site; a field has a row for each of its components.
         first : index in a row of the first sphere of the block.
-        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
-            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
-            in its ring. strides[axis::3] is what belongs to one axis.
+        strides : list of the distances in memory from a site to its upper neighbour along x, y and z. On lattices with
+            periodic axes two more triples follow: the length in memory of a ring along each axis, and the place of
+            `first` in its ring. strides[axis::3] is what belongs to one axis.
         response : time step * radius / inertia, 1/(force * time), which turns a force into the change of a spin.
         """
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
+        # a loop at run time, so that its body is compiled once
         for c in range(self.stencil.components):
             # the force on each sphere: that of its upper contact less that of its lower one, along each axis
             pull = zero(self.block)
@@ -322,16 +328,17 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Do one part of a step for a block of sites: part 0, stretch the springs at the contacts above them; part 1,
-        move their spheres.
+        """Do one part of a step for a block of sites: part 0, stretch the springs of the contacts with their upper
+        neighbours; part 1, advance the spins of their spheres.
 
+        part : 0 or 1.
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
-            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
-            in its ring. strides[axis::3] is what belongs to one axis.
+        strides : list of the distances in memory from a site to its upper neighbour along x, y and z. On lattices with
+            periodic axes two more triples follow: the length in memory of a ring along each axis, and the place of
+            `first` in its ring. strides[axis::3] is what belongs to one axis.
         numbers : radius * time step, stiffness of the spring, damping * radius, kinetic and static friction of a
             contact whose coefficient is 1, compliance and memory of a spring that slips, and time step * radius /
             inertia.

@@ -64,7 +64,8 @@ class DescentSweeps(Sweeps):
         self.coefficients = tuple(tuple(row + axis for row in first) for axis in range(stencil.dimension))
 
         def of_sites(name: str) -> tuple[int, ...]:
-            """Return the numbers of the rows of a field that has one row for each spin component.
+            """Return the numbers of the rows of a field of sites, one row for each spin component; a row is one number
+            of every site.
 
             name : name of the field."""
             return tuple(slot[name] + c for c in self.components)
@@ -85,7 +86,8 @@ class DescentSweeps(Sweeps):
         memory; each block takes this force from the block before, so only the first one needs it.)
 
         values : all fields, flat.
-        size : length of a row, and numbers in it before the first site.
+        size : integers, of which the first two are the length of a row (one number of every site) and the numbers in it
+            before the first site.
         low : number of the worker's first block.
         numbers : constants of the sweep; at place 1 is 1 over the spin difference up to which friction grows.
         sweep : number of the sweep, whose parity says which of the two fields of points is read."""
@@ -99,7 +101,8 @@ class DescentSweeps(Sweeps):
 
     @ti.func
     def add(self, total: ti.template(), axis: ti.template(), above: ti.template(), below: ti.template()):
-        """Add the forces of the contacts along one axis to the force on each sphere, in place.
+        """Add the forces of the contacts along one axis to the force on each sphere, in place. An entry of a list is a
+        vector over the sites of a block, or one number if a block is one site.
 
         total : force on the spheres of a block, a list with an entry for each spin component.
         axis : number of the axis.
@@ -112,13 +115,15 @@ class DescentSweeps(Sweeps):
 
     @ti.func
     def add_along_the_height(self, total: ti.template(), above: ti.template(), carried: ti.template()):
-        """Add the forces of the contacts along the height to the force on each sphere, in place.
+        """Add the forces of the contacts along the height to the force on each sphere, in place. An entry of a list is
+        a vector over the sites of a block, or one number if a block is one site.
 
-        In memory the height runs along the block, so the force below a site is the force above the site before.
+        The sites of a block stand above each other, so the force below a site is the force above the site before.
 
         total : force on the spheres of a block, a list with an entry for each spin component.
         above : force of the contact above each site of the block, a list with an entry for each component.
-        carried : force of the contact below the block; replaced by that above its last site, for the next block.
+        carried : force of the contact below the block, a list with a number for each component; replaced by that above
+            the last site, for the next block.
         """
         below = [pushed(above[t], carried[t], self.block) for t in ti.static(range(len(above)))]
         self.add(total, self.stencil.height, above, below)
@@ -131,22 +136,22 @@ class DescentSweeps(Sweeps):
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
         """Make one sweep of gradient descent for a block of sites: compute the contact forces on its spheres at the
-        spins in `point` (`point_next` in odd sweeps), move their spins, and write these into the other one of both
-        fields.
+        spins in the field `point`, move their spins down the gradient, and write the new ones into `point_next`. Odd
+        sweeps go the other way, from `point_next` to `point`.
 
         part : not used, as a sweep has one part.
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
-            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
-            in its ring. strides[axis::3] is what belongs to one axis.
+        strides : list of the distances in memory from a site to its upper neighbour along x, y and z. On lattices with
+            periodic axes two more triples follow: the length in memory of a ring along each axis, and the place of
+            `first` in its ring. strides[axis::3] is what belongs to one axis.
         numbers : step; sharpness, 1 over the spin difference up to which friction grows; three lower and three upper
             ends of the interval in which spins stay; 1 to add spins and forces to their sums, else 0.
         sweep : number of the sweep since the momentum was last set to zero.
-        carried : list with the force of the contact below the block, along the height; replaced by that below the next
-            block."""
+        carried : force of the contact below the block, along the height: a list with a number for each component that
+            makes it slip; replaced by the force below the next block."""
         step, sharpness, low, high, averaging = numbers[0], numbers[1], numbers[2:5], numbers[5:8], numbers[8] > 0.0
         parity, beta = sweep & 1, momentum(sweep)
         source, target = first + parity * self.apart * row, first + (1 - parity) * self.apart * row

@@ -44,10 +44,10 @@ HEIGHT, UPDATE_HEIGHT, SKIP, REST_HEIGHT, WIDTH = 10, 11, 12, 13, 14
 
 @ti.func
 def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
-    """Set the numbers begin ... end-1 to zero.
+    """Set the entries begin ... end-1 of an array to zero.
 
-    alone : True if each is a number of one matrix, False if it is a vector of LANES matrices.
-    numbers : the array.
+    alone : True if an entry is a number, False if it is a vector of LANES numbers.
+    numbers : the array, flat.
     step : 1, from memory: if the compiler knew it, it would unroll the loop, which takes long and gains nothing."""
     i = begin
     while i < end:
@@ -60,12 +60,13 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 
 @ti.func
 def sheets_before(tables: ti.template(), at, column):
-    """Return how many columns of the update of a front stand in the panels before the one that holds a column.
+    """Return the number of columns of the update of a front that stand in the panels before the one that holds a given
+    column.
 
     A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update, what
     is left for the later ones, is stored in panels of some columns each.
 
-    tables : integers that say where the entries of all fronts stand.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
     column : number of a column of the front, own columns first; for those the result is 0."""
     before, width = 0, tables[SHEET]
@@ -76,13 +77,13 @@ def sheets_before(tables: ti.template(), at, column):
 
 @ti.func
 def column_of(tables: ti.template(), at, column):
-    """Return the index, among the entries of all fronts, at which row 0 of a column of a front would stand. Columns of
-    its update are stored from the diagonal down only.
+    """Return the index, among the entries of all fronts, at which row 0 of a column of a front stands, or would stand:
+    columns of its update are stored from the diagonal down only.
 
     A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update is what
     is left for the later ones.
 
-    tables : integers that say where the entries of all fronts stand.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
     column : number of the column within the front, own columns first."""
     own, start = tables[at + OWN], tables[at + OWN_COLUMNS] + column * tables[at + HEIGHT]
@@ -96,11 +97,13 @@ def column_of(tables: ti.template(), at, column):
 
 @ti.func
 def add_vectors(vectors: ti.template(), to, end, source, shift: ti.template()):
-    """Add to the vectors of LANES numbers from `to` to `end`-1 the same count of numbers that stand in a row elsewhere.
+    """Add to the vectors `to` ... `end`-1, LANES numbers each, as many numbers that stand one after the other elsewhere
+    in the same array.
 
-    vectors : numbers, as vectors of LANES.
-    source, shift : the first number to add is number `shift` of the vector `source`; known to the compiler, so that
-        each vector to add is put together from two of memory in one instruction."""
+    vectors : the array, as vectors of LANES numbers; changed in place.
+    to, end : indices of vectors.
+    source, shift : the first number to add is number `shift`, 0 to LANES - 1, of the vector `source`. `shift` is known
+        to the compiler, so that each vector to add is put together from two of memory in one instruction."""
     left = vectors[source]
     while to < end:
         source += 1
@@ -117,9 +120,9 @@ def add_vectors(vectors: ti.template(), to, end, source, shift: ti.template()):
 
 @ti.func
 def add_run(numbers: ti.template(), vectors: ti.template(), to, source, length, step):
-    """Add `length` numbers in a row, from number `source` on, to those from number `to` on.
+    """Add `length` numbers of an array that follow each other, from index `source` on, to those from index `to` on.
 
-    numbers, vectors : the same memory, number by number and as vectors of LANES numbers.
+    numbers, vectors : the array, number by number, and the same memory as vectors of LANES numbers; changed in place.
     step : 1, from memory: if the compiler knew it, it would unroll the loops, which takes long and gains nothing."""
     end = to + length
     first, last = (to + LANES - 1) // LANES, end // LANES
@@ -146,13 +149,14 @@ def gather(
     A front is the dense matrix of some unknowns that are eliminated together, and of later ones; an update is what is
     left for the later ones. Children are fronts whose update goes into this one.
 
-    alone : True for one matrix, False for LANES of them.
-    unit : number of rows that make a vector; columns are cleared from a multiple of it on.
-    tables : integers that say where the entries of all fronts stand.
+    alone : True for one matrix, False for LANES of them; then an entry is a vector with one number of each.
+    unit : number of rows that make a vector in `vectors`, 1 for LANES matrices; columns are cleared from a multiple of
+        it on.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
     first, end : the columns first ... end-1 are filled.
-    entries : entries of the matrix, in the order of the tables.
-    numbers : entries of all fronts, one by one; read and written.
+    entries : entries of the sparse matrix, flat, in the order of the tables.
+    numbers : entries of all fronts, flat, one by one; read and written.
     vectors : the same entries as vectors of `unit` rows."""
     # set the columns to zero, from the diagonal down
     columns, height, step = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP]
@@ -200,9 +204,10 @@ def corner(numbers: ti.template(), shape: ti.template(), j, wide: ti.template())
     What the columns before contribute is subtracted. If these are own columns (of unknowns that this front eliminates)
     the triangle is factorised; its diagonal then holds the inverse pivots, which the substitutions need.
 
-    numbers : entries of all fronts.
-    shape : six numbers: index where the own columns before these begin, where they end, and the distance between them;
-        index where row 0 of these columns would stand, and the distance between them; True if they are own columns.
+    numbers : entries of all fronts, flat; not changed. An entry is a number, or a vector of LANES matrices.
+    shape : list [source, end, height, start, pitch, own]: indices in `numbers` where the own columns before these begin
+        and end, and the distance from one to the next; index where row 0 of the first of these columns would stand, and
+        the distance from one to the next; True if these are own columns.
     j : number of the first of the columns.
     wide : how many they are.
     """
@@ -241,11 +246,13 @@ def block(
     numbers : entries of all fronts (dense blocks of the factorisation), one by one.
     vectors : the same entries as vectors of `unit` rows.
     unit : rows that make a vector; 1 if each entry is a vector of LANES matrices.
-    shape : six numbers: index where the own columns before these begin, where they end, and the distance between them;
-        index where row 0 of these columns would stand, and the distance between them; True if they are own columns.
+    shape : list [source, end, height, start, pitch, own]: indices in `numbers` where the own columns before these begin
+        and end, and the distance from one to the next; index where row 0 of the first of these columns would stand, and
+        the distance from one to the next; True if these are own columns.
     j : number of the first of the columns in the front.
     i : number of the first vector of rows.
-    first : the triangle of these columns at the diagonal, row by row in a list, with inverse pivots.
+    first : the lower triangle of these columns at the diagonal, row by row in a list; for own columns that of the
+        factor, with inverse pivots.
     wide, tall : number of columns, and of vectors of rows, that are finished."""
     source, end, height, start, pitch, own = shape
     to = [(start + c * pitch) // unit + i for c in ti.static(range(wide))]
@@ -275,8 +282,8 @@ def panel(
     tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template(), j,
     wide: ti.template(),
 ):  # fmt: skip
-    """Work on `wide` columns of a front from j on: eliminate them if they are own columns, else subtract from them what
-    the own columns contribute. Either all of them are own, or none.
+    """Finish `wide` columns of a front from column j on, in place: eliminate them if they are own columns, else
+    subtract from them what the own columns contribute. Either all of them are own, or none.
 
     Own columns are those of unknowns that are eliminated in this front; the others belong to its update, which is left
     for later unknowns.
@@ -313,7 +320,7 @@ def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.templa
     A front is a dense matrix of unknowns that are eliminated together, its own, and of later ones that they are coupled
     to; its update is what the elimination leaves as the matrix of the later ones.
 
-    tables : integers that say where the entries of all fronts stand.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
     numbers : entries of all fronts, one by one; only lower triangles are used.
     vectors : the same entries as vectors of `unit` rows.
@@ -336,9 +343,9 @@ def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
     A pivot that is not positive leaves an inverse that is not finite, in the factor of its matrix alone.
 
     tables : integers that say where all entries stand, made in numerics/cholesky/layout.py.
-    entries : entries of the matrices, in the order of these tables.
-    numbers : entries of all fronts (dense matrices of unknowns that are eliminated together), overwritten by the
-        factors."""
+    entries : entries of the sparse matrices, flat, in the order of these tables; each a vector of LANES numbers.
+    numbers : entries of all fronts (dense matrices of unknowns that are eliminated together), flat, such vectors too;
+        overwritten by the factors."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH

@@ -16,8 +16,8 @@ def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, ma
     starts : (n + 1,), where the entries of each of the n columns of the matrix begin in `rows`.
     rows : (entries,), row of each entry of the matrix, column by column.
     parent : (n,) result: the first row below the diagonal in which each column of the factor has an entry; -1 for none.
-    count : (n,) result: entries of each column of the factor, the diagonal included.
-    mark : (n,) scratch.
+    count : (n,) result: number of entries of each column of the factor, the diagonal included.
+    mark : (n,) scratch, which need not be set.
     """
     ti.loop_config(serialize=True)
     for k in range(parent.shape[0]):

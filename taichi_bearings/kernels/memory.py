@@ -22,6 +22,8 @@ def in_range(index):
     """Return the index unchanged, in a form that lets the compiler rule out overflow of index + offset.
 
     Only then does it merge the loads of neighbouring sites into SIMD ones.
+
+    index : from 0 to 2^30 - 1.
     """
     return index & INDEX_MASK
 
@@ -42,9 +44,11 @@ def places(rows: ti.template(), length, site):
 def load(values: ti.template(), place, block: ti.template()):
     """Return `block` neighbouring numbers of `values` as a vector; one number if `block` is 1.
 
+    values : flat array.
     place : index of the first of them. It need not be a multiple of the block.
+    block : how many numbers, known when the kernel is compiled.
 
-    LLVM knows the loop for a copy, and loads the vector with few instructions.
+    LLVM takes the loop for a copy, and loads the vector with few instructions.
     """
     if ti.static(block == 1):
         return values[place]
@@ -58,7 +62,8 @@ def load(values: ti.template(), place, block: ti.template()):
 def store(values: ti.template(), blocks: ti.template(), place, block: ti.template(), new):
     """Write the numbers of a whole block of sites (a group of neighbours in memory).
 
-    values, blocks : the flat array, and the same memory as vectors of a block; the second is written unless block is 1.
+    values, blocks : the flat array, and the same memory as vectors of `block` numbers, which is written to unless
+        `block` is 1.
     place : index of the first number in the flat array, a multiple of the block.
     block : number of sites of a block.
     new : a vector, or one number if block is 1."""
@@ -74,7 +79,8 @@ def load_each(values: ti.template(), at: ti.template(), block: ti.template()):
     1.
 
     values : the flat array.
-    at : list of indices, e.g. of one block of sites in several rows.
+    at : list of places, which are indices in it; for instance of the first site of a block in several rows.
+    block : number of sites of a block, known when the kernel is compiled.
     """
     return [load(values, place, block) for place in ti.static(at)]
 
@@ -85,9 +91,9 @@ def store_each(
 ):
     """Write a list of blocks of numbers: new[k] from the index to[k] on.
 
-    values, blocks : the flat array, and the same memory as vectors of a block.
-    to : list of indices, each a multiple of the block.
-    block : sites of a block.
+    values, blocks : the flat array, and the same memory as vectors of `block` numbers.
+    to : list of indices in the flat array, each a multiple of `block`.
+    block : number of sites of a block.
     new : list of vectors, of numbers if block is 1.
     """
     for k in ti.static(range(len(to))):
@@ -96,17 +102,17 @@ def store_each(
 
 @ti.func
 def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
-    """Return a list with the strides along three axes and, on lattices with periodic axes, two more triples: for each
-    axis the number of sites of a ring along it, and the position of a site in its ring. So it has three or nine
-    entries; every third one from `axis` on is what :func:`load_neighbours` needs of an axis.
+    """Return where the neighbours of a site are, as a list: the strides along three axes and, on lattices with periodic
+    axes, two more triples: for each axis the length in memory of a ring along it, and the position of the site in its
+    ring. So the list has 3 or 9 entries; list[axis::3] is what :func:`load_neighbours` takes as `side`.
 
-    A ring along an axis is counted in memory, with all sites between its neighbours. An axis that is not periodic has a
-    ring so long that it never closes.
+    The length of a ring in memory is its number of spheres times the stride of the axis. An axis that is not periodic
+    has a ring so long that it never closes.
 
-    strides : distance in memory to the upper neighbour along each axis.
+    strides : list of three: distance in memory to the upper neighbour along each axis.
     site : number of the site among all.
-    ring : sites of a replica, which are those of a ring along x.
-    periodic : axes that close on themselves.
+    ring : number of sites of a replica (one of the samples side by side), which is the length of a ring along x.
+    periodic : numbers of the axes that close on themselves.
     """
     if ti.static(len(periodic) == 0):
         return strides
@@ -127,10 +133,10 @@ def load_neighbours(
     rows : numbers of the rows that are read.
     row : length of a row, which has one number of every site.
     first : index of the first site of the block within a row.
-    side : list with the stride of the axis; on lattices with periodic axes also with the sites of a ring, and with the
-        position of `first` in its ring.
+    side : list with the stride of the axis, the distance in memory to the upper neighbour. On lattices with periodic
+        axes two entries follow: the length in memory of a ring along the axis, and the position of `first` in its ring.
     way : 1 for upper neighbours, -1 for lower ones.
-    block : sites of a block.
+    block : number of sites of a block.
     """
     if ti.static(len(side) == 1):
         return load_each(values, places(rows, row, first + way * side[0]), block)
@@ -139,14 +145,15 @@ def load_neighbours(
 
 @ti.func
 def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.template(), block: ti.template()):
-    """Return, for a block of sites, a number of the neighbour of each along an axis: a vector.
+    """Return one number of the neighbour along an axis of each site of a block: a vector, one number if block is 1.
 
     values : the flat array.
-    place : index of that number of the block's first site.
-    side : list with the stride of the axis; on lattices with periodic axes also with the sites of a ring, and with the
-        position of the first site in its ring.
+    place : index in it of the same number of the block's first site itself.
+    side : list with the stride of the axis, the distance in memory to the upper neighbour. On lattices with periodic
+        axes two entries follow: the length in memory of a ring along the axis, and the position of the block's first
+        site in its ring.
     way : 1 for upper neighbours, -1 for lower ones.
-    block : sites of a block.
+    block : number of sites of a block.
     """
     if ti.static(len(side) == 1):
         return load(values, in_range(place + way * side[0]), block)
@@ -155,14 +162,15 @@ def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.te
 
 @ti.func
 def load_around(values: ti.template(), place, step, ring, position, block: ti.template()):
-    """Return, for a block of sites, the number of the site that is `step` further on in the same ring: a vector.
+    """Return, for each site of a block, the number of the site that is `step` further on in the same ring along a
+    periodic axis: a vector, one number if block is 1.
 
     values : the flat array.
-    place : index of the number of the block's first site.
-    step : distance in sites, negative for lower neighbours.
-    ring : sites of a ring, after which it begins again.
-    position : place of the block's first site in its ring.
-    block : sites of a block.
+    place : index in it of the number of the block's first site itself.
+    step : distance in memory, negative for lower neighbours.
+    ring : length of a ring in memory; behind its end it goes on at its begin.
+    position : place of the block's first site in its ring, 0 to ring - 1.
+    block : number of sites of a block.
     """
     if ti.static(block == 1):
         return values[place + (position + step) % ring - position]
@@ -187,7 +195,7 @@ def minus(upper: ti.template(), lower: ti.template()):
 
 @ti.func
 def zero(block: ti.template()):
-    """Return zeros for a block of sites: a vector, or 0.0 if block is 1."""
+    """Return zeros for a block of sites: a vector of `block` numbers, or 0.0 if block is 1."""
     if ti.static(block == 1):
         return 0.0
     return ti.Vector.zero(float, block)

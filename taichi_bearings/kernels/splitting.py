@@ -49,10 +49,11 @@ class ContactStep(Sweeps):
 
     @ti.func
     def limited(self, force: ti.template(), friction):
-        """Return the force itself, bit by bit, if friction can bear it; else the nearest force that it can bear.
+        """Return tangential forces cut off at the friction limit: where one is larger, it is scaled down to the limit;
+        the others stay as they are, bit by bit. The result is a list like `force`.
 
-        force : a list of one or two components, each a vector of the contacts of a block.
-        friction : friction limit of each contact, 0 or more.
+        force : a list of one or two components, each a vector over the contacts of a block.
+        friction : friction limit of each contact of the block, 0 or more.
         """
         if ti.static(len(force) == 1):
             return [clamp(force[0], 0.0 - friction, friction)]
@@ -71,7 +72,7 @@ class ContactStep(Sweeps):
         difference : upper less lower sphere of the field `potential`, spins in units of force: a list with an entry for
             each component that makes the contacts slip.
         old : trial forces before, a list of the same length.
-        own : friction limit of each contact, negative where there is none.
+        own : friction limit of each contact, negative where the lattice has no contact.
         weight : relative stiffness of these springs.
         relaxation : factor alpha of the over-relaxation; with 0 the trial forces stay as they were."""
         is_inside, friction = own >= 0.0, ti.max(own, 0.0)
@@ -88,17 +89,19 @@ class ContactStep(Sweeps):
     def limit_block(
         self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), numbers: ti.template()
     ):
-        """Write new trial and spring forces of the contacts from a block of sites to their upper neighbours. The new
-        trial force is the old one, cut off at the friction limit, and changed by the difference of the potentials; the
-        spring force is weight * that difference - (trial - 2 * trial cut off).
+        """Write new trial and spring forces of the contacts from a block of sites to their upper neighbours.
+
+        With f the old trial force cut off at the friction limit, and d the difference of `potential`, upper less lower
+        sphere, the new trial force is f + (1 - alpha) (old - f) + alpha * weight * d. The spring force is weight * d -
+        (new - 2 * new cut off). The weight is the relative stiffness of the springs.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
-            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
-            in its ring. strides[axis::3] is what belongs to one axis.
+        strides : list of the distances in memory from a site to its upper neighbour along x, y and z. On lattices with
+            periodic axes two more triples follow: the length in memory of a ring along each axis, and the place of
+            `first` in its ring. strides[axis::3] is what belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha."""
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
@@ -116,12 +119,12 @@ class ContactStep(Sweeps):
         `pull`, by spin component.
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
         row : length of a row, which has one number of every sphere.
         first : index in a row of the first sphere of the block.
-        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
-            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
-            in its ring. strides[axis::3] is what belongs to one axis."""
+        strides : list of the distances in memory from a site to its upper neighbour along x, y and z. On lattices with
+            periodic axes two more triples follow: the length in memory of a ring along each axis, and the place of
+            `first` in its ring. strides[axis::3] is what belongs to one axis."""
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
@@ -135,16 +138,17 @@ class ContactStep(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Do the first part of the pass, at the contacts above a block of sites, or the second, at its spheres.
+        """Do one part of an iteration for a block of sites: part 0, new forces of the contacts with their upper
+        neighbours; part 1, the sum of the spring forces on each of their spheres.
 
         part : 0 for the contacts, 1 for the spheres.
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
         row : length of a row, which has one number of every site.
         first : index in a row of the first site of the block.
-        strides : distances in memory from a site to its upper neighbour along x, y and z. On lattices with periodic
-            axes two more triples follow: how many sites a ring along each axis has in memory, and the place of `first`
-            in its ring. strides[axis::3] is what belongs to one axis.
+        strides : list of the distances in memory from a site to its upper neighbour along x, y and z. On lattices with
+            periodic axes two more triples follow: the length in memory of a ring along each axis, and the place of
+            `first` in its ring. strides[axis::3] is what belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha.
         sweep : not used; `at_sites` takes the same arguments in all methods.
         carried : not used."""

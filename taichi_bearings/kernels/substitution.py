@@ -38,13 +38,15 @@ from taichi_bearings.kernels.team import LEAST_CHUNK
 
 @ti.func
 def triangle_forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
-    """Solve forward with the triangle at the diagonal that belongs to `wide` own unknowns of a front (a group of
-    unknowns that are eliminated together), in place, and return the list of these unknowns.
+    """Solve forward with the triangle at the diagonal of the Cholesky factor that belongs to `wide` own unknowns of a
+    front (a group of unknowns that are eliminated together), in place, and return the list of these unknowns.
+
+    An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many matrices.
 
     numbers : the Cholesky factor, flat, with inverse pivots.
-    vector : right-hand sides, replaced by the solution.
-    where : list of three integers: in `numbers`, the index of the first pivot, and the distance from one column to the
-        next; in `vector`, the index of the first of these unknowns.
+    vector : flat, right-hand sides, replaced by the solution.
+    where : list [start, height, row]. In `numbers`: index of the first pivot, and distance from one column to the next.
+        In `vector`: index of the first of these unknowns.
     wide : number of these unknowns."""
     start, height, row = where
     value = [vector[row + c] for c in ti.static(range(wide))]
@@ -60,14 +62,17 @@ def triangle_forward(numbers: ti.template(), vector: ti.template(), where: ti.te
 def triangle_backward(
     numbers: ti.template(), vector: ti.template(), left: ti.template(), where: ti.template(), wide: ti.template()
 ):
-    """Solve backward with the triangle at the diagonal that belongs to `wide` own unknowns of a front (a group of
-    unknowns that are eliminated together), from its last row up.
+    """Solve backward with the triangle at the diagonal of the Cholesky factor that belongs to `wide` own unknowns of a
+    front (a group of unknowns that are eliminated together), from its last row up.
+
+    An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many matrices.
 
     numbers : the Cholesky factor, flat, with inverse pivots.
-    vector : where the solution is written.
-    left : list of what later unknowns leave of the right-hand sides of these; replaced by the solution.
-    where : list of three integers: in `numbers`, the index of the first pivot, and the distance from one column to the
-        next; in `vector`, the index of the first of these unknowns.
+    vector : flat; the solution is written here.
+    left : list of the right-hand sides of these unknowns, less what later unknowns contribute; replaced by the
+        solution.
+    where : list [start, height, row]. In `numbers`: index of the first pivot, and distance from one column to the next.
+        In `vector`: index of the first of these unknowns.
     wide : number of these unknowns."""
     start, height, row = where
     for back in ti.static(range(wide)):
@@ -80,13 +85,17 @@ def triangle_backward(
 
 @ti.func
 def take_from_children(tables: ti.template(), at, vector: ti.template(), keeps_own: ti.template()):
-    """Add to the rows of one front what its children in the elimination tree have left for their borders. A front is a
-    group of unknowns that are eliminated together, with the later ones they are coupled to, its border.
+    """Add to the right-hand sides of one front, and to what it stores for its border, what its children in the
+    elimination tree have left for their borders. A front is a group of unknowns that are eliminated together, with the
+    later ones they are coupled to, its border.
 
-    tables : integers that say where the entries of all fronts stand.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
-    vector : right-hand sides, and after them what fronts keep; changed in place.
-    keeps_own : True if each front keeps rows for its own unknowns there, before those for its border."""
+    vector : flat, changed in place: the right-hand side of each unknown in the order of elimination; then what each
+        front stores, one after the other. An entry is a number, or a vector with one number of each of LANES matrices.
+    keeps_own : True if a front stores a number for each of its own unknowns, and then one for each of its border; False
+        if it stores only those of its border."""
+    # `step` is 1, read from memory: if the compiler knew it, it would unroll the loop, which takes long
     next_child, step = tables[at + CHILD], tables[STEP]
     while next_child >= 0:
         child = HEADER + next_child * WIDTH
@@ -102,13 +111,16 @@ def take_from_children(tables: ti.template(), at, vector: ti.template(), keeps_o
 
 @ti.func
 def copy_border(tables: ti.template(), at, vector: ti.template(), to):
-    """Copy the unknowns of the border of one front, which its parent in the elimination tree has solved. A front is a
-    group of unknowns that are eliminated together, with the later ones they are coupled to, its border.
+    """Copy the unknowns of the border of one front, which its parent in the elimination tree has solved for, to where
+    the front stores numbers for its border. A front is a group of unknowns that are eliminated together, with the later
+    ones they are coupled to, its border.
 
-    tables : integers that say where the entries of all fronts stand.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
-    vector : the solution, and after it what fronts keep; changed in place.
+    vector : flat, changed in place: the solution for each unknown, as far as it is known; then what each front stores.
+        An entry is a number, or a vector with one number of each of LANES matrices.
     to : index in `vector` of the first copy."""
+    # `step` is 1, read from memory: if the compiler knew it, it would unroll the loop, which takes long
     slots, step, i = tables[SLOTS] + tables[at + BATCH_SHARE], tables[STEP], 0
     while i < tables[at + BORDER]:
         vector[to + i] = vector[tables[slots + i]]
@@ -117,17 +129,19 @@ def copy_border(tables: ti.template(), at, vector: ti.template(), to):
 
 @ti.func
 def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
-    """Solve for `wide` own unknowns of a front, and subtract their contribution from its later unknowns and its border.
-
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
+    """Solve forward for `wide` own unknowns of a front, and subtract their contribution from its later unknowns and its
     border.
 
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
+    border. An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many
+    matrices.
+
     numbers : the Cholesky factor, flat.
-    vector : right-hand sides, replaced by the solution.
-    where : list of seven integers: in `numbers`, the index of the first pivot, and the distance from one column to the
-        next; in `vector`, the index of the first of these unknowns, the end of the front's own ones, and the begin of
-        what is left for the border; the length of the border; and 1, hidden from the compiler so that it does not
-        unroll the loops.
+    vector : flat, right-hand sides, replaced by the solution; and after them what each front leaves for its border.
+    where : list [start, height, row, end, rest, border, step]. In `numbers`: index of the first pivot, and distance
+        from one column to the next. In `vector`: index of the first of these unknowns, end of the front's own ones, and
+        begin of what is left for the border. Then the length of the border, and 1, hidden from the compiler so that it
+        does not unroll the loops.
     wide : number of these own unknowns, PANEL or 1."""
     start, height, row, end, rest, border, step = where
     value = triangle_forward(numbers, vector, [start, height, row], wide)
@@ -150,16 +164,19 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
 
 @ti.func
 def backward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
-    """Solve for `wide` own unknowns of a front, once its later unknowns and its border are known.
+    """Solve backward for `wide` own unknowns of a front, once its later unknowns and its border are known.
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border.
+    border. An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many
+    matrices.
 
     numbers : the Cholesky factor, flat.
-    vector : what the forward solve has left, replaced by the solution.
-    where : list of seven integers: in `numbers`, the index of the first pivot, and the distance from one column to the
-        next; in `vector`, the index of the first of these unknowns, the end of the front's own ones, and the begin of
-        the border's; the length of the border; and 1, hidden from the compiler so that it does not unroll the loops.
+    vector : flat, results of the forward solve, replaced by the solution; and after them, for each front, a copy of the
+        unknowns of its border.
+    where : list [start, height, row, end, rest, border, step]. In `numbers`: index of the first pivot, and distance
+        from one column to the next. In `vector`: index of the first of these unknowns, end of the front's own ones, and
+        begin of the copy of its border. Then the length of the border, and 1, hidden from the compiler so that it does
+        not unroll the loops.
     wide : number of these own unknowns, PANEL or 1."""
     start, height, row, end, rest, border, step = where
     # subtract what the border and the later own unknowns contribute
@@ -181,16 +198,17 @@ def backward(numbers: ti.template(), vector: ti.template(), where: ti.template()
 
 @ti.func
 def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
-    """Solve forward for one front, once its children in the elimination tree are done.
+    """Solve forward (L y = b, with the Cholesky factor L) for one front, once its children in the elimination tree are
+    done.
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border; its children are the fronts that leave it something.
 
-    alone : True for one matrix, False for LANES of them.
-    tables : integers that say where the entries of all fronts stand.
+    alone : True for one matrix, False for LANES of them; then an entry of an array is a vector with one number of each.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
     numbers : the Cholesky factor, flat.
-    vector : right-hand sides, replaced by the solution."""
+    vector : flat, right-hand sides, replaced by the solution; and after them what each front leaves for its border."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step = tables[at + HEIGHT], tables[STEP]
     # begin with nothing for the border, and take what the children have left for theirs
@@ -210,15 +228,18 @@ def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template()
 
 @ti.func
 def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
-    """Solve backward for one front, once its parent in the elimination tree is done.
+    """Solve backward (L^T x = y, with the Cholesky factor L) for one front, once its parent in the elimination tree is
+    done.
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border; its parent is the front to which it leaves something.
 
-    tables : integers that say where the entries of all fronts stand.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
-    numbers : the Cholesky factor, flat.
-    vector : what the forward solve has left, replaced by the solution."""
+    numbers : the Cholesky factor, flat. An entry of an array is a number of one matrix, or a vector with one number of
+        each of LANES matrices.
+    vector : flat, results of the forward solve, replaced by the solution; and after them, for each front, room for a
+        copy of the unknowns of its border."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step = tables[at + HEIGHT], tables[STEP]
     copy_border(tables, at, vector, rest)
@@ -244,12 +265,13 @@ def _substitution(together: bool) -> Callable:
 
     @ti.kernel
     def run(tables: INTEGERS, numbers: kind, vector: kind):
-        """Solve forward for all fronts (groups of unknowns that are eliminated together), then backward, in place.
+        """Solve forward for all fronts (groups of unknowns that are eliminated together), L y = b, then backward, L^T x
+        = y, in place.
 
-        tables : integers that say where the entries of all fronts stand.
-        numbers : the Cholesky factor, flat.
-        vector : right-hand sides of the unknowns, replaced by the solutions, and after them what fronts leave for later
-            unknowns.
+        tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
+        numbers : the Cholesky factor, flat; an entry is a number of one matrix, or a vector of LANES matrices.
+        vector : flat, with such entries: the right-hand side of each unknown, replaced by the solution, and after them
+            what each front leaves for later unknowns.
         """
         ti.loop_config(serialize=True)
         for turn in range(2 * tables[FRONTS]):
@@ -268,16 +290,18 @@ substitute, substitute_alone = _substitution(True), _substitution(False)
 def forward_vectors(
     memory: ti.template(), vector: ti.template(), vectors: ti.template(), where: ti.template(), wide: ti.template()
 ):
-    """Solve for `wide` own unknowns of a front, and subtract their contribution from all rows of the front below them.
+    """Solve forward for `wide` own unknowns of a front of one matrix, and subtract their contribution from all rows of
+    the front below them.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to.
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to; it
+    has a row for each of both.
 
-    memory : list of two arrays: the Cholesky factor number by number, and the same memory as vectors of LANES rows.
-    vector : right-hand sides of the rows of all fronts, number by number; replaced by the solution.
-    vectors : the same memory as vectors of LANES rows.
-    where : list of five integers: in the factor, the index of the first pivot, and the distance from one column to the
-        next; in `vector`, the index of the first of these unknowns, and the end of the front; and 1, hidden from the
-        compiler so that it does not unroll the loops.
+    memory : list of two arrays: the Cholesky factor of one matrix, flat, and the same memory as vectors of LANES rows.
+    vector : flat, the right-hand sides of the rows of all fronts; replaced by the solution.
+    vectors : the memory of `vector`, as vectors of LANES rows.
+    where : list [start, height, row, end, step]. In the factor: index of the first pivot, and distance from one column
+        to the next. In `vector`: index of the first of these unknowns, and end of the front's rows. Last 1, hidden from
+        the compiler so that it does not unroll the loops.
     wide : number of these own unknowns, LANES or 1."""
     numbers, blocks = ti.static(memory)
     start, height, row, end, step = where
@@ -304,16 +328,18 @@ def forward_vectors(
 def backward_vectors(
     memory: ti.template(), vector: ti.template(), vectors: ti.template(), where: ti.template(), wide: ti.template()
 ):
-    """Solve for `wide` own unknowns of a front, once all rows of the front below them are known.
+    """Solve backward for `wide` own unknowns of a front of one matrix, once the unknowns of all rows of the front below
+    them are known.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to.
+    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to; it
+    has a row for each of both.
 
-    memory : list of two arrays: the Cholesky factor number by number, and the same memory as vectors of LANES rows.
-    vector : what the forward solve has left in the rows of all fronts, number by number; replaced by the solution.
-    vectors : the same memory as vectors of LANES rows.
-    where : list of five integers: in the factor, the index of the first pivot, and the distance from one column to the
-        next; in `vector`, the index of the first of these unknowns, and the end of the front; and 1, hidden from the
-        compiler so that it does not unroll the loops.
+    memory : list of two arrays: the Cholesky factor of one matrix, flat, and the same memory as vectors of LANES rows.
+    vector : flat, what the forward solve has left in the rows of all fronts; replaced by the solution.
+    vectors : the memory of `vector`, as vectors of LANES rows.
+    where : list [start, height, row, end, step]. In the factor: index of the first pivot, and distance from one column
+        to the next. In `vector`: index of the first of these unknowns, and end of the front's rows. Last 1, hidden from
+        the compiler so that it does not unroll the loops.
     wide : number of these own unknowns, LANES or 1."""
     numbers, blocks = ti.static(memory)
     start, height, row, end, step = where
@@ -339,16 +365,18 @@ def backward_vectors(
 
 @ti.func
 def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.template(), vectors: ti.template()):
-    """Solve forward for one front, once its children in the elimination tree are done.
+    """Solve forward (L y = b, with the Cholesky factor L) for one front of one matrix, once its children in the
+    elimination tree are done.
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border; its children are the fronts that leave it something.
 
-    tables : integers that say where the entries of all fronts stand.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
-    memory : list of two arrays: the Cholesky factor number by number, and the same memory as vectors of LANES rows.
-    vector : right-hand sides, and after them the rows of each front, number by number; changed in place.
-    vectors : the same memory as vectors of LANES rows."""
+    memory : list of two arrays: the Cholesky factor of one matrix, flat, and the same memory as vectors of LANES rows.
+    vector : flat, changed in place: the right-hand side of each unknown; then for each front its *rows*, a number for
+        each of its own unknowns and each of its border.
+    vectors : the memory of `vector`, as vectors of LANES rows."""
     own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
     step, begin, i = tables[STEP], tables[at + OWN_COLUMNS], 0
     # begin with the right-hand sides and nothing for the border, and take what the children have left for theirs
@@ -371,17 +399,18 @@ def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.te
 
 @ti.func
 def up_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.template(), vectors: ti.template()):
-    """Solve backward for one front, once its parent in the elimination tree is done.
+    """Solve backward (L^T x = y, with the Cholesky factor L) for one front of one matrix, once its parent in the
+    elimination tree is done.
 
     A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
     border; its parent is the front to which it leaves something.
 
-    tables : integers that say where the entries of all fronts stand.
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
-    memory : list of two arrays: the Cholesky factor number by number, and the same memory as vectors of LANES rows.
-    vector : right-hand sides, replaced by the solution, and after them the rows of each front as the forward solve has
-        left them, number by number.
-    vectors : the same memory as vectors of LANES rows."""
+    memory : list of two arrays: the Cholesky factor of one matrix, flat, and the same memory as vectors of LANES rows.
+    vector : flat: the right-hand side of each unknown, replaced by the solution; then for each front its *rows*, a
+        number for each of its own unknowns and each of its border, as the forward solve has left them.
+    vectors : the memory of `vector`, as vectors of LANES rows."""
     own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
     step, begin = tables[STEP], tables[at + OWN_COLUMNS]
     copy_border(tables, at, vector, rest + own)
@@ -416,7 +445,8 @@ def substitute_branches(
         index of its first front and of the front after its last.
     numbers : the Cholesky factor, number by number.
     blocks : the same memory as vectors of LANES rows.
-    vector : right-hand sides, replaced by the solution, and after them the rows of each front, number by number.
+    vector : flat: the right-hand side of each unknown, replaced by the solution; then for each front its *rows*, a
+        number for each of its own unknowns and each of its border (the later unknowns they are coupled to).
     vectors : the same memory as vectors of LANES rows.
     forth : 1 to solve forward, from the first front to the last; 0 to solve backward.
     begin, end : the branches begin ... end-1 are solved.

@@ -49,11 +49,12 @@ class Team:
     """The threads (workers) that make the launches of one solve together.
 
     size : number of workers; 0 stands for a GPU, which needs none and gets a launch for a few steps.
-    arrived : array with one number: how often workers have arrived at the barrier in this launch.
+    arrived : array with one number: how often workers have arrived at the barrier, where they wait for each other, in
+        this launch.
     workers : how many workers the next launch has; less than `size` while other programs take the cores.
     piece : seconds that the next launch should take.
     seconds : seconds that a step took in the last launch; infinity before the first.
-    rest_until : time of the clock at which the whole team is tried again.
+    rest_until : time of the clock (`time.monotonic`, seconds) at which the whole team is tried again.
     rest : seconds for which the team is made smaller the next time that it gets too few cores.
     """
 
@@ -81,7 +82,8 @@ class Team:
         be had; on a GPU it has `together` steps.
 
         kernel : a kernel that makes the steps begin ... end - 1.
-        count : steps; 0 compiles the kernel without a step.
+        count : number of steps in all calls together; 0 compiles the kernel without a step.
+        arguments : what the kernel takes besides.
         first : number of the first step.
         together : steps of one call on a GPU.
 
@@ -110,12 +112,13 @@ class Team:
                 self._judge(processor / wall)
 
     def _judge(self, processors: float) -> None:
-        """Choose how many workers the next launches have, and how long these are, by the processor time that the last
-        one got.
+        """Choose how many workers (threads) the next launches have, and how long these are, by the processor time that
+        the last one got.
 
-        processors : processor time over wall time of that launch, the mean number of processors at work. If it is much
-            less than the number of workers, the team goes on for `rest` seconds with as many workers as it got
-            processors, and each time twice as long; else the launches become longer.
+        If the team got nearly as many processors as it has workers, the next launch may take twice as long. Else it
+        goes on for `rest` seconds with as many workers as it got processors; `rest` is doubled for the next time.
+
+        processors : processor time over wall time of the last launch, the mean number of processors at work.
         """
         if processors >= self.size - MISSED_PROCESSORS:
             self.piece, self.rest = min(2 * self.piece, PIECE_SECONDS), FIRST_REST
@@ -144,16 +147,16 @@ def made_once(kind: Callable[..., Made], *configuration: Any) -> Made:
     """Return kind(*configuration), the same object in every call with equal arguments, so that its kernels are compiled
     once.
 
-    kind : a class of kernels.
-    configuration : arguments with which an object of this class is made.
+    kind : a class of kernels, or a function that makes an object with kernels.
+    configuration : arguments of `kind`; they must be hashable.
     """
     return kind(*configuration)
 
 
 @lru_cache(maxsize=16)
 def _constants(numbers: tuple[float, ...]) -> Any:
-    """Return an array on the device that holds `numbers`, the constants of a kernel. The last 16 arrays are kept, and
-    returned again for equal numbers."""
+    """Return an array on the device (the CPU or GPU on which kernels run) that holds `numbers`, the constants of a
+    kernel. The last 16 arrays are kept, and returned again for equal numbers."""
     return on_device(np.array(numbers, dtype=np.float64))
 
 
@@ -162,8 +165,8 @@ class Sweeps:
     """A kernel that repeats one step of a method over all sites. Subclasses say in `at_sites` what is done with a
     block, a group of neighbouring sites that are worked on together.
 
-    A step, called a turn, is `repeats` sweeps, each made of the same `parts` one after the other. A part reads nothing
-    that it writes at other sites, so that the order of the sites does not matter.
+    A step, called a turn, is `repeats` sweeps, each made of the same `parts` one after the other; a part is one pass
+    over all blocks. A part reads nothing that it writes at other sites, so that the order of the sites does not matter.
 
     Some methods have two parts of this kind: the first reads, beside a block itself, only its upper neighbours; the
     second reads what the first has written at the lower neighbours. Then a worker (thread) can make both parts of a
@@ -171,33 +174,37 @@ class Sweeps:
     second part of its first blocks has to wait for another worker, and follows in a second sweep. Every number is
     computed from the same numbers in either order.
 
-    parts : parts of a sweep; all workers wait for each other after each.
+    parts : number of parts of a sweep; all workers wait for each other after each.
     looks_up : True for methods with two such parts.
     joined : True if both parts of a block are made one after the other. A turn then has two sweeps of one part.
-    repeats : sweeps of a turn.
+    repeats : number of sweeps of a turn.
     numbers : how many constants the kernel takes.
     measures : how many integers at the begin of `Fields.tables` say where the sites are. On lattices: length of a row
-        (one number of every site), numbers in it before the first site, number of blocks, strides along x and y, sites
-        of a replica."""
+        (one number of every site), numbers in it before the first site, number of blocks, distances in memory to the
+        neighbours along x and y, sites of a replica (one of the samples that are solved side by side)."""
 
     parts, repeats, numbers, measures = 1, 1, 1, 6
     looks_up = False
 
     def __init__(self, block: int, periodic: tuple[int, ...] = ()) -> None:
         """Set the constants for which the kernel is compiled: block, periodic axes, whether it runs on a GPU, and
-        `together`, how many turns (steps over all sites) one launch there makes.
+        `together`, how many turns (steps over all sites) one launch there makes. Choose whether both parts of a turn
+        are made block by block, if the method has two.
 
         block : number of sites that are worked on together.
-        periodic : axes of the lattice that close on themselves."""
+        periodic : numbers of the axes of the lattice that close on themselves."""
         self.block, self.periodic, self.on_gpu = block, periodic, runtime.current().is_gpu
         self.together = TURNS_A_LAUNCH.get(runtime.current().arch, 1)
         self.join(self.looks_up and not periodic and not self.on_gpu)  # a ring closes at a lower neighbour
 
     def join(self, joined: bool) -> None:
-        """Choose the order of the two parts of a step, and set `joined`, `parts` and `repeats` accordingly.
+        """Choose the order of the two parts of a step, and set `joined`, `parts` and `repeats` accordingly. A sweep has
+        `parts` passes over all blocks (groups of neighbouring sites), with a barrier after each; a step has `repeats`
+        sweeps.
 
-        joined : True if a worker makes both parts for one block (a group of neighbouring sites) before it goes on to
-            its next block; False if one part is made for all blocks before the other begins.
+        joined : True if a worker (thread) makes both parts for a block before its next block. A step is then two sweeps
+            of one pass each: the second makes up for blocks whose second part had to wait for another worker. False if
+            one part is made for all blocks before the other begins; then the numbers of the class hold.
         """
         self.joined = joined
         kind = type(self)
@@ -226,12 +233,12 @@ class Sweeps:
 
     @ti.func
     def initial_carry(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return the list that a worker (a thread with a share of the blocks of sites) passes from each of its blocks
-        to the next in one sweep, as its first block gets it.
+        """Return the list of numbers that a worker (a thread with a share of the blocks of sites) passes from each of
+        its blocks to the next in one sweep, as its first block gets it.
 
-        Where a worker does both parts of a step for a block before the next one (`joined`), it is the index of the
-        first site for which the second part may follow at once, since all its lower neighbours are the worker's own;
-        else [0.0], which is not used. Methods that pass on something else override this.
+        Where a worker does both parts of a step for a block before the next one (`joined`), the list has the index of
+        the first site for which the second part may follow at once, since all its lower neighbours are the worker's
+        own; else it is [0.0], which is not used. Methods that pass on something else override this.
 
         values : all fields, flat; not used here.
         size : integers; on lattices first the length of a row (one number of every site), the numbers in a row before
@@ -245,8 +252,8 @@ class Sweeps:
 
     @ti.func
     def count(self, part: ti.template(), size: ti.template()):
-        """Return the number of blocks (groups of sites that are worked on together) that a part of a sweep goes
-        through: on lattices the same for all parts.
+        """Return the number of blocks (groups of sites that are worked on together) that one part of a sweep, a pass
+        over the sites, goes through: on lattices the same for all parts.
 
         part : number of the part, not used here.
         size : integers that say where the sites are; on lattices the third is the number of blocks."""
@@ -258,21 +265,22 @@ class Sweeps:
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
         """Do one part of a sweep for one block (group of sites that are worked on together) of a lattice: find its
-        sites, and call `at_sites`, which subclasses define.
+        sites, and call `at_sites`, which subclasses define. Where both parts are made block by block (`joined`), even
+        sweeps make the first part and, where it need not wait, the second; odd sweeps make the second parts left.
 
-        part : number of the part.
+        part : number of the part; always 0 if `joined`.
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
+        blocks : the same memory as vectors, one for each block.
         tables : integers of the layout, not used here.
         size : length of a row (one number of every site), numbers in it before the first site, number of blocks,
-            strides along x and y, sites of a replica.
+            distances in memory to the neighbours along x and y, sites of a replica (one of the samples side by side).
         number : number of the block.
         numbers : constants of the kernel.
         sweep : number of the sweep.
         carried : list that the worker's block before has left, or, for its first block, what `initial_carry` returned.
 
         `at_sites` gets, in place of `tables`, `size` and `number`, the length of a row, the index of the block's first
-        site, and the strides, with rings along periodic axes."""
+        site, and the strides (distances in memory to upper neighbours), with rings along periodic axes."""
         sides = [in_range(size[3]), in_range(size[4]), 1]
         strides = with_rings(sides, number * self.block, size[5], self.periodic)
         first = in_range(size[1] + number * self.block)
@@ -286,12 +294,13 @@ class Sweeps:
 
     @ti.func
     def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
-        """Add numbers of a block of sites to sums that the fields hold.
+        """Add to sums that the fields hold for each site of a block (sums over the turns, not over the sites).
 
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
-        sums : list of indices at which the sums of the block's first site stand.
-        new : list of what is added, a vector for each.
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
+        sums : list with, for each kind of sum, the index in `values` of that of the block's first site; those of the
+            other sites follow.
+        new : list with, for each kind of sum, a vector of what is added at each site.
         """
         for k in ti.static(range(len(sums))):
             store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
@@ -304,11 +313,11 @@ class Sweeps:
         """Make the turns `begin` ... `end` - 1, each one step of the method over all blocks of sites.
 
         arrived : array with one number, the counter of the barrier at which threads wait for each other.
-        workers : number of threads on a CPU; each takes an equal share of the blocks.
+        workers : number of threads on a CPU; each takes an equal share of the blocks. Not used on a GPU.
         values : all fields, flat.
-        blocks : the same memory in blocks (groups of sites that are worked on together).
-        tables : integers that say where the sites are in memory.
-        constants : constants of the kernel.
+        blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
+        tables : integers; the first `measures` of them say where the sites are in memory.
+        constants : (self.numbers,), constants of the kernel.
         """
         if ti.static(self.on_gpu):  # one loop over all blocks for each part, a thread for each block
             for turn, again, part in ti.static(ti.ndrange(self.together, self.repeats, self.parts)):

@@ -62,8 +62,8 @@ SLOTS_AT_ONCE, CHOICES_IN_A_SUM, WORTH_A_ROUND = 64, 32, 0.5
 
 @dataclass(frozen=True)
 class ExactMotions:
-    """Contacts of R samples of a packing that can all roll exactly at once, and the motions in which they do. There are
-    N spheres and E contacts in all.
+    """Contacts of R samples of a packing that can all roll together, none of them with any slip, and the motions in
+    which they do. There are N spheres and E contacts in all.
 
     spheres : (N,) mask of the free spheres that these contacts join.
     contacts : (E,) mask of these contacts: among these spheres, and with driven ones.
@@ -82,8 +82,9 @@ class ExactMotions:
 
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Return as many contacts as possible that are proven to roll exactly at once. First all are tried; as long as
-        that fails some spheres are left out, up to MOST_ROUNDS times.
+        """Find a large set of contacts for which motions without any slip at all of them are proven to exist, in exact
+        arithmetic. First all contacts of `rests` are tried; as long as that fails some spheres are left out, up to
+        MOST_ROUNDS times.
 
         network : N spheres and E contacts of R samples of a packing.
         number : (N, 3), the index of each spin component among the unknowns, -1 for those that are none.
@@ -98,8 +99,9 @@ class ExactMotions:
 
     @classmethod
     def _found(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Return as many contacts as possible that are proven to roll exactly at once. First all are tried; as long as
-        that fails some spheres are left out, up to MOST_ROUNDS times.
+        """Find a large set of contacts for which motions without any slip at all of them are proven to exist, in exact
+        arithmetic. First all contacts of `rests` are tried; as long as that fails some spheres are left out, up to
+        MOST_ROUNDS times. Where there are too many free spheres the set is empty.
 
         network : N spheres and E contacts of R samples of a packing.
         number : (N, 3), the index of each spin component among the unknowns, -1 for those that are none.

@@ -113,8 +113,8 @@ class Judgement:
 
     @cached_property
     def spins_are_at_rest(self) -> np.ndarray:
-        """(R,) mask of the samples for which a state without any slip is proven to exist, and whose stored spins are
-        one as far as doubles can tell."""
+        """(R,) mask of the samples that are proven to have a state without any slip, and whose stored spins are such a
+        state to within rounding: none of their slips exceeds STILL times the largest imposed speed."""
         found = self.can_all_rest.copy()
         if found.any():
             network = self.network

@@ -644,13 +644,21 @@ def _constraints(pulls: Pulls) -> list[Constraints]:
     along this component alone, or could begin to, and lie between two welded domains: groups of spheres that move
     together from one minimum to another.
 
-    pulls : the contacts that bear all their friction, and the groups of spheres that they and resting contacts join."""
+    A :class:`Constraints` holds of n such contacts: their indices in `pulls`; the numbers of the welded domains at
+    their lower and upper ends; the signs of their slips; and numbers that are equal for contacts with the same slip.
+
+    pulls : the contacts that bear all their friction, slipping ones (`in_s`) and others. It knows the spin components
+        that make each slip (`felt`), and for each sphere, by component, its domain: the spheres that contacts without
+        slip join to it (`slipless_domain`)."""
     found, size = [], pulls.slipless_domain.shape[1] + 2
     for slot in range(2):
+        # contacts that this component makes slip, and that do not slip along the other one (`turned_by`)
         welded = pulls.welded_domains(pulls.locked_domain, slot)
         ends = welded[pulls.lower], welded[pulls.upper]
         own = np.flatnonzero(pulls.felt[slot] & ~pulls.turned_by[slot] & (ends[0] != ends[1]))
         sign = pulls.sign[slot, own]
+        # Slipping contacts between the same two domains have the same slip if its sign is the same, or if sign and ends
+        # are exchanged; their key is the pair of domains. Any other contact has a key of its own.
         low, high = (pulls.slipless_domain[slot, end[own]] for end in (pulls.lower, pulls.upper))
         same_slip = np.where(sign > 0, low * size + high, high * size + low)
         same_slip = np.where(pulls.in_s[own], same_slip, size * size + own)

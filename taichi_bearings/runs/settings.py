@@ -145,9 +145,9 @@ class RunSettings:
     top: tuple[float, ...] | None = option(
         None,
         BEARING_STATE,
-        "Motion of the top plane, instead of spin_top and direction: AX,AY,AZ;C gives the sphere at x, counted from "
-        "the first sphere, the spin A + C x, with opposite signs for neighbours. C is in 1/(time*length). In 2D A "
-        "alone.",
+        "Motion of the top plane, instead of spin_top and direction: AX,AY,AZ;C gives a sphere at the position r, a "
+        "vector from the first sphere, the spin vector A + C r, with opposite signs for neighbours. A is in 1/time, "
+        "the number C in 1/(time*length). In 2D A alone, one number.",
         unit="1/time",
     )
     bottom: tuple[float, ...] | None = option(

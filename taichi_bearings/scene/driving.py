@@ -599,7 +599,11 @@ class Planes(Driving):
         return ~joined
 
     def positions(self, component: int) -> np.ndarray:
-        """Return the positions x_k, (n,), length, of the layers of spheres along an axis k, from 0; in 2D only (0,)."""
+        """Return the positions (n,), length, of the n layers of spheres along an axis; the first is at 0. In 2D, where
+        spins do not depend on the position, return the one position 0.
+
+        component : number of the axis.
+        """
         if self.lattice.dimension == 2:
             return np.zeros(1)
         return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])

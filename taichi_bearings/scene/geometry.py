@@ -187,8 +187,8 @@ class _Contacts:
         periods, wrong = _periods(shift, spread * self.reach[across], least)
         if wrong is not None:
             raise InputError(
-                f"{self._contact_does_not_fit(int(across[wrong]))}; nor are they neighbours along its normal across "
-                "periodic sides as the other contacts imply them; correct its normal or the centres"
+                f"{self._contact_does_not_fit(int(across[wrong]))}; nor do its centres fit its normal across a "
+                "periodic side, with the periods that follow from the other contacts; correct its normal or the centres"
             )
         # no period may put a sphere where another one is
         for period in periods:

@@ -213,7 +213,7 @@ class Modes:
         over the modes.
 
         order : order of Gear's method.
-        time_step : length of its steps.
+        time_step : length of its steps, time.
         """
         matrices = amplification(GEAR_COEFFICIENTS[order], time_step * self.decay, time_step**2 * self.oscillation)
         values, (p, q) = np.linalg.eigvals(matrices), self.roots
@@ -231,21 +231,25 @@ class Modes:
         return np.maximum.accumulate(np.sqrt(np.mean(size**2, axis=0)))
 
     def error(self, order: int, time_step: float, steps: float) -> float:
-        """Return the relative error of the spins in a run of `steps` steps, the largest on the way.
+        """Return the largest relative error of the spins on the way through a run, of those that :meth:`errors` gives
+        for the numbers of steps in TIMES_IN_STEPS (1, 2, ... 1e12); 0 for a run of less than one step.
 
         order : order of Gear's method.
-        time_step : length of its steps.
+        time_step : length of its steps, time.
+        steps : length of the run in steps, which need not be a whole number.
         """
         reached = int(np.searchsorted(TIMES_IN_STEPS, steps, side="right"))
         return float(self.errors(order, time_step)[reached - 1]) if reached else 0.0
 
     def accurate_step(self, order: int, time_step: float, steps: int) -> float:
-        """Return a time step whose error stays within ACCURATE_ERROR over a run as long as `steps` steps of
+        """Return a time step, time, whose error stays within ACCURATE_ERROR over a run as long as `steps` steps of
         `time_step`.
 
         The step is halved until that holds, also for a run of up to twice the length; NaN if HALVINGS do not suffice.
 
         order : order of Gear's method.
+        time_step : the step with which the search begins, time.
+        steps : length of the run in steps of this length.
         """
         longest = 2.0 ** max(steps, 1).bit_length()
         for parts in 2.0 ** np.arange(HALVINGS + 1):

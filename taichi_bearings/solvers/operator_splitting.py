@@ -313,33 +313,38 @@ class TorqueBalance:
 
     The problem is: sum over axes a of weight_a (-Laplace_a) u = `pull`, with u = 0 on the driven planes. A spin
     component is coupled along the height and one other axis only. A sine transform along the height separates the
-    modes; each of them is a chain, or a ring, along the other axis, and is solved with factors that are computed once.
-    On a GPU the solve is one launch. On a CPU the BLAS library multiplies by the sines.
+    *modes*, one for each sine. A mode is a *chain* of spheres along the other axis (a ring if that is periodic), whose
+    tridiagonal equations are solved by elimination, with factors that are computed once. On a GPU the solve is one
+    launch. On a CPU the BLAS library multiplies by the sines.
 
     fields : the fields of the method.
     kernels : the kernels of the solve.
     weight : stiffness of the springs sideways.
-    products : type of the numbers in the products on a CPU: single precision, or that of the fields if that is less.
+    products : type of the numbers in the products with the sines on a CPU: single precision, or that of the fields if
+        that is less.
     sines : matrix of the sine transform along a column of nz spheres: (nz, nz), 0 for driven ones; on a GPU (nz - 2, nz
         - 2).
     chains : flat, inverse pivots by which the chains, one for each mode, are solved.
     modes : flat, the transformed field, where solutions replace pulls.
     measures : whole numbers by which kernels find spheres: length of a row in memory, strides and the like.
-    workers : number of threads that share the planes; 0 on a GPU.
+    workers : number of threads that share the planes (layers of spheres that the height and one side span); 0 on a GPU.
     each : function like `map` that shares its calls among these threads.
     pulls, potentials : for each thread a list of pairs: some planes of `pull`, or of `potential`, and the same planes
         of the modes.
     is_rough : True if the products are less precise than the fields.
-    is_small : True if the BLAS library would use no threads of its own.
+    is_small : True if a column is so short that the BLAS library would use no threads of its own.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
-        """Compute the factors of all chains, and share the planes of the lattice among the threads.
+        """Prepare the solution: the matrix `sines` of the transform along the height, and the factors `chains` of the
+        tridiagonal equations along the other axis, one chain of spheres for each sine (a *mode*). On a CPU share the
+        planes of the lattice among threads. The class says what each attribute is.
 
-        spec : names and sizes of the fields.
-        stencil : constants of the kernels.
-        weights : stiffness of the springs along each axis of the lattice; that of all axes but the height is the same.
-        fields : the numbers of the fields.
+        spec : pairs (name of a field, number of its components).
+        stencil : spin components, dimension and periodic axes of the lattice.
+        weights : relative stiffness of the springs along each axis of the lattice, one number each; all axes but the
+            height have the same.
+        fields : the numbers of the fields; `pull` will be read, and `potential` changed.
         """
         self.fields, self.kernels, self.weight = fields, made_once(BalanceKernels, spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout

@@ -93,8 +93,13 @@ class Look:
         self._length = _length if largest < 1 / LEAST_LIMIT and least < GREATEST_LIMIT else _safe_length
 
     def look(self, share: Callable[..., Iterable[Any]]) -> Looked:
-        """Return friction and spring forces of the iterate, the power of its spins, and the lower bound that its forces
-        prove.
+        """Return, as a :class:`Looked`: friction and spring forces (C components, R samples, E contacts) of the
+        iterate; the power of its spins, the work of the driven planes against the spring forces, and the lower bound on
+        the least power that these forces prove, (R,) each, energy/time; and the fastest slip, length/time, of all
+        contacts whose trial force is within their friction limit.
+
+        The bound is proven by the spring forces, each cut off at its friction limit, or all scaled down by the largest
+        ratio of a force to its limit (`worst`), whichever proves more.
 
         share : a function like `map`, which may share the calls among threads.
         """

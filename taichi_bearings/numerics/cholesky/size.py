@@ -10,9 +10,9 @@ from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LEAF_UNKNOWN
 
 JOINED = 1.9  # measured: so much more of updates is alive, as fronts are joined and branches go side by side
 Tree = tuple[float, float, tuple[float, ...]]
-"""What a region of the lattice takes, in doubles: its factor; the update matrices that are alive at one time, at most;
-all update matrices at each depth of its dissection, the region's own first. (An update matrix is what the elimination
-of some unknowns adds to the matrix of later ones.)"""
+"""Memory that the elimination of a region of the lattice takes, in doubles: size of its factor; largest total size of
+the update matrices alive at one time; total size of the update matrices at each depth of the dissection, the region's
+own first. (An update matrix is what the elimination of some unknowns adds to the matrix of later ones.)"""
 
 
 @lru_cache(maxsize=64)
@@ -26,9 +26,10 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
     def tree(region: Region) -> Tree:
-        """Return three sizes of a region, in doubles: of its factor; of the update matrices (what eliminated unknowns
-        add to the matrix of later ones) alive at one time, at most; of all of them at each depth of its dissection, its
-        own first. They are computed once for all regions of one shape and border.
+        """Return the memory that the elimination of a region takes, in doubles: (size of its factor, largest total size
+        of update matrices alive at one time, total size of update matrices at each depth of the dissection, the
+        region's own first). An update matrix is what eliminated unknowns add to the matrix of later ones. All regions
+        with boxes of the same shape and the same border share one computation.
 
         region : by spin component, a box of spheres.
         """
@@ -41,12 +42,13 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return three sizes of a region, in doubles, from those of its two halves: of its factor; of the update
-        matrices (what eliminated unknowns add to the matrix of later ones) alive at one time, at most; of all of them
-        at each depth of its dissection, its own first.
+        """Return the memory that the elimination of a region takes, in doubles: (size of its factor, largest total size
+        of update matrices alive at one time, total size of update matrices at each depth of the dissection, the
+        region's own first). An update matrix is what eliminated unknowns add to the matrix of later ones. The two
+        halves of the region are eliminated first (`tree`), then the separator between them. Small ones are not divided.
 
         region : by spin component, a box of spheres.
-        border : number of unknowns outside that touch the region.
+        border : number of unknowns outside that contacts couple to the region.
         """
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
