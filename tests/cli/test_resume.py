@@ -154,7 +154,7 @@ def test_a_run_ends_at_its_duration_and_stays_resumable_as_it_is(tmp_path):
         assert set(again) == set(once)
         for name in once:
             np.testing.assert_array_equal(again[name], once[name], err_msg=name)
-    assert "already reached 0.500" in refused("run", "--resume", run, "--duration", "0.500009")
+    assert "is at the time 0.5000" in refused("run", "--resume", run, "--duration", "0.500009")
 
 
 def test_what_was_drawn_of_the_answer_before_goes_and_nothing_else(tmp_path):
@@ -194,7 +194,7 @@ def test_what_cannot_be_resumed_is_said_in_one_sentence(tmp_path):
     assert "record is 'soon'" in refuses(*SCENE, "--record", "soon")
     longer = ("--iterations", "1000000", "--duration")
     assert bearings("run", "--resume", "run", *longer, "0.5", cwd=tmp_path).returncode == 0
-    assert "already reached 0.5" in refuses("--resume", "run", "--duration", "0.1")
+    assert "is at the time 0.5; it must be longer" in refuses("--resume", "run", "--duration", "0.1")
     with h5py.File(tmp_path / "run" / "checkpoint.h5", "a") as file:
         del file["gear_0"]
     assert "incomplete" in refuses("--resume", "run", "--duration", "1")

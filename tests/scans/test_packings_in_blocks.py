@@ -125,7 +125,7 @@ def test_a_file_of_as_many_samples_as_a_block_is_refused_as_alone(plan_of, tmp_p
     np.savez(tmp_path / "network.npz", **arrays, viscosity=np.ones((5, packing.contacts)))
     found = solve_samples(plan_of('law = "coulomb-viscous"\n' + SEEDS).samples)
     assert {record["scalars"]["error"] for record in found} == {
-        f"replicas is 1, but {tmp_path / 'network.npz'} holds 5 samples"
+        f"replicas is 1, but {tmp_path / 'network.npz'} holds 5 samples; leave replicas out or give that number"
     }
 
 
