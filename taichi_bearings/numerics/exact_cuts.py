@@ -34,6 +34,7 @@ class LightestCuts:
     some, every : (edges,) True for edges with capacity that belong to some lightest cut, or to every one (no slack).
     residual : directed graph (nodes, nodes) of the arcs with capacity left. A lightest cut that has node i on the side
         of the first node has every node there that i reaches along these arcs.
+    together : (nodes,), labels, equal for nodes that reach each other along these arcs.
     """
 
     near: np.ndarray
@@ -42,6 +43,7 @@ class LightestCuts:
     some: np.ndarray
     every: np.ndarray
     residual: csr_array
+    together: np.ndarray
 
     @property
     def between(self) -> np.ndarray:
@@ -107,7 +109,7 @@ def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: fl
     within = (
         (within_reach(pairs, left, 0, slack), within_reach(pairs, left[::-1], last, slack)) if slack else (near, far)
     )
-    return LightestCuts(*within, ~near, some, every, arcs)
+    return LightestCuts(*within, ~near, some, every, arcs, label)
 
 
 def cuts_between(

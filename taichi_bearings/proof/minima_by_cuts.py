@@ -192,14 +192,13 @@ def _at_one_step(
     least : (nodes,), lower bound of the size of the step of each part, by its label."""
     low, high, label, count = graph.low, graph.high, graph.label, len(graph.own)
     copies = 1 + graph.is_double
-    with np.errstate(divide="ignore"):
-        margin = copies * np.tile(bounds.excess[bounds.network.sample_of(graph.own)], copies) / least[label[low]] * UP
+    margin = copies * np.tile(bounds.excess[bounds.network.sample_of(graph.own)], copies) / least[label[low]] * UP
     follows = graph.follows(margin)
     # Nodes above and below every lightest cut, as they follow from driven ones; then edges on one side, and across.
     together = connected_components(follows, directed=True, connection="strong")[1]
-    place, known = np.arange(len(graph.node)), begin[label[graph.node]] < len(graph.node)
-    above = reached(follows, graph.node[known & (place > begin[label[graph.node]])])
-    below = reached(follows.T.tocsr(), graph.node[known & (place <= begin[label[graph.node]])])
+    place, first = np.arange(len(graph.node)), begin[label[graph.node]]
+    above = reached(follows, graph.node[place > first])
+    below = reached(follows.T.tocsr(), graph.node[(place <= first) & (first < len(graph.node))])
     alike = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
     alike |= begin[label[low]] == len(graph.node)  # where there is no step, nothing slips
     parted = (above[low] & below[high]) | (below[low] & above[high])
@@ -248,8 +247,9 @@ def _in_whole_numbers(
     some, every = (np.any(list(of.reshape(copies, -1)), axis=0) for of in (cuts.some, cuts.every))
     if graph.is_double:
         left = np.flatnonzero(some & ~every)
-        together = connected_components(cuts.residual, directed=True, connection="strong")[1]
-        every[left], is_known = _in_either_copy(cuts.residual, together, cuts.near, cuts.far, place[edges[:, :, left]])
+        every[left], is_known = _in_either_copy(
+            cuts.residual, cuts.together, cuts.near, cuts.far, place[edges[:, :, left]]
+        )
         kept = np.delete(np.arange(len(near)), left[~is_known])
         near, some, every = near[kept], some[kept], every[kept]
     return near, some, every

@@ -406,16 +406,16 @@ class Centre:
 
     def _largest_torques(self, unsure: np.ndarray, less: np.ndarray | None = None) -> np.ndarray:
         """Return bounds (N spheres, 3) on the size of each component of the torque over radius that friction leaves
-        over on each sphere, if the friction of slipping contacts may differ from `friction`. The bound is 0 for spin
-        components that are no unknowns.
+        over on each sphere, if the friction of contacts may differ from `friction`. The bound is 0 for spin components
+        that are no unknowns.
 
-        unsure : (S,), bound on that difference, a force, for each of the S slipping contacts.
+        unsure : (E,), bound on that difference, a force, for each contact.
         less : (N, 3), torques that are subtracted before; None for none.
         """
         less = np.zeros(self.number.shape) if less is None else less
         parts = [part - Enclosure.exact(taken) for part, taken in zip(self.torques, less.T, strict=True)]
         found = np.stack([part.most for part in parts], axis=1)
-        for end in self.network.graph.contact[:, self.slipping]:
+        for end in self.network.graph.contact:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
 
@@ -451,7 +451,9 @@ class Centre:
         # and damping together, it is angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most,
         # which counts in r, as does what the size of F misses.
         pull, taken, inexact = self._newton_step(curvature, floor)
-        torque = self._largest_torques(size_error + size_by_law * angle**2 * UP, taken)
+        unsure = np.zeros(len(self.network.counts))
+        unsure[self.slipping] = size_error + size_by_law * angle**2 * UP
+        torque = self._largest_torques(unsure, taken)
         torque[self.number >= 0] = (torque[self.number >= 0] + inexact) * (curvature.scale * floor.unit)
         reach = self._norms_on_spheres(torque, np.ones(len(scale), dtype=bool)) / tau + pull / np.sqrt(tau)
         reach += np.sqrt(np.bincount(sample, size_by_law * size * angle**2 + damping * to_v**2, len(tau)) / tau)
@@ -527,17 +529,15 @@ class Centre:
         distance : (S,), bound on |slip at that minimum - slip at these spins|.
         """
         network, exact = self.network, self.exact
-        torque = self._largest_torques(
+        # The proof is about the normals as stored. The true ones differ from them by rounding, and a tie of theirs must
+        # not be decided by it. So contacts have to bear such changes of the torques at hand as well.
+        unsure = np.where(network.counts, ROUNDED_NORMAL * length(self.friction).most, 0.0)
+        unsure[self.slipping] += (
             self._distance_from_law
             + 2 * self._relative_to_slip(distance) * self.strength.most
             + self.damping.most * distance
         )
-        # The proof is about the normals as stored. The true ones differ from them by rounding, and a tie of theirs must
-        # not be decided by it. So contacts have to bear such changes of the torques at hand as well.
-        used = length(self.friction).most
-        for end in network.graph.contact:
-            np.add.at(torque, end, np.where(network.counts, ROUNDED_NORMAL * used, 0.0)[:, None])
-        torque = np.where(self.number >= 0, torque, 0.0)
+        torque = self._largest_torques(unsure)
         # The friction of resting contacts is corrected by no more than what the floors say: first at loose contacts,
         # for the spheres that exact motions leave out, then at exactly rolling ones. The first correction brings
         # torques of its own to the spheres of these, from each contact no more than its size.
