@@ -103,7 +103,7 @@ def command(
 
 def _ending(found: Any) -> str:
     """Return a line on how the result `found` of a run can be continued if it was interrupted; else an empty text."""
-    complete = found.reached and not found.solution.interrupted and not found.asked.is_packing
+    complete = found.reached and not found.solution.interrupted
     return _how_to_go_on(found.path, complete) if found.interrupted else ""
 
 
@@ -130,21 +130,27 @@ def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], a
     given : the options that the user gave, by name.
     """
     from taichi_bearings.errors import InputError
-    from taichi_bearings.runs.run import cost
+    from taichi_bearings.runs.run import prepare
 
     if resumed:
         raise InputError(
             f"--resume is {resumed!r}: the time that a resumed run will take is not known; leave out --dry-run"
         )
-    report = cost(_settings(scene, given)[0]).report
-    answer(report, as_json, lambda: describe_cost(report))
+    settings = _settings(scene, given)[0]
+    report = prepare(settings).cost.report
+    answer(report, as_json, lambda: describe_cost(report, settings.method == "auto"))
 
 
-def describe_cost(report: dict[str, Any]) -> str:
+def describe_cost(report: dict[str, Any], is_chosen: bool = False) -> str:
     """Return in words what a run would take.
 
     report : object of `--dry-run --json`; its `seconds` is None where the time cannot be known before.
+    is_chosen : True if the program chose the method; the words then say why it did.
     """
+    from taichi_bearings.solvers.table import METHODS
+
+    row = METHODS.get(report["method"])
+    why = f" ({row.merit})" if is_chosen and row is not None else ""
     step, steps, seconds = report["seconds_per_step"], report["steps"], report["seconds"]
     words = (
         "not known in advance: it ends when its tolerance is reached"
@@ -159,7 +165,7 @@ def describe_cost(report: dict[str, Any]) -> str:
             else ""
         )
         words = f"about {step:.1g} s a step{known}{open_end}"
-    return f"method: {report['method']}\ntime: {words}\nmemory: about {report['bytes'] / 1e9:.2f} GB"
+    return f"method: {report['method']}{why}\ntime: {words}\nmemory: about {report['bytes'] / 1e9:.2f} GB"
 
 
 def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
@@ -169,11 +175,9 @@ def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
     settings : settings of the run.
     given : the options that the user gave, by name.
     """
-    if "seed" not in given or not settings.is_packing:
-        return []
-    from taichi_bearings.runs.packing_run import idle_seed
+    from taichi_bearings.runs.run import door_of
 
-    return idle_seed(settings)
+    return door_of(settings).idle_seed(settings) if "seed" in given else []
 
 
 def _task(

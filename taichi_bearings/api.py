@@ -19,9 +19,10 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.options import SEED, finite_number, options_of
 from taichi_bearings.plain_files import Json
 from taichi_bearings.progress import displayed
-from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
-from taichi_bearings.runs.packing_run import fitting, minimises
+from taichi_bearings.runs.job import Job
+from taichi_bearings.runs.lattice_run import job_of
+from taichi_bearings.runs.packing_run import PackingJob, fitting, minimises
 from taichi_bearings.runs.result import Result as Result
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
@@ -274,7 +275,7 @@ def load(path: str | Path) -> Result:
 
 def _job(
     scene: Scene | Packing, method: str | MethodOptions, options: Mapping[str, object], start: str | np.ndarray
-) -> runs.Job:
+) -> Job:
     """Return the job that solves a scene or a packing, with the settings that `bearings run` has. Initial spins that
     are an array are kept in the job, beside the settings.
 
@@ -291,7 +292,7 @@ def _job(
         if strict and "initial" in settings.given and minimises(settings):
             raise InputError(f"start is given, but method {settings.method} of a packing does not use it; leave it out")
         settings = fitting(settings, strict)
-        return runs.Job(settings, scene, None if isinstance(start, str) else start)
+        return PackingJob(settings, scene, None if isinstance(start, str) else initial_spin(scene, start))
     if not isinstance(scene, Scene):
         raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene or a Packing")
     values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
@@ -301,7 +302,7 @@ def _job(
     values |= scene.drawn or {"coefficients": "run.h5"}
     values |= _asked(method, options, start)
     settings = RunSettings.from_mapping(values, "the options")
-    return runs.job_of(settings, scene, initial_spin(scene, start, "start"))
+    return job_of(settings, scene, initial_spin(scene, start, "start"))
 
 
 def _asked(method: str | MethodOptions, options: Mapping[str, object], start: str | np.ndarray) -> Json:

@@ -20,7 +20,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.memory import told_bytes
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, in_our_style, label_in_plain_text, new_figure
 from taichi_bearings.runs.cost import refuse_too_large
-from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.lattice_run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import InteriorPoint

@@ -25,7 +25,7 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.memory import free_bytes
 from taichi_bearings.plots.style import DOUBLE, in_our_style, new_figure
-from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.lattice_run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import BearingsError
-from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.lattice_run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import LocalEngine, Work, run_samples
 from taichi_bearings.scans.estimate import units_of

@@ -22,7 +22,7 @@ from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.memory import free_bytes
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.quantities import ANALYSED, plain
-from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.lattice_run import build_scene
 from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scans.estimate import bytes_of, paying_workers, seconds_of, units_of

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure, shades
-from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.lattice_run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import sample_key
 from taichi_bearings.solvers import InteriorPoint

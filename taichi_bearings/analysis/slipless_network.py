@@ -252,9 +252,7 @@ class SliplessNetwork:
         """For each sideways axis (x, in 3D also y) the number of different lattice positions along it that the shortest
         slipless path from bottom to top visits, as a list; None for a packing.
         """
-        if self.whole.lattice is None:
-            return None
-        return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
+        return [len(np.unique(places)) for places in self.shortest_path.T[:-1]] or None
 
     def winding(self, axis: int) -> np.ndarray:
         """Return a mask of the spheres in connected pieces that have a closed path of slipless contacts around a
@@ -274,7 +272,7 @@ class SliplessNetwork:
         axis : number of the axis.
         spanning : True to count only paths in connected pieces that join bottom and top.
         """
-        if self.whole.lattice is None or axis not in self.whole.lattice.periodic:
+        if axis not in self.whole.periodic:
             return None
         return bool((self.winding(axis) & (self.spanning if spanning else True)).any())
 

@@ -1,8 +1,8 @@
 """The structure of one sample, of a lattice or a packing: networks, domains, bottlenecks, and the flow of torque.
 
 Each part is computed when it is first asked for. Lattices and packings are treated alike, as networks of contacts; a
-lattice has simpler ways to three results that packings need a search for: the height of a sphere, the rigid domains,
-and the number of loops around which torque can circulate.
+lattice has simpler ways to two results that packings need a search for: the rigid domains, and the number of loops
+around which torque can circulate.
 
 **Torque.** Let s be signs by which neighbours differ. Then s times the force that a contact exerts on u = R omega is a
 current of each component, from one of its spheres to the other. No free sphere stores any of it; it enters at one
@@ -21,9 +21,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, laplacian
-from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, domains_of_packing, rigid_domains
@@ -164,26 +161,6 @@ class Structure:
         """The largest imposed radius * spin, length/time; for a lattice measured from its bottom plane."""
         return float(np.linalg.norm(self.scene.driven_speed, axis=1).max(initial=0.0))
 
-    def shown_spin(self, spin: np.ndarray) -> np.ndarray:
-        """Return spins (..., *N spheres, 3) or (..., *N) as pictures show them, without rotations that no contact
-        resists.
-
-        No contact of a lattice resists a rotation of a whole layer about the height (with the signs of the
-        sublattices), so that a dynamics keeps whatever mean each layer began with. If both driven planes have the same
-        mean, free layers are shown with it too. Otherwise, in 2D, and in packings, the spins stay as they are.
-        """
-        lattice = self.whole.lattice
-        if lattice is None or lattice.dimension == 2:
-            return spin
-        sign = lattice.parity
-        mean = (sign * spin[..., 2]).mean(axis=(-3, -2), keepdims=True)
-        bottom, top = mean[..., :1], mean[..., -1:]
-        if not np.allclose(bottom, top, rtol=0, atol=1e-12 * self.scene.fastest):
-            return spin
-        shown = np.array(spin)
-        shown[..., 1:-1, 2] -= (sign * (mean - bottom))[..., 1:-1]
-        return shown
-
     @property
     def snapshots(self) -> np.ndarray:
         """(S, spheres *N) or (S, *N, 3), laboratory spins at the S snapshots of a dynamics, 1/time. The run must have
@@ -288,36 +265,13 @@ class Structure:
         slips = np.abs(both).max(axis=0, initial=0.0) > near
         return tuple(np.flatnonzero(slips | ~slips.any()).tolist())
 
-    @cached_read_only
-    def height(self) -> np.ndarray:
-        """(spheres N,), height of each sphere: 0 on the first driven body and 1 on the last one.
-
-        On a lattice it is the number of the layer over that of the top. In a packing the height of a free sphere is the
-        mean of those of its neighbours; it is 0 in parts that are not joined to either body.
-        """
-        if self.whole.lattice is not None:
-            *_, layer = np.indices(self.whole.lattice.shape)
-            return np.asarray(layer.ravel() / layer.max())
-        # harmonic function on the graph of free spheres and bodies: 0 on the first body, 1 on the last one
-        node = self.network.body
-        ends, size = node[self.whole.contact[:, self.scene.acting]], int(node.max()) + 1
-        ones = np.ones(ends.shape[1])
-        graph = csr_array((np.tile(ones, 2), np.append(ends, ends[::-1], axis=1)), shape=(size, size))
-        label = connected_components(graph, directed=False)[1]
-        inside = np.flatnonzero(np.isin(label, label[[0, -1]])[1:-1]) + 1
-        matrix, height = (laplacian(graph))[inside], np.zeros(size)
-        height[-1] = 1.0
-        if len(inside):
-            height[inside] = spsolve(matrix[:, inside].tocsc(), -matrix[:, [-1]].toarray()[:, 0])
-        return np.asarray(height[node])
-
     @cached_property
     def torque_flow(self) -> TorqueFlow:
         """The torque on the driven bodies, the power they spend, and the share of it that slipless contacts carry.
 
         Torque flows through the contacts from one body to the other. A contact carries the part of the power that
         belongs to its part of the way: its force times the difference of the imposed speeds of both bodies, times the
-        difference of `height`, 0 at one body and 1 at the other, between its spheres. These parts add up to the power.
+        difference of the heights, 0 at one body and 1 at the other, of its spheres. These parts add up to the power.
         """
         whole, imposed, (odd, sign) = self.whole, self.scene.driven_speed, self.signs
         first, second = whole.contact
@@ -335,7 +289,8 @@ class Structure:
         power, share = np.bincount(body, spent[held], len(bodies)), None
         if self.states is not None:
             # power carried by each contact: its current, times the fraction of the height, times the jump of the states
-            drop = sign[first] * (self.height[first] - self.height[second])
+            height = self.scene.driving.heights
+            drop = sign[first] * (height[first] - height[second])
             carried = (pull * drop[:, None] * (self.states[1] - self.states[0])[first]).sum(axis=1)
             share = float(carried[self.slipless].sum() / carried.sum()) if carried.sum() else 0.0
         needed = list(self.scene.minimum_spin_axes) if whole.components > 1 else [0]

@@ -30,7 +30,7 @@ from taichi_bearings.fields import Fields, on_device
 from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, VALUES, in_range, load, store, with_rings
 
 # turns that a GPU makes in one launch: Python takes 90 microseconds for a launch, CUDA 6 for each part of it; with 16
-# turns a launch, steps would be a third faster and take twice as long to compile (docs/methods.md)
+# turns a launch, steps would be a third faster and take twice as long to compile (docs/measurements.md)
 TURNS_A_LAUNCH = {"cuda": 8}
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
 MISSED_PROCESSORS = 0.2  # a team that got so many processors less than its size shares them with other programs

@@ -50,7 +50,7 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
-    system, place, spin = structure.scene, structure.network.whole, structure.shown_spin(structure.spin)
+    system, place, spin = structure.scene, structure.network.whole, structure.scene.driving.shown(structure.spin)
     if place.lattice is None:
         surface = spin.reshape(place.spheres, -1) * place.radius[:, None]
         speed, label = (

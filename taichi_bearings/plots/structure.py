@@ -85,7 +85,7 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
         label += "\nyellow, green: one component alone is nearer to the second" if len(moving) > 1 else ""
         bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
-    put_title(figure, f"{describe(structure.scene)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
+    put_title(figure, f"{describe(structure.scene)}\n{domains.number:,} rigid domains, turning with: {kinds}", page)
     return figure
 
 
@@ -157,7 +157,7 @@ def _draw_values(axes: Axes, domains: RigidDomains) -> None:
     axes.set(xlim=(-margin, 1 + margin), ylim=(low, high), box_aspect=1)
     if not plane:
         label_in_plain_text(axes.yaxis)
-    look: dict[str, Any] = {"ncols": 4, "title": "locked to", "loc": "outside lower center"}
+    look: dict[str, Any] = {"ncols": 4, "title": "domains that turn with", "loc": "outside lower center"}
     legend = axes.figure.legend(*axes.get_legend_handles_labels(), **look)
     handles: list[Any] = legend.legend_handles
     for handle in handles:  # of one size, however small the domains are
@@ -176,7 +176,7 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     hides it then. Where no path joins bottom and top the figure says so, and contacts joined to the bottom are blue,
     those joined to the top red.
     """
-    network, spin = structure.network, structure.shown_spin(structure.spin)
+    network, spin = structure.network, structure.scene.driving.shown(structure.spin)
     if structure.whole.lattice is None:
         return _draw_network_of_packing(structure, page)
     (spin_top, spin_bottom), path = of_lattice(structure.scene).imposed, network.shortest_path

@@ -177,23 +177,12 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
     own = network.counts & some[network.graph.contact].any(axis=0)
-    return floor_of_slips(network, number, own) > 0
-
-
-def floor_of_slips(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> np.ndarray:
-    """Return for each of R samples a proven lower bound (R,) of the eigenvalues of K K^T. K is the matrix that gives
-    the slips of some contacts from n unknown spin components. If the bound is not 0, spins can give any slips to these
-    contacts. It is infinite for samples without any of them, and 0 if nothing is proven.
-
-    network : R samples of a packing, with N spheres and E contacts in all.
-    number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
-    contacts : (E,) mask of the contacts.
-    """
-    slips = _Slips.of(network, number, contacts)
+    slips = _Slips.of(network, number, own)
     if isinstance(slips, np.ndarray):
-        return slips
+        return slips > 0
+    # K K^T has a floor above 0, with K the matrix of these slips: one for all contacts, without units, is quicker
     with np.errstate(all="ignore"):
-        return proven_floor(slips.columns, rounding_of(slips.columns), slips.elimination)
+        return proven_floor(slips.columns, rounding_of(slips.columns), slips.elimination) > 0
 
 
 def floor_by_contact(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

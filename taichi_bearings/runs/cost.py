@@ -16,8 +16,7 @@ import numpy as np
 from taichi_bearings.memory import NotEnoughMemory, refuse_before
 from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Bearing
-from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.scene import Bearing, Scene
 from taichi_bearings.solvers.table import JUDGED_SECONDS, InteriorPoint, MethodOptions
 from taichi_bearings.words import counted
 
@@ -76,13 +75,12 @@ def bytes_of_lattice(
     return PROCESS_BYTES + each * replicas
 
 
-def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
+def refuse_too_large(row: type[MethodOptions], scene: Scene) -> None:
     """Raise NotEnoughMemory if a solve on a lattice, with proof and file, needs more memory than is free.
 
     row : class of the method.
     scene : what is solved. Its coefficients are in memory already, so they are not counted.
     """
-    scene = of_lattice(scene)
     lattice, there = scene.lattice, sum(values.nbytes for values in (*scene.coefficients, *scene.viscosity))
     needed = bytes_of_lattice(row, lattice.shape, lattice.periodic, scene.replicas) - PROCESS_BYTES - there
     what = f"{row.name} of {counted(lattice.sites * scene.replicas, 'sphere')}"
@@ -91,16 +89,14 @@ def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
     refuse_before(needed, what)
 
 
-def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """Return the estimated cost of a run: seconds, steps and bytes.
+def cost_of_lattice(settings: RunSettings, row: type[MethodOptions], scene: Scene) -> Cost:
+    """Return the estimated cost of a run of a lattice: seconds, steps and bytes.
 
     settings : settings of the run.
     row : class of its method.
     scene : what it solves, with all samples.
     """
-    if (lattice := scene.network.lattice) is None:
-        return _of_packings(settings, row, scene)
-    shape = settings.shape
+    lattice, shape = scene.lattice, settings.shape
     judged = PROCESS_SECONDS + JUDGED_SECONDS[len(shape)] * lattice.sites * settings.replicas
     room = bytes_of_lattice(row, shape, lattice.periodic, settings.replicas)
     step = row.step_seconds(shape)
@@ -124,7 +120,7 @@ def _limited(settings: RunSettings, beside: float, solve: float | None) -> float
     return None if least == inf else beside + least
 
 
-def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> int | None:
+def _steps(settings: RunSettings, row: type[MethodOptions], scene: Scene) -> int | None:
     """Return how many steps a dynamics or a descent on a lattice makes at most: the limit on the iterations, or the
     duration of a dynamics over the length of its time step, if that is less. None where it continues until it is at
     rest.
@@ -141,13 +137,13 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> i
     if (length := settings.values["time_step"]) is None:
         owned = {key: value for key, value in settings.owned if key in row.__dataclass_fields__ and value is not None}
         options: Any = row(**owned)
-        bound = stability_bound(of_lattice(scene), scene.minimum_spin_axes, options)
+        bound = stability_bound(scene, scene.minimum_spin_axes, options)
         length = DEFAULT_STEP * (bound if np.isfinite(bound) else 1.0)
     steps = int(np.ceil(settings.duration / length))
     return steps if limit is None else min(steps, limit)
 
 
-def _of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
+def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
     """Return the estimated cost of a run of a packing, whose samples are solved one after the other.
 
     settings : settings of the run.

@@ -18,15 +18,24 @@ from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
+from taichi_bearings.runs.cost import (
+    MOST_TOGETHER,
+    OBLIQUE_BYTES,
+    OBLIQUE_FACTOR,
+    PROCESS_BYTES,
+    Cost,
+    cost_of_packings,
+)
+from taichi_bearings.runs.job import Door, Job
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
 from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Bearing, Solution, Status
-from taichi_bearings.scene.array_files import read_arrays, read_coefficients
+from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed
-from taichi_bearings.solvers.packings import least_power, side_by_side, some_of
+from taichi_bearings.solvers.packings import MOST_SIDE_BY_SIDE, least_power, side_by_side, some_of
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.words import counted, shown
@@ -40,9 +49,131 @@ COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing, in the order of
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # axes of an array of one sample; other arrays have one
 
 
+BLOCK_SECONDS = 30.0  # estimated work of a unit of packings, which a kill can lose
+BESIDE_BYTES = 10e3  # a sphere, of each other sample of a packing that is solved beside one
+
+
+class PackingJob(Job):
+    """A run of a packing whose input has been checked."""
+
+    def solve(
+        self, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkpoints | None" = None, **others: object
+    ) -> Result:
+        """Solve the run on the device that the settings name, and return its result.
+
+        monitors : functions that are called at each check.
+        checkpoints : where and how often checkpoints are written, for methods that can go on from one.
+        others : `density` of the spheres, mass / length^D, for dynamics.
+        """
+        return solve_packings(self.settings, self.scene, self.spin, monitors, checkpoints, **others)
+
+    @property
+    def cost(self) -> Cost:
+        """The estimated cost of the run: seconds, steps and bytes."""
+        return cost_of_packings(self.settings, method_of_packing(self.settings), self.scene)
+
+
+class PackingDoor(Door):
+    """What has to be known of a run of a packing from its settings alone: of one from a file, and of a lattice whose
+    driven bodies are no planes.
+    """
+
+    what = "packings"
+
+    def row(self, settings: RunSettings) -> type[MethodOptions]:
+        """Return the class, in the table of methods, of the method that solves a run with these settings."""
+        return method_of_packing(settings)
+
+    def job(self, settings: RunSettings, strict: bool = True) -> PackingJob:
+        """Return the job that the settings describe; every input error is raised here.
+
+        settings : settings of the run.
+        strict : True to raise InputError for options that neither the method nor the law uses; False to ignore them.
+        """
+        settings = fitting(settings, strict)
+        return PackingJob(settings, *packings_to_solve(settings))
+
+    def job_of_seeds(self, settings: RunSettings, seeds: Sequence[int]) -> PackingJob:
+        """Return the job that solves several samples at once, which differ in their seeds alone. The file of the
+        packing is read once for all.
+
+        settings : settings of any of them; options that are not used are ignored.
+        seeds : the seed of each sample.
+        """
+        settings = fitting(settings, strict=False)
+        if len(seeds) == 1:
+            return PackingJob(settings, *packings_to_solve(settings))
+        return PackingJob(replace(settings, replicas=len(seeds)), packing_of(settings, seeds=seeds), None)
+
+    def refuse(self, settings: RunSettings, has_seeds: bool) -> None:
+        """Raise InputError for settings that describe no packing that can be solved.
+
+        settings : settings of one sample of a scan.
+        has_seeds : True if the scan asks for several seeds; something must then be drawn from them.
+        """
+        settings = fitting(settings, strict=False)
+        packing_of(settings)
+        if not has_seeds or settings.packing is None or settings.initial == "random":
+            return
+        if set(COEFFICIENTS[: len(settings.drawn)]) <= Packing.read(settings.packing, settings.contacts).keys():
+            raise InputError(
+                f"seed is scanned, but {settings.packing} holds all coefficients, so nothing is drawn; leave out seed, "
+                "or friction from the file"
+            )
+
+    def are_solved_together(self, settings: RunSettings, spheres: int) -> bool:
+        """Return True if samples that differ in their seeds alone can be solved at once, each with the same bits as
+        alone.
+
+        settings : settings of any of them.
+        spheres : number of spheres of a sample.
+        """
+        is_drawn = settings.coefficients is None and settings.initial in STARTS
+        return is_drawn and settings.time_limit is None and are_solved_together(settings, spheres)
+
+    def samples_at_a_time(self, settings: RunSettings, spheres: int) -> int:
+        """Return how many samples that differ in their seeds alone a worker should get at a time: as many as are solved
+        together, or as take BLOCK_SECONDS.
+
+        settings : settings of any of them.
+        spheres : number of spheres of a sample.
+        """
+        if not are_solved_together(settings, spheres):
+            return 1
+        alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
+        return min(MOST_SIDE_BY_SIDE, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
+
+    def seconds(self, settings: RunSettings) -> None:
+        """Return None: it is not known beforehand how long a packing takes."""
+
+    def worker_bytes(self, settings: RunSettings, spheres: int, most: int) -> float:
+        """Return the estimated memory, bytes, of a worker that solves samples with these settings.
+
+        spheres : number of spheres of a sample.
+        most : not used, as fewer are solved together.
+        """
+        beside = min(self.samples_at_a_time(settings, spheres), MOST_TOGETHER) - 1
+        return PROCESS_BYTES + (OBLIQUE_BYTES + BESIDE_BYTES * beside) * spheres
+
+    def idle_seed(self, settings: RunSettings) -> list[str]:
+        """Return a list with one sentence if the seed changes nothing, because the file of the packing has all
+        coefficients and the initial spins are not random; else an empty list.
+
+        settings : settings of the run.
+        """
+        if settings.packing is None or not Path(settings.packing).is_file():
+            return []
+        if not _draws_nothing(settings, Packing.read(settings.packing, settings.contacts)):
+            return []
+        return [f"seed is {settings.seed}, but {settings.packing} holds all coefficients, so nothing is drawn from it"]
+
+
+PACKINGS = PackingDoor()
+
+
 def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None]:
     """Return the packing that settings describe, with all its samples, and its initial spins if the settings name a
-    file for them, else None. The spins are (spheres N, 3), or (samples R, N, 3), of discs (N,) or (R, N); 1/time.
+    file for them, else None. The spins are (samples R, spheres N, 3), of discs (R, N); 1/time.
 
     settings : settings of the run.
 
@@ -51,10 +182,7 @@ def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None
     packing, named = packing_of(settings), settings.initial
     if named in STARTS or not Path(named).exists():
         return packing, None
-    start, shape = read_arrays(Path(named), ["spin"])["spin"], packing.spin.shape
-    if start.shape not in (shape, (packing.replicas, *shape)):
-        raise InputError(f"spin in {named} has shape {start.shape}; this packing needs {shape}")
-    return packing, start
+    return packing, initial_spin(packing, named)
 
 
 def solve_packings(
@@ -69,8 +197,8 @@ def solve_packings(
 
     settings : settings of the run.
     scene : the packing, with all samples.
-    start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N); None to take those that the
-        settings name.
+    start : initial spins, (samples R, spheres N, 3), of discs (R, N), 1/time; None to take those that the settings
+        name.
     monitors : functions that are called at each check.
     checkpoints : where and how often checkpoints are written, and the one to continue from; None for none.
     others : `density` of the spheres, mass / length^D, for dynamics.
@@ -79,16 +207,14 @@ def solve_packings(
     later, KeyboardInterrupt is raised instead, unless all samples were begun.
     """
     count, found, is_interrupted = scene.replicas, list[Solution](), False
-    # spins of each sample, if they are several
-    each = start if start is not None and start.ndim > scene.imposed_spins()[0].ndim else None
     if not minimises(settings) and settings.torque is None:
         solution = solved_packing(settings, scene, start, monitors=monitors, checkpoints=checkpoints, **others)
         if (reached := solution.scene.replicas) < count:
-            settings, start = replace(settings, replicas=reached), start if each is None else each[:reached]
+            settings, start = replace(settings, replicas=reached), None if start is None else start[:reached]
         return Result(settings, solution, start, interrupted=solution.interrupted)
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
     for begin, end in _blocks(settings, scene):
-        first = start if each is None else each[begin]
+        first = None if start is None else start[begin:end]
         block = some_of(scene, begin, end)
         of_block = {"monitors": monitors, "checkpoints": written[begin], **others}
         try:
@@ -101,9 +227,10 @@ def solve_packings(
         if is_interrupted := len(found) < end or found[-1].interrupted or found[-1].status is Status.INTERRUPTED:
             if len(found) < count and checkpoints is not None:
                 raise KeyboardInterrupt
-            settings, start = replace(settings, replicas=len(found)), start if each is None else each[: len(found)]
+            settings, start = replace(settings, replicas=len(found)), None if start is None else start[: len(found)]
             break
-    return Result(settings, Solution.joined(found, scene.first(len(found))), start, interrupted=is_interrupted)
+    whole = replace(Solution.joined(found, scene.first(len(found))), interrupted=is_interrupted)
+    return Result(settings, whole, start, interrupted=is_interrupted)
 
 
 def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
@@ -155,23 +282,6 @@ def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
     """
     refuse_driven(settings, method_of_packing(settings))
     return settings.fitting(method_of_packing(settings), strict)
-
-
-def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
-    """Raise InputError for settings that describe no packing that can be solved.
-
-    settings : settings of one sample of a scan.
-    has_seeds : True if the scan asks for several seeds; something must then be drawn from them.
-    """
-    settings = fitting(settings, strict=False)
-    packing_of(settings)
-    if not has_seeds or settings.packing is None or settings.initial == "random":
-        return
-    if set(COEFFICIENTS[: len(settings.drawn)]) <= Packing.read(settings.packing, settings.contacts).keys():
-        raise InputError(
-            f"seed is scanned, but {settings.packing} holds all coefficients, so nothing is drawn; leave out seed, or "
-            "friction from the file"
-        )
 
 
 def packing_of(
@@ -231,19 +341,6 @@ def _refuse_twice(settings: RunSettings, found: Mapping[str, object]) -> None:
             raise InputError(f"{key} is {value}, but {settings.packing} holds {name}; leave one of the two out")
 
 
-def idle_seed(settings: RunSettings) -> list[str]:
-    """Return a list with one sentence if the seed changes nothing, because the file of the packing has all coefficients
-    and the initial spins are not random; else an empty list.
-
-    settings : settings of the run.
-    """
-    if settings.packing is None or not Path(settings.packing).is_file():
-        return []
-    if not _draws_nothing(settings, Packing.read(settings.packing, settings.contacts)):
-        return []
-    return [f"seed is {settings.seed}, but {settings.packing} holds all coefficients, so nothing is drawn from it"]
-
-
 def _draws_nothing(settings: RunSettings, found: Mapping[str, object]) -> bool:
     """Return True if nothing is drawn from the seed: the file has every coefficient, and the initial spins are not
     random.
@@ -283,8 +380,8 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
 
     settings : settings of the run.
     packing : the samples that are solved; other settings that describe a packing are not used.
-    start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N), 1/time; None to take those that
-        the settings name. A method that minimises directly uses none.
+    start : initial spins, (samples R, spheres N, 3), of discs (R, N), 1/time; None to take those that the settings
+        name. A method that minimises directly uses none.
     others : `monitors`, functions that are called at each check; `checkpoints`, where and how often they are written,
         and the one to continue from; and, for dynamics alone, `density` of the spheres, mass / length^D.
     """
@@ -330,8 +427,8 @@ def _stepped(
 
     packing : what is solved.
     options : the method with its options.
-    start : initial spins, (spheres N, 3) or (samples R, N, 3), of discs (N,) or (R, N), 1/time; or their name, such as
-        "linear", or the path of a file.
+    start : initial spins, (samples R, spheres N, 3), of discs (R, N), 1/time; or their name, such as "linear", or the
+        path of a file.
     settings : settings of the run.
     density : density of the spheres, mass / length^D, for dynamics alone, from which their inertia follows.
     monitors : functions that are called at each check.

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import Separation, separate
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity, numbers_of
@@ -25,7 +24,6 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.writing import draw_figures, publish
 from taichi_bearings.scene import Bearing, Snapshots, Solution, Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.stopping import is_certified
 from taichi_bearings.words import counted, html_table, listed
 
@@ -204,8 +202,7 @@ class Result:
         3), or in 2D (*contacts), the component along z x n with the normal n. For packings it is the force on the
         second sphere, one array (contacts E, 3), or (E,) for discs. The lower bound follows from these forces.
         """
-        found, lattice = self._of_samples(self.solution.friction), self.scene.network.lattice
-        return found if lattice is None else read_only(friction_by_axis(found, lattice))
+        return read_only(self.scene.network.friction_as_given(self._of_samples(self.solution.friction)))
 
     @property
     def history(self) -> dict[str, np.ndarray]:
@@ -272,17 +269,17 @@ class Result:
             raise InputError(f"replica is {number}; the run has {counted(len(self), 'replica')}, numbered from 0")
         solution, spin = self.solution.sample(number), self.started_from
         asked = self.asked.of_replica(solution.scene.seeds[0])
-        one = spin if spin is None or self.scene.network.lattice is None else spin[[number]]
+        one = None if spin is None else spin[[number]]
         return replace(self, asked=asked, solution=solution, started_from=one)
 
-    def start(self) -> np.ndarray | None:
+    def start(self) -> np.ndarray:
         """Return the spins from which the solve started.
 
         Returns
         -------
-        array or None
-            Laboratory spins, (R, *N) of discs or (R, *N, 3) of spheres for R samples, 1/time; None for a packing whose
-            initial spins are named only.
+        array
+            Laboratory spins, (R, *N) of discs or (R, *N, 3) of spheres for R samples, 1/time. The direct methods for
+            minima of packings do not use them.
 
         Examples
         --------
@@ -291,10 +288,17 @@ class Result:
         (1, 4, 5)
         """
         named, path = self.asked.initial, self.path
-        if self.started_from is not None or self.scene.network.lattice is None:
+        if self.started_from is not None:
             return self.started_from
         beside = named if named in STARTS or path is None else str((path if path.is_dir() else path.parent) / named)
-        return initial_spin(of_lattice(self.scene), beside)
+        return initial_spin(self.scene, beside)
+
+    @property
+    def given_start(self) -> np.ndarray | None:
+        """The spins from which the solve started, as :meth:`start` returns them, if a file or an array gave them; None
+        if they have a name, such as "linear".
+        """
+        return None if self.asked.initial in STARTS else self.start()
 
     @cached_property
     def histogram(self) -> "PowerHistogram":
@@ -404,7 +408,7 @@ class Result:
         if not force and os.path.lexists(path):
             raise FileError(f"{path} already exists; save into another directory, or with force=True")
         with run_directory(Path(path), force) as directory:
-            stored = publish(directory, replace(self, started_from=self.start()))
+            stored = publish(directory, replace(self, started_from=self.given_start))
             vars(self).update(path=stored.path, started_from=stored.started_from)
             draw_figures(self)
         return directory.path
@@ -439,8 +443,7 @@ def _of_contacts(row: Quantity) -> property:
         values = row.of(result.solution)
         if values is None:
             return ()
-        values, lattice = result._of_samples(values), result.scene.network.lattice
-        return values if lattice is None else lattice.by_axis(values)
+        return result.scene.network.as_given(result._of_samples(values))
 
     return property(found, doc=f"{_described(row)[:-1]}; on lattices one array for each axis.")
 

@@ -33,10 +33,8 @@ from taichi_bearings.quantities import CONTACTS, found_in, numbers_of, plain
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_file import file_of, read_claims
 from taichi_bearings.runs.torque import under_torque
-from taichi_bearings.scene import Bearing, Scene, Solution, Status
-from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.scene.law import LAWS
-from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown
@@ -99,11 +97,9 @@ def verify(path: str | Path) -> Json:
 
 
 def _size_of(scene: Bearing) -> Json:
-    """Return the shape of a lattice, or the numbers of spheres and contacts of a packing, by name."""
-    network = scene.network
-    if network.lattice is not None:
-        return {"shape": list(network.lattice.shape)}
-    return {"shape": None, "spheres": network.spheres, "contacts": network.contacts}
+    """Return the shape of a lattice, None of other packings, and the numbers of spheres and contacts, by name."""
+    shape, network = scene.facts.get("shape"), scene.network
+    return {"shape": shape and list(shape), "spheres": network.spheres, "contacts": network.contacts}
 
 
 @dataclass(frozen=True)
@@ -316,22 +312,13 @@ def _seed_contradictions(run: Result) -> list[str]:
     """
     scene, found = run.solution.scene, list[str]()
     pairs: dict[str, tuple[Sequence[int], Sequence[int]]] = {"seed": (scene.seeds, run.asked.seeds)}
-    if scene.network.lattice is not None:
-        pairs["shape"] = scene.network.shape, run.asked.shape
+    pairs["shape"] = scene.facts.get("shape", run.asked.shape), run.asked.shape
     for name, (said, asked) in pairs.items():
         if tuple(said) != tuple(asked):
             found.append(f"the {name} in the file is {list(said)}, but that of its scene is {list(asked)}")
-    if not scene.is_drawn:
-        return found
-    scene = of_lattice(scene)
-    for second, (name, stored) in enumerate(scene.named_coefficients.items()):
-        if (words := scene.drawn.get(Scene.DRAWN[second])) is None:
-            continue
-        source = Distribution.parse(words)
-        for seed, values in zip(scene.seeds, stored, strict=True):
-            drawn = scene.lattice.flat(draw_coefficients(scene.lattice, source, seed, bool(second)))
-            if not np.array_equal(values, np.ravel(drawn)):
-                found.append(f"the {name} in the file differs from what seed {seed} gives")
+    for name, number, drawn in scene.drawn_again():
+        if not np.array_equal(scene.named_coefficients[name][number], drawn):
+            found.append(f"the {name} in the file differs from what seed {scene.seeds[number]} gives")
     return found
 
 

@@ -48,15 +48,15 @@ def self_contained(
 
     settings : settings of the run, which may name files elsewhere.
     scene : what is solved.
-    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; None if only their name is known.
+    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; not used if the settings name them, None if
+        only that name is known.
     folder : the run directory, to which the files are written.
     name : name of the file that will hold coefficients and packing. In runs with checkpoints other files hold them, and
         are written now, as the run may be resumed before there is a run.h5.
     """
-    with_file = settings.checkpoint_every is not None
+    with_file, one = settings.checkpoint_every is not None, scene.replicas == 1
     if scene.network.lattice is not None:
         scene = of_lattice(scene)
-        one = scene.replicas == 1
         if settings.coefficients is not None:
             name = "coefficients.npz" if with_file else name
             settings = replace(settings, coefficients=name)
@@ -64,16 +64,15 @@ def self_contained(
             arrays = {short_name(f"{kind}/{axis}"): v for kind, of in parts for axis, v in zip("xyz", of, strict=False)}
             if with_file:
                 write_arrays(folder / name, arrays)
-        spin = None if spin is None or settings.initial in STARTS else spin[0] if one else spin
     else:
         kept = {key: value for key, value in settings.given.items() if key not in LED_TO_ARRAYS}
         name = "packing.npz" if with_file else name
         if with_file:
             found = stacked([scene.sample(number).arrays() for number in range(scene.replicas)])
-            write_arrays(folder / name, {n: v[0] if scene.replicas == 1 else v for n, v in found.items()})
+            write_arrays(folder / name, {n: v[0] if one else v for n, v in found.items()})
         settings = RunSettings(**{**kept, "packing": name})
-    if spin is not None:
-        write_arrays(folder / "initial_spin.npz", {"spin": spin})
+    if spin is not None and settings.initial not in STARTS:
+        write_arrays(folder / "initial_spin.npz", {"spin": spin[0] if one else spin})
         settings = replace(settings, initial="initial_spin.npz")
     return settings
 
@@ -99,7 +98,7 @@ def write_run(folder: Path, found: "Result") -> None:
     from taichi_bearings.files.histogram_file import write_table
 
     with stage("writing"):
-        stored = self_contained(found.asked, found.scene, found.start(), folder)
+        stored = self_contained(found.asked, found.scene, found.given_start, folder)
         write_state(folder / "run.h5", found, stored)
         write_text(folder / "scene.toml", stored.to_toml())
         full = found.summary | {"settings": found.asked.described, "versions": versions()}

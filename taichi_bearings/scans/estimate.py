@@ -10,19 +10,15 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from taichi_bearings.runs.cost import MOST_TOGETHER, OBLIQUE_BYTES, OBLIQUE_FACTOR, PROCESS_BYTES, bytes_of_lattice
-from taichi_bearings.runs.run import row_of
+from taichi_bearings.runs.run import door_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Record, Unit
 from taichi_bearings.scans.plan import Sample, groups_of, spheres_of
-from taichi_bearings.solvers.table import JUDGED_SECONDS, InteriorPoint
+from taichi_bearings.solvers.table import JUDGED_SECONDS
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
 UNIT_SECONDS = 1.0  # estimated work that is sent to a worker at a time
-BLOCK_SAMPLES = 24  # samples of a unit for the interior point, which steps eight at once: others follow those done
-BLOCK_SECONDS = 30.0  # estimated work of a unit of packings, which a kill can lose
-BESIDE_BYTES = 10e3  # a sphere, of each other sample of a packing that is solved beside one
 MOST_IN_A_UNIT = 256  # samples
 MOST_SITES_IN_A_UNIT = 200_000  # spheres of all its samples
 KIND_KEYS = (
@@ -39,8 +35,7 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float:
     settings : settings of the sample.
     structure : True if its structure (domains, network, cut) is analysed as well.
     """
-    solve = None if settings.is_packing else row_of(settings).seconds(settings.shape, settings.tolerance)
-    if solve is None:
+    if (solve := door_of(settings).seconds(settings)) is None:
         return math.inf
     judged = JUDGED_SECONDS[len(settings.shape)] * spheres_of(settings)
     return seconds_beside(settings, structure) + judged + min(solve, settings.time_limit or math.inf)
@@ -57,13 +52,9 @@ def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
 
 def bytes_of(settings: RunSettings) -> float:
     """Return the estimated memory, bytes, of a worker that solves samples with these settings."""
-    sites = spheres_of(settings)
-    if settings.is_packing:
-        beside = min(_packings_together(settings), MOST_TOGETHER) - 1
-        return PROCESS_BYTES + (OBLIQUE_BYTES + BESIDE_BYTES * beside) * sites
-    periodic = ["xyz".index(name) for name in settings.periodic]
-    together = max(1, min(MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // sites))
-    return bytes_of_lattice(row_of(settings), settings.shape, periodic, together)
+    spheres = spheres_of(settings)
+    most = max(1, min(MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres))
+    return door_of(settings).worker_bytes(settings, spheres, most)
 
 
 def kind_of(settings: RunSettings) -> tuple[object, ...]:
@@ -85,31 +76,14 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
     units = []
     for group in groups_of(samples):
         settings = group[0].settings
-        number = int(UNIT_SECONDS / seconds_of(settings, structure))
-        if settings.is_packing:
-            number = _packings_together(settings)
-        elif spheres_of(settings) < row_of(settings).alike_in_a_block:
-            number = max(number, BLOCK_SAMPLES)
-        number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres_of(settings)))
+        spheres, in_a_second = spheres_of(settings), int(UNIT_SECONDS / seconds_of(settings, structure))
+        number = max(in_a_second, door_of(settings).samples_at_a_time(settings, spheres))
+        number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres))
         rounds = math.ceil(len(group) / (number * workers))
         number = math.ceil(len(group) / (rounds * workers))
         units += [tuple(group[start : start + number]) for start in range(0, len(group), number)]
     first = {kind_of(unit[0].settings): unit for unit in reversed(units)}
     return sorted(units, key=lambda unit: first[kind_of(unit[0].settings)] is not unit)
-
-
-def _packings_together(settings: RunSettings) -> int:
-    """Return how many samples of one packing are sent to a worker at a time: as many as are solved together, or as take
-    BLOCK_SECONDS.
-    """
-    from taichi_bearings.runs.packing_run import are_solved_together  # and with it SciPy
-    from taichi_bearings.solvers.packings import MOST_SIDE_BY_SIDE
-
-    spheres = spheres_of(settings)
-    if not are_solved_together(settings, spheres):
-        return 1
-    alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
-    return min(MOST_SIDE_BY_SIDE, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
 
 
 def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = False) -> float:
@@ -139,7 +113,7 @@ def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False
 class Kind:
     """Samples that take about the same time.
 
-    method : name of the method that solves them.
+    method : name of the method that solves them, with the kind of scene.
     cost : estimated seconds of one; where there is no estimate, spheres times simulated time.
     remaining : number of those without a result.
     done, seconds : number of those with a result, and the time that these have taken together.
@@ -173,7 +147,8 @@ class WorkLeft:
             settings = group[0].settings
             seconds = seconds_of(settings, structure)
             cost = seconds if seconds < math.inf else spheres_of(settings) * (settings.duration or 1.0)
-            name = row_of(settings).name + " of packings" * settings.is_packing
+            door = door_of(settings)
+            name = f"{door.row(settings).name} of {door.what}"
             self.kinds.setdefault(kind_of(settings), Kind(name, cost)).remaining += len(group)
 
     def finish(self, sample: Sample, record: Record) -> None:

@@ -3,7 +3,6 @@
 Seeds are solved together only where that changes no bit of their results.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -16,8 +15,9 @@ from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.plain_files import Json
 from taichi_bearings.quantities import plain
+from taichi_bearings.runs.job import Job
 from taichi_bearings.runs.result import Result
-from taichi_bearings.runs.run import Job, prepare, row_of
+from taichi_bearings.runs.run import door_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.writing import self_contained, write_state
 from taichi_bearings.scans.engine import LocalEngine, failure, refuse_in_worker, run_samples
@@ -61,66 +61,24 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
 
 
 def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
-    """Yield lists of samples that can be solved together as one scene: they differ in their seeds only; on lattices
-    these are successive numbers. A sample that cannot be solved together with others is a list of its own.
+    """Yield lists of samples that are solved together as one scene, since they differ in their seeds only and are
+    solved to the same bits as alone. A sample that cannot be solved together with others is a list of its own.
     """
     for group in groups_of(samples):
-        settings = group[0].settings
-        if settings.is_packing:
-            yield from [group] if _are_alike_packings(group) else [[sample] for sample in group]
-            continue
-        ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
-        alone = settings.coefficients is not None or ends_early
-        is_alike = len(group) > 1 and not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
-        block: list[Sample] = []
-        for sample in sorted(group, key=lambda sample: sample.settings.seed):
-            if block and not (is_alike and sample.settings.seed == block[-1].settings.seed + 1):
-                yield block
-                block = []
-            block.append(sample)
-        yield block
+        yield from [group] if _are_alike(group) else [[sample] for sample in group]
 
 
-def _are_alike_packings(group: Sequence[Sample]) -> bool:
-    """Return True if samples of a packing that differ in their seeds can be solved together, with the same bits as
-    alone.
-
-    It is False in these cases:
-
-    * a file gives the initial spins or all coefficients, which seeds do not change;
-    * each sample has a limit on its time;
-    * the packing cannot be read: each sample then reports that itself.
+def _are_alike(group: Sequence[Sample]) -> bool:
+    """Return True if samples that differ in their seeds can be solved together. It is False for a packing that cannot
+    be read: each sample then reports that itself.
 
     group : the samples.
     """
-    from taichi_bearings.runs.packing_run import are_solved_together  # and with it SciPy
-
     settings = group[0].settings
-    if (
-        len(group) == 1
-        or settings.time_limit is not None
-        or not {name for name, _ in files_of(settings)} <= {"packing", "contacts"}
-    ):
-        return False
     try:
-        return are_solved_together(settings, spheres_of(settings))
+        return len(group) > 1 and door_of(settings).are_solved_together(settings, spheres_of(settings))
     except BearingsError:
         return False
-
-
-def _job_of(block: Sequence[Sample]) -> Job:
-    """Return the job that solves a block of samples that differ in their seeds. The file of a packing is read once for
-    all.
-    """
-    first = block[0].settings
-    settings = replace(first, threads=first.threads or 1)
-    if not first.is_packing or len(block) == 1:
-        return prepare(replace(settings, replicas=len(block)), strict=False)
-    from taichi_bearings.runs.packing_run import fitting, packing_of
-
-    settings = fitting(settings, strict=False)
-    packing = packing_of(settings, seeds=[sample.settings.seed for sample in block])
-    return Job(replace(settings, replicas=len(block)), packing, None)
 
 
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[Json]:
@@ -136,19 +94,16 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
         raise InputError(
             f"{' or '.join(files)} has changed since the scan began; start the same scan again to use the new file"
         )
-    found = _job_of(block).solve()
+    asked = replace(first, threads=first.threads or 1)
+    found = door_of(first).job_of_seeds(asked, [sample.settings.seed for sample in block]).solve()
     if found.interrupted:
         raise Interrupted
     runs = [found.sample(number) for number in range(len(block))]
-    if not first.is_packing:
-        runs = [replace(run, asked=sample.settings) for run, sample in zip(runs, block, strict=True)]
     for sample, run in zip(block, runs, strict=True):
         if states is not None:
             make_folder(states)
             path = state_path(states, sample.key)
-            stored = sample.settings
-            if first.is_packing:
-                stored = self_contained(run.asked, run.scene, run.start(), states, path.name)
+            stored = self_contained(run.asked, run.scene, run.given_start, states, path.name)
             write_state(path, replace(run, path=path, command="bearings scan"), stored)
     return [_record(sample.key, run, analyse) for sample, run in zip(block, runs, strict=True)]
 

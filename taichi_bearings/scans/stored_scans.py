@@ -164,7 +164,7 @@ def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
     """
     found, settings = dict(record["scalars"]), sample.settings
     known = set(SETTING_COLUMNS if settings.packing is None else ("law", "seed")) - found.keys()
-    if settings.is_packing and (settings.top, settings.bottom) != (None, None):
+    if (settings.top, settings.bottom) != (None, None):  # which replace the spins
         known -= set(Scene.BY_SPINS)
     return found | {name: written(getattr(settings, name)) for name in SETTING_COLUMNS if name in known}
 

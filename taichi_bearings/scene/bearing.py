@@ -13,7 +13,7 @@ driven sphere : one whose spin is imposed. present contact : one with a positive
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
@@ -212,6 +212,12 @@ class Bearing(ABC):
         contact has to slip; False otherwise, and if it is not known.
         """
         return self.driving.cut_off(self.coefficient > 0)
+
+    def drawn_again(self) -> Iterator[tuple[str, int, np.ndarray]]:
+        """Yield the coefficients that the seeds give, where they are known to be drawn: the name of a coefficient as in
+        files, the number of the sample, and the coefficients (contacts E,). Nothing is known to be drawn here.
+        """
+        yield from ()
 
     def imposed_spins(self) -> Pair:
         """Return laboratory spins, 1/time, (spheres *N) of discs or (*N, 3) of spheres, in twice the precision:

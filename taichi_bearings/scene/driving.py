@@ -199,6 +199,37 @@ class Driving:
         spin = self.spin.reshape(self.network.spheres, -1)[~self.network.free]
         return float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
 
+    @cached_read_only
+    def heights(self) -> np.ndarray:
+        """(spheres N,) height of each sphere: 0 on the driven body with the smallest number, 1 on that with the
+        largest. That of a free sphere is the mean of those of its neighbours; it is 0 in parts that are not joined to
+        either body.
+        """
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import connected_components, laplacian
+        from scipy.sparse.linalg import spsolve
+
+        from taichi_bearings.numerics.minimum_cut import number_bodies
+
+        # harmonic function on the graph of free spheres and bodies: 0 on the first body, 1 on the last one
+        node = number_bodies(self.network.body)
+        ends, size = node[self.network.contact[:, self.contact]], int(node.max()) + 1
+        graph = csr_array((np.ones(2 * ends.shape[1]), np.append(ends, ends[::-1], axis=1)), shape=(size, size))
+        label = connected_components(graph, directed=False)[1]
+        inside = np.flatnonzero(np.isin(label, label[[0, -1]])[1:-1]) + 1
+        matrix, height = laplacian(graph)[inside], np.zeros(size)
+        height[-1] = 1.0
+        if len(inside):
+            height[inside] = spsolve(matrix[:, inside].tocsc(), -matrix[:, [-1]].toarray()[:, 0])
+        return np.asarray(height[node])
+
+    def shown(self, spin: np.ndarray) -> np.ndarray:
+        """Return spins as pictures show them, without rotations that no contact resists: here as they are.
+
+        spin : (..., spheres *N, 3), or (..., *N) of discs, 1/time.
+        """
+        return spin
+
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray | None:
         """Return None: no bounds on the spins at a minimum are known here, since contact normals may be oblique.
 
@@ -493,6 +524,32 @@ class Planes(Driving):
         component : number of the spin component.
         """
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
+
+    @cached_read_only
+    def heights(self) -> np.ndarray:
+        """(spheres N,) height of each sphere: the number of its layer over that of the top."""
+        *_, layer = np.indices(self.lattice.shape)
+        return np.asarray(layer.ravel() / layer.max())
+
+    def shown(self, spin: np.ndarray) -> np.ndarray:
+        """Return spins as pictures show them, without rotations that no contact resists.
+
+        No contact of a lattice resists a rotation of a whole layer about the height (with the signs of the
+        sublattices), so that a dynamics keeps whatever mean each layer began with. If both driven planes have the same
+        mean, free layers are shown with it too. Otherwise, and in 2D, the spins stay as they are.
+
+        spin : (..., spheres *N, 3), or (..., *N) of discs, 1/time.
+        """
+        if self.lattice.dimension == 2:
+            return spin
+        sign = self.lattice.parity
+        mean = (sign * spin[..., 2]).mean(axis=(-3, -2), keepdims=True)
+        bottom, top = mean[..., :1], mean[..., -1:]
+        if not np.allclose(bottom, top, rtol=0, atol=1e-12 * self.fastest):
+            return spin
+        shown = np.array(spin)
+        shown[..., 1:-1, 2] -= (sign * (mean - bottom))[..., 1:-1]
+        return shown
 
     def of_equal_viscosity(self) -> np.ndarray:
         """Return spins (components C, 1, spheres *N) that rise linearly with the height, 1/time: the minimum of a

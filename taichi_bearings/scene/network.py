@@ -21,6 +21,7 @@ from scipy import sparse
 
 from taichi_bearings.dissection import dissected
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.numerics.motions import Motions, Parts, slipless_motions
@@ -80,6 +81,11 @@ class Network:
         return (len(self.body),) if self.lattice is None else self.lattice.shape
 
     @property
+    def periodic(self) -> tuple[int, ...]:
+        """Numbers of the axes along which a lattice closes on itself; none in other packings."""
+        return () if self.lattice is None else self.lattice.periodic
+
+    @property
     def spheres(self) -> int:
         """Number N of spheres."""
         return len(self.body)
@@ -137,6 +143,18 @@ class Network:
         of an odd number of contacts). The second has signs, +1 or -1, which differ across each contact of the other
         pieces."""
         return odd_pieces(self.spheres, *self.contact)
+
+    def as_given(self, values: np.ndarray) -> np.ndarray | tuple[np.ndarray, ...]:
+        """Return values (..., contacts E) of all contacts in the form in which users give and get them: on a lattice a
+        tuple with one array for each axis, (..., *contacts), in other packings as they are.
+        """
+        return values if self.lattice is None else self.lattice.by_axis(values)
+
+    def friction_as_given(self, friction: np.ndarray) -> np.ndarray | tuple[np.ndarray, ...]:
+        """Return friction (..., contacts E, 3), in 2D (..., E), of all contacts in the form in which users get it: on a
+        lattice a tuple with one array for each axis, (..., *contacts, 3), in other packings as it is.
+        """
+        return friction if self.lattice is None else friction_by_axis(friction, self.lattice)
 
     def across(self, vectors: np.ndarray, contact: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Return the lengths (n,) of vectors after their parts along the normals of n contacts are removed.

@@ -4,7 +4,7 @@ Letters: R samples, E contacts, C spin components; nx, ny, nz spheres along the 
 the height. spin_axes : as an argument, the spin components, 0 to 2, along the first axis of an array (C, ...).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -145,8 +145,48 @@ class Scene(Bearing):
         >>> tb.Scene.random((4, 5), seed=3)
         <Scene 4x5 coulomb, seed 3, top 1, bottom 0>
         """
-        law, replicas = law_named(law), others.pop("replicas", 1)
-        seed, replicas = SEED.named("seed", seed), COUNT.named("replicas", replicas)
+        seed, replicas = SEED.named("seed", seed), COUNT.named("replicas", others.pop("replicas", 1))
+        given = {"spin_top": spin_top, "spin_bottom": spin_bottom, "direction": direction, **others}
+        return cls.of_seeds(shape, range(seed, seed + replicas), distribution, law, **given)
+
+    @classmethod
+    def of_seeds(
+        cls, shape: Sequence[int], seeds: Sequence[int], distribution: str | Draw = "uniform:0.1,1.0",
+        law: str | Law = COULOMB, **others: Any,
+    ) -> "Scene":  # fmt: skip
+        """Return a scene with one sample for each seed: the same samples that :meth:`random` gives for each alone.
+
+        Parameters
+        ----------
+        shape : sequence of int
+            Spheres along each axis, (nx, ny) or (nx, ny, nz), height last.
+        seeds : sequence of int
+            The seed of each sample.
+        distribution : str or callable
+            Distribution of the coefficients, as of :meth:`random`.
+        law : str or Law
+            Contact law.
+        **others
+            `viscosity`, the distribution of viscosities; and, as of :class:`Scene`, `spin_top`, `spin_bottom`,
+            `direction`, `normal_force`, `radius`, `periodic`, `top` and `bottom`.
+
+        Returns
+        -------
+        Scene
+            The scene, with all samples.
+
+        Raises
+        ------
+        InputError
+            For values that make no scene.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Scene.of_seeds((4, 5), seeds=(3, 8)).seeds
+        (3, 8)
+        """
+        law, replicas = law_named(law), len(seeds)
         if (viscosity := others.pop("viscosity", None)) is not None and len(law.quantities) == 1:
             laws = " or ".join(name for name, other in LAWS.items() if len(other.quantities) > 1)
             raise InputError(f"viscosity is {shown(viscosity)}, but the law {law} does not use it; it needs law {laws}")
@@ -155,7 +195,7 @@ class Scene(Bearing):
         lattice = Lattice(SHAPE.named("shape", shape), radius, axis_numbers(others["periodic"]))
         if replicas > (most := MOST_SITES // 8 // lattice.sites):
             raise InputError(f"replicas is {replicas}; with this shape it must be at most {most} (32-bit indices)")
-        others["seeds"] = tuple(range(seed, seed + replicas))
+        others["seeds"] = _seeds(seeds)
         sources = dict(zip(cls.DRAWN, (distribution, viscosity or "uniform:0.1,1.0"), strict=True))
         values = [source if callable(source) else Distribution.parse(source) for source in sources.values()]
         given = values[: len(law.quantities)]
@@ -163,8 +203,7 @@ class Scene(Bearing):
         if len(found) > 1:
             others["viscosity"] = found[1]
         texts = {name: source for name, source in sources.items() if isinstance(source, str)}
-        scene = cls(found[0], law, spin_top, spin_bottom, direction, **others)
-        return scene.drawn_from(texts if len(texts) == len(sources) else {})
+        return cls(found[0], law, **others).drawn_from(texts if len(texts) == len(sources) else {})
 
     def drawn_from(self, distributions: Mapping[str, str]) -> "Scene":
         """Record the distributions from which the coefficients were drawn, and return this scene.
@@ -326,6 +365,18 @@ class Scene(Bearing):
         """
         beside = {"viscosity": self._of_contacts(self.viscosity)} if self.viscosity else {}
         return {"coefficient": self.coefficient, **beside}
+
+    def drawn_again(self) -> Iterator[tuple[str, int, np.ndarray]]:
+        """Yield the coefficients that the seeds give, as far as they are known to be drawn: the name of a coefficient
+        as in files, the number of the sample, and the coefficients (contacts E,).
+        """
+        for second, name in enumerate(self.named_coefficients):
+            if (words := self.drawn.get(self.DRAWN[second])) is None:
+                continue
+            source = Distribution.parse(words)
+            for number, seed in enumerate(self.seeds):
+                drawn = draw_coefficients(self.lattice, source, seed, bool(second))
+                yield name, number, np.ravel(self.lattice.flat(drawn))
 
     def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Scene":
         """Return a copy with some of the samples.

@@ -20,6 +20,7 @@ from taichi_bearings.scene import Bearing, Energy, Progress
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.contacts import Stepped
 from taichi_bearings.solvers.method import Method
+from taichi_bearings.solvers.table import CundallStrack, Motion
 
 REST_SLIP = 1e-6  # largest slip that is called rest, in units of the slip of a contact with the whole imposed jump
 REST_CHECKS = 3  # consecutive checks for rest that must agree
@@ -140,6 +141,7 @@ class Dynamics(Method):
         the contacts, 1/time.
     """
 
+    options: Motion
     contacts: Stepped
     resumes = True
     state_names: ClassVar[tuple[str, ...]] = ()
@@ -261,6 +263,7 @@ class SpringDynamics(Dynamics):
     rest : the `RestWatch` that tells when nothing changes any more.
     """
 
+    options: CundallStrack
     same_force: ClassVar[float]
     checks: ClassVar[tuple[int, int, float]]
 

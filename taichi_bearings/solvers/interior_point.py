@@ -16,12 +16,14 @@ Where the paths begin and what they lead to is in lattice_paths.py and packing_p
 
 from taichi_bearings.solvers.method import Minimiser
 from taichi_bearings.solvers.part import Part
+from taichi_bearings.solvers.table import InteriorPoint
 
 
 class InteriorPointMethod(Minimiser):
     """The interior-point method. An iteration is one Newton step of every sample that is not yet done."""
 
     resumes = True
+    options: InteriorPoint
 
     def part_of(self) -> Part:
         """Return the solver that makes the Newton steps of all samples along their central paths, curves of spins and

@@ -8,7 +8,7 @@ packing C is the number of tangents of a contact.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -38,6 +38,7 @@ class Method(ABC):
 
     resumes: ClassVar[bool] = False
     """True if a run can be resumed: `state()` returns all that its further steps depend on, and `restore` takes it."""
+    options: "MethodOptions"
     scene: Bearing
     contacts: Contacts
     iteration: int
@@ -45,7 +46,7 @@ class Method(ABC):
 
     def __init__(self, options: "MethodOptions") -> None:
         """Take the options of the method: an object of its class in table.py."""
-        self.options: Any = options
+        self.options = options
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare to solve a scene. Here only the contacts are chosen, with the scene and the spin axes that they have.

@@ -5,7 +5,7 @@ The history has one row for each *look*, when the loop of drive.py reads the pro
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,6 +14,18 @@ from taichi_bearings.scene import Bearing, Progress, Snapshots
 
 MOST_TIMES = 1_000_000
 SAME_TIME = 1e-9  # relative distance below which two simulated times are the same
+
+
+class Times(Protocol):
+    """The settings of a run that say at which simulated times it is recorded, as texts; None for no times."""
+
+    @property
+    def record(self) -> str | None:
+        """Times of the rows of the history."""
+
+    @property
+    def snapshots(self) -> str | None:
+        """Times at which all spins are kept."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +43,7 @@ class Recording:
     snapshots: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(cls, settings: Any) -> "Recording":
+    def of(cls, settings: Times) -> "Recording":
         """Return the times that the settings of a run ask for.
 
         settings : settings of a run, of which the texts `record` and `snapshots` are used, such as "0.1,0.2" or

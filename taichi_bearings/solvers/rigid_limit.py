@@ -25,6 +25,7 @@ from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
+from taichi_bearings.solvers.table import RigidLimit
 
 FIRST_ERROR_SHARE = 0.1  # length of the first step, in units of the error tolerance times the relaxation time
 LEAST_STEP, MOST_STEP = 1e-6, 1e8  # bounds on a step, in relaxation times
@@ -61,6 +62,7 @@ class RigidLimitMethod(Dynamics):
     )  # fmt: skip
 
     rest_gap = 1e-9
+    options: RigidLimit
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare the dynamics: set up the steps, choose the length of the first, and begin the energy balance. The

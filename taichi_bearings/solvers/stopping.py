@@ -1,7 +1,7 @@
 """When a run ends, and with which status."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -9,6 +9,26 @@ from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
 
 UNLIMITED = 2**62  # iterations
+
+
+class Limits(Protocol):
+    """The settings of a run that say when it ends, as `StopRule` has them; None where nothing is asked for."""
+
+    @property
+    def tolerance(self) -> float:
+        """Relative gap at which the run is done."""
+
+    @property
+    def iterations(self) -> int | None:
+        """Limit on iterations."""
+
+    @property
+    def time_limit(self) -> float | None:
+        """Limit on wall time, seconds."""
+
+    @property
+    def duration(self) -> float | None:
+        """Simulated time after which a dynamics ends."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +47,7 @@ class StopRule:
     duration: float = float("inf")
 
     @classmethod
-    def of(cls, settings: Any) -> "StopRule":
+    def of(cls, settings: Limits) -> "StopRule":
         """Return the rule that the settings of a run ask for: `tolerance`, `iterations`, `time_limit` and `duration`.
 
         A run with a duration has no limit of steps unless one is given.

@@ -102,6 +102,7 @@ class MethodOptions:
     cpu_only : True if it works in the memory of the CPU, in double precision whatever is asked.
     alike_in_a_block : number of spheres of a sample up to which several seeds are solved together; that is faster, and
         gives each seed the same bits as solving it alone.
+    merit : why `auto` takes it where it may, in a few words.
     colour, marker : colour and marker of its curves in figures.
     solves : function that is True for the laws that it solves.
     """
@@ -115,6 +116,7 @@ class MethodOptions:
     needs_taichi: ClassVar[bool] = True
     cpu_only: ClassVar[bool] = False
     alike_in_a_block: ClassVar[float] = 0
+    merit: ClassVar[str] = "solves this law"
     colour: ClassVar[str] = "0.4"  # Okabe and Ito's palette, which the colour-blind can tell apart
     marker: ClassVar[str] = "h"
     solves: ClassVar["staticmethod[[Law], bool]"] = staticmethod(lambda law: True)
@@ -218,6 +220,7 @@ class PlanarCut(MethodOptions):
     minimises_packings = True
     needs_taichi = False
     alike_in_a_block = inf
+    merit = "fastest, and exact"
     colour, marker = "#0072B2", "o"
     solves = _laws(attrgetter("is_rate_independent"))
 
@@ -268,6 +271,7 @@ class InteriorPoint(MethodOptions):
     minimises_packings = True
     cpu_only = True
     alike_in_a_block = 5_000
+    merit = "fastest that proves which contacts slip"
     colour, marker = "#D55E00", "^"
     solves = _laws(attrgetter("holds"))
 
@@ -336,6 +340,7 @@ class OperatorSplitting(MethodOptions):
     name = "operator-splitting"
     keeps_checkpoints = True
     implementation = "taichi_bearings.solvers.operator_splitting:OperatorSplittingMethod"
+    merit = "fastest to this tolerance and size"
     colour, marker = "#009E73", "D"
     solves = _laws(attrgetter("is_rate_independent"))
 
@@ -368,6 +373,7 @@ class LinearSolver(MethodOptions):
     implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
     minimises_packings = True
     needs_taichi = False
+    merit = "fastest, and exact but for rounding"
     colour, marker = "#CC79A7", "v"
     solves = _laws(lambda law: not law.holds)
 

@@ -79,10 +79,10 @@ def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
     drawn : the sample that is shown.
     spins : (snapshots S, spheres N, 3), 1/time; the result has the same shape.
     """
-    if not drawn.is_lattice or drawn.network.dimension == 2:
+    if drawn.network.dimension == 2:
         return spins
     shape = drawn.structure.spin.shape
-    return drawn.structure.shown_spin(spins.reshape(len(spins), *shape)).reshape(spins.shape)
+    return drawn.structure.scene.driving.shown(spins.reshape(len(spins), *shape)).reshape(spins.shape)
 
 
 def _colour_map(name: str, first: float, last: float) -> np.ndarray:

@@ -22,7 +22,7 @@ from taichi_bearings_cli.main import main
 from taichi_bearings import interrupts, runtime
 
 LONGEST = 300  # seconds
-MEMORY = 300_000_000  # bytes beyond what a process has before a small file, as docs/formats.md promises
+MEMORY = 300_000_000  # bytes that reading a small file may take beyond what the process has before
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """How long commands take to end after Ctrl-C, stage by stage: from the signal to the exit of the process.
 
 Seconds of a quiet machine: of the clock or of the processor, whichever are fewer, for others may keep a processor busy.
-Run as ``python -m tests.faults.test_latency`` for a table, see docs/formats.md: the longest of some moments in a stage.
+Run as ``python -m tests.faults.test_latency`` for a table with the longest of some moments in each stage.
 """
 
 import gc

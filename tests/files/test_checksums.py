@@ -10,7 +10,8 @@ import pytest
 from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import column, dense_histograms, read_scan, write_scan
 from taichi_bearings.runs.analysis import analyse
-from taichi_bearings.runs.run import prepare, run, solve_job
+from taichi_bearings.runs.lattice_run import solve_job
+from taichi_bearings.runs.run import prepare, run
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.runs.verify import verify

@@ -32,7 +32,7 @@ def unsolved() -> Iterator[None]:
     def refuse(*_: object, **__: object) -> None:
         raise InputError("it would be solved now")
 
-    with mock.patch("taichi_bearings.runs.run.solve_job", refuse):
+    with mock.patch("taichi_bearings.runs.lattice_run.solve_job", refuse):
         yield
 
 

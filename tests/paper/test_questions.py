@@ -15,7 +15,7 @@ from taichi_bearings_studies.paper.fits import collapse, exponent, growing_skewn
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.planar import minimum_cuts
-from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.lattice_run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import read_plan
 

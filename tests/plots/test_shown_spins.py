@@ -32,19 +32,19 @@ def test_a_layer_that_turns_without_slip_looks_as_it_did(driving):
     spin = turned(best, np.array([9.0, 0.7, -0.3, 2.0, 9.0]))
     assert structure.slips_of(spin) == pytest.approx(structure.slips_of(np.array(best.spin)), abs=1e-12)
     assert np.abs(spin - best.spin).max() > 0.5
-    assert structure.shown_spin(spin) == pytest.approx(structure.shown_spin(np.array(best.spin)), abs=1e-12)
+    assert structure.scene.driving.shown(spin) == pytest.approx(structure.scene.driving.shown(np.array(best.spin)), abs=1e-12)
 
 
 def test_what_slips_within_a_layer_is_shown():
     best = solved((4, 3, 5))
     spin = np.array(best.spin)
     spin[1, 1, 2] += (0.0, 0.0, 1.2)
-    shown = best.shown_spin(spin)
-    other = best.shown_spin(np.array(best.spin))
+    shown = best.scene.driving.shown(spin)
+    other = best.scene.driving.shown(np.array(best.spin))
     assert (shown - other)[1, 1, 2, 2] == pytest.approx(1.2 * (1 - 1 / 12))
     assert spin[..., :2] == pytest.approx(shown[..., :2])
 
 
 def test_discs_are_shown_as_they_are():
     best = solved((4, 5))
-    assert best.shown_spin(np.array(best.spin)) == pytest.approx(best.spin)
+    assert best.scene.driving.shown(np.array(best.spin)) == pytest.approx(best.spin)

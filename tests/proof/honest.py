@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.runs.lattice_run import solve_job
 from taichi_bearings.runs.result import Result
-from taichi_bearings.runs.run import prepare, resume, run, solve_job
+from taichi_bearings.runs.run import prepare, resume, run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.runs.writing import write_state

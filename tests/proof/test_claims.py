@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.stress import truth
 
+from taichi_bearings.runs.lattice_run import solve_job
 from taichi_bearings.runs.result import Result
-from taichi_bearings.runs.run import prepare, solve_job
+from taichi_bearings.runs.run import prepare
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin

@@ -9,7 +9,8 @@ import pytest
 
 from taichi_bearings.checksums import seal
 from taichi_bearings.errors import FileError
-from taichi_bearings.runs.run import build_scene, run
+from taichi_bearings.runs.lattice_run import build_scene
+from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 

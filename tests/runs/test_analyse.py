@@ -10,11 +10,12 @@ import pytest
 
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import FileError
+from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.runs.analysis import analyse
 from taichi_bearings.runs.figures import FIGURES
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run
-from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings
 from taichi_bearings.scans.stored_scans import OF_A_SPANNING_NETWORK
 
 
@@ -233,3 +234,9 @@ def test_figures_and_files_beside_the_run(solved, tmp_path):
     with pytest.raises(FileError, match="already exists"):
         analyse(folder, out=tmp_path / "beside")
     analyse(folder, out=tmp_path / "beside", force=True)
+
+
+@pytest.mark.parametrize("settings", [{"shape": (4, 5)}, {"shape": (4, 4, 3), "driven": "shaft:1"}], ids=str)
+def test_numbers_of_an_analysis_are_rows_of_the_tables(solved, settings):
+    beside = {*DRIVING_KEYS, "threshold", "states", "run", "figures", "path", "out"}
+    assert analysed(solved(**settings)).keys() <= COLUMNS.keys() | beside

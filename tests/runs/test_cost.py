@@ -16,7 +16,7 @@ from taichi_bearings.memory import NotEnoughMemory
 from taichi_bearings.numerics.cholesky import dissect, factor
 from taichi_bearings.numerics.cholesky.size import factor_numbers
 from taichi_bearings.runs.cost import PROCESS_BYTES, bytes_of_lattice, refuse_too_large
-from taichi_bearings.runs.run import cost, prepare, run
+from taichi_bearings.runs.run import prepare, run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers.table import InteriorPoint
 from tests.cli.commands import bearings
@@ -62,7 +62,7 @@ def test_memory_is_told_within_a_factor_of_1_3_of_what_is_allocated(words, tmp_p
     settings = RunSettings(**words, threads=1, figures="none")
     small = RunSettings(**{**words, "shape": (4,) * len(settings.shape)}, threads=1, figures="none")
     run(small, tmp_path / "first")  # loads and compiles
-    told = cost(settings).bytes - PROCESS_BYTES
+    told = prepare(settings).cost.bytes - PROCESS_BYTES
     tracemalloc.start()
     try:
         run(settings, tmp_path / "run")
@@ -117,9 +117,24 @@ def test_a_dry_run_says_method_time_and_memory_and_writes_nothing(tmp_path):
     assert "for 1,000 steps" in told.stdout
     told = bearings("run", "--shape", "8,8,8", "--method", "cundall-strack", "--dry-run")
     assert "not known in advance" in told.stdout
+    assert "method: cundall-strack\n" in told.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--shape", "8,8"), "planar-cut (fastest, and exact)"),
+        (("--shape", "8,8,8"), "interior-point (fastest that proves which contacts slip)"),
+        (("--shape", "8,8,8", "--tolerance", "1e-2"), "operator-splitting (fastest to this tolerance and size)"),
+        (("--shape", "8,8,8", "--law", "viscous"), "linear-solver (fastest, and exact but for rounding)"),
+    ],
+    ids=str,
+)
+def test_a_dry_run_says_why_auto_takes_a_method(words, said):
+    assert bearings("run", *words, "--dry-run").stdout.startswith(f"method: {said}\n")
 
 
 @pytest.mark.usefixtures("taichi_runtime")
 def test_steps_of_a_dynamics_are_told_as_they_are_made(tmp_path):
     settings = RunSettings(shape=(4, 4, 5), method="cundall-strack", duration=0.01, threads=1, figures="none")
-    assert cost(settings).steps == run(settings, tmp_path / "a").solution.iterations
+    assert prepare(settings).cost.steps == run(settings, tmp_path / "a").solution.iterations

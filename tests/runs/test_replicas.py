@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from taichi_bearings.export.vtkhdf import export
+from taichi_bearings.runs.lattice_run import solve_job
 from taichi_bearings.runs.result import Result
-from taichi_bearings.runs.run import prepare, run, solve_job
+from taichi_bearings.runs.run import prepare, run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.view.view import view

@@ -14,8 +14,9 @@ import pytest
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
+from taichi_bearings.runs.lattice_run import solve_job
 from taichi_bearings.runs.result import Result
-from taichi_bearings.runs.run import prepare, solve_job
+from taichi_bearings.runs.run import prepare
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans import engine as scan_engine

@@ -8,7 +8,8 @@ import pytest
 from taichi_bearings.conic import descent, resolution
 from taichi_bearings.proof.certificate import lower_bound, relative_gap
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import prepare, solve_job
+from taichi_bearings.runs.lattice_run import solve_job
+from taichi_bearings.runs.run import prepare
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin

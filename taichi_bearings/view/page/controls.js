@@ -43,7 +43,7 @@ class Controls {
     element("kinds").hidden = !sample.has("kind");
     const members = KINDS.map(() => 0);
     for (const kind of sample.kind) members[kind]++;
-    element("kinds").append(Object.assign(document.createElement("p"), { className: "note", textContent: "rigid domains locked to" }));
+    element("kinds").append(Object.assign(document.createElement("p"), { className: "note", textContent: "rigid domains that turn with" }));
     this.kinds = KINDS.map(([text], kind) => {
       const made = this.tick("kinds", text, null, true, (on) => { choices.kinds[kind] = on; this.changed(); });
       made.count.textContent = grouped(members[kind]);

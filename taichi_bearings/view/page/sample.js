@@ -98,7 +98,7 @@ function numbersOf(sample, found) {
   if (found.sphere !== undefined) {
     const s = found.sphere, spin = [0, 1, 2].map((k) => sample.spinNow[3 * s + k]);
     const ofDomain = sample.domain_size[sample.domain[s]], atEnd = !sample.has("domain") ? [] : [["rigid domain", `${grouped(sample.domain[s])}, of ${grouped(ofDomain)} ${ofDomain === 1 ? "sphere" : "spheres"}`]];
-    if (sample.has("kind")) atEnd.push(["locked to", KINDS[sample.kind[s]][0]]);
+    if (sample.has("kind")) atEnd.push(["domain turns with", KINDS[sample.kind[s]][0]]);
     if (sample.has("sphere_betweenness")) atEnd.push(["shortest paths", `${six(100 * sample.sphere_betweenness[s])} % visit it`]);
     const name = facts.shape ? position(s) : `${s} at ${position(s)}`, by = facts.shape ? "" : ` with body ${sample.body[s]}`;
     return { title: `sphere ${name}${sample.body[s] < 0 ? "" : `, driven${by}`}`, rows: [

@@ -16,7 +16,7 @@ const LAYERS = [["spheres", "spheres"], ["network", "slipless contacts"], ["slip
   ["bottlenecks", "bottlenecks"]];
 const COLOURS = [  // key, text, and the array that it needs
   ["spin", "spin", "spin"], ["turn", "how its domain turns", "turn"], ["domain", "rigid domain", "domain"],
-  ["kind", "what its domain is locked to", "kind"], ["body", "driven body", "body"], ["piece", "piece of the slipless network", "spin"],
+  ["kind", "plane its domain turns with", "kind"], ["body", "driven body", "body"], ["piece", "piece of the slipless network", "spin"],
   ["betweenness", "share of shortest paths", "sphere_betweenness"], ["side", "side of the minimum cut", "above"], ["plain", "plain", "spin"],
 ];
 const PRESETS = [  // name, layers, colour of the spheres, their size in 3D, kinds of domains that are hidden there, needed layer
