@@ -214,7 +214,8 @@ def _read_functions_once(reader: Any) -> None:
         wishes : further arguments of Taichi's reader.
         """
         if not free.get(function):
-            return read(function, **wishes)
+            value: tuple[Any, Any] = read(function, **wishes)
+            return value
         tree, origin = free[function].pop()
         wishes |= {"func": function, "argument_data": wishes.pop("args"), "global_vars": variables(function.func)}
         return tree, context(**wishes, **origin)
@@ -241,7 +242,8 @@ def _read_functions_once(reader: Any) -> None:
         """
         if not hasattr(node, "position"):
             node.position = found(used, node)
-        return node.position
+        value: str = node.position
+        return value
 
     reader._get_tree_and_ctx, reader.transform_tree, context.get_pos_info = read_again, walk_and_keep, position
 

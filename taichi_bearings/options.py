@@ -176,7 +176,8 @@ class OneOf(Kind):
         """Return the value if it is one of the names; else ValueError."""
         if value not in self.known:
             raise ValueError
-        return value
+        found: str = value
+        return found
 
     @property
     def known(self) -> tuple[str, ...]:  # type: ignore[override]

@@ -527,7 +527,8 @@ def _read(place: Path) -> tuple[Walk, list[Guard]]:
     kept = place.read_bytes()
     if hashlib.sha256(kept[32:]).digest() != kept[:32]:
         raise ValueError(place)
-    return marshal.loads(kept[32:])
+    found: tuple[Walk, list[Guard]] = marshal.loads(kept[32:])
+    return found
 
 
 def _write(place: Path, walk: Walk, guards: list[Guard]) -> None:

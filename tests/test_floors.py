@@ -99,11 +99,11 @@ FILES_OF_RUNS = {
     "runs.points_and_lines", "runs.run_layout", "runs.stored_structure", "runs.structure_report", "runs.writing",
 }  # fmt: skip
 """Modules that write or read arrays in files, in which those of a lattice have its shape or are split by axis."""
-LATTICES_ASKED_FOR = SLICES | FILES_OF_RUNS | {
-    "analysis.domains", "analysis.slipless_network", "analysis.structure", "runs.caveats", "runs.cost", "runs.result",
-    "runs.run", "runs.settings", "runs.verify", "scans.estimate", "scans.histogram", "scans.sample", "scans.scan",
-    "scans.stored_scans", "solvers.cundall_strack", "solvers.method", "solvers.on_lists",
-    "solvers.on_strides",
+DOORS = {"runs.lattice_run", "runs.run", "runs.settings"}
+"""Modules that read settings, and choose the front door by them."""
+LATTICES_ASKED_FOR = SLICES | FILES_OF_RUNS | DOORS | {
+    "analysis.domains", "analysis.slipless_network", "analysis.structure", "runs.caveats", "runs.result", "runs.verify",
+    "scans.histogram", "solvers.cundall_strack", "solvers.method", "solvers.on_lists", "solvers.on_strides",
 }  # fmt: skip
 """Modules that ask whether what is solved is a lattice, or take it for one."""
 

@@ -145,7 +145,8 @@ def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[flo
     bound : one number for all, or one for each.
     """
     high = np.array(power)
-    return np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
+    found: list[float] = np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
+    return found
 
 
 def judged(rows: Sequence[Row]) -> list[Row]:

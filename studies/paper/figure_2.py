@@ -131,7 +131,8 @@ def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
     rest = staggered.copy()
     free = rest[2, ..., 1:-1]
     free -= free.mean(axis=(1, 2), keepdims=True)
-    return rest
+    found: np.ndarray = rest
+    return found
 
 
 def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:

@@ -158,7 +158,8 @@ def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
     1)) for n samples.
     """
     number = np.array([len(samples[L]) for L in sorted(samples)])
-    return np.sqrt(number / (number - 1))
+    found: np.ndarray = np.sqrt(number / (number - 1))
+    return found
 
 
 def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values: np.ndarray) -> np.ndarray:
@@ -170,7 +171,8 @@ def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values
     values : (T,) trial exponents; the first term is L^(2 value).
     """
     exponents = [2 * values, *(np.full_like(values, power) for power in beside)]
-    return sizes[:, None] ** np.stack(exponents, axis=1)[:, None] / spread[:, None]
+    found: np.ndarray = sizes[:, None] ** np.stack(exponents, axis=1)[:, None] / spread[:, None]
+    return found
 
 
 def _grown(

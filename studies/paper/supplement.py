@@ -207,7 +207,8 @@ def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
     power : (n,), dissipated power of each contact.
     slips : (n,), True if the contact slips.
     """
-    return np.floor(np.log10(power, out=np.full(len(power), -9999.0), where=slips)).astype(int)
+    found: np.ndarray = np.floor(np.log10(power, out=np.full(len(power), -9999.0), where=slips)).astype(int)
+    return found
 
 
 @in_our_style

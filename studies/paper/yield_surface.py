@@ -52,7 +52,8 @@ def offsets(side: int) -> np.ndarray:
     """Return (side,) the places of the lines of spheres of the square top plane, from its middle, over the root mean
     square distance of its spheres from the middle.
     """
-    return (np.arange(side) - (side - 1) / 2) / ((side**2 - 1) / 6) ** 0.5
+    found: np.ndarray = (np.arange(side) - (side - 1) / 2) / ((side**2 - 1) / 6) ** 0.5
+    return found
 
 
 def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> RunSettings:

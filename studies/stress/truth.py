@@ -149,7 +149,8 @@ class Sample:
 
     def slips(self) -> np.ndarray:
         """Return the slips (E contacts, C components) of the contacts, in units of spin."""
-        return (self.spin[self.up] - self.spin[self.low]) * self.felt
+        found: np.ndarray = (self.spin[self.up] - self.spin[self.low]) * self.felt
+        return found
 
     def torques(self, force: np.ndarray) -> np.ndarray:
         """Return (unknowns,) the sum of the contact forces on each component of the free spins.
@@ -198,12 +199,14 @@ class Sample:
         # a full step only where Newton's method converges quadratically, else a damped one
         decrement = (max(gradient @ change, Decimal(0)) / barrier).sqrt()
         self.spin[: self.unknowns] -= change / (1 + decrement if decrement > Decimal("0.25") else 1)
-        return decrement
+        found: Decimal = decrement
+        return found
 
     def cost(self) -> Decimal:
         """Return the cost of the present spins, energy/time."""
         square = (self.slips() ** 2).sum(axis=1, keepdims=True)
-        return (self.a * np.sqrt(square) + self.c * square / 2).sum()
+        found: Decimal = (self.a * np.sqrt(square) + self.c * square / 2).sum()
+        return found
 
     def enclosure(self, barrier: Decimal) -> tuple[Decimal, Decimal]:
         """Return bounds of the least cost, energy/time: from below the work of the driven planes, less the most that
@@ -240,7 +243,8 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     for k in reversed(range(n)):
         if matrix[k, k]:
             x[k] = (x[k] - matrix[k, k + 1 :] @ x[k + 1 :]) / matrix[k, k]
-    return x
+    found: np.ndarray = x
+    return found
 
 
 def least(scene: Scene) -> Truth:

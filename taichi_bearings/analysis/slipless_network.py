@@ -137,7 +137,8 @@ class SliplessNetwork:
         """Number of the connected piece of each sphere, in the shape of the lattice or (spheres,); 0 is the piece of
         the first driven body.
         """
-        return self.pieces()[self.body].reshape(self.shape)
+        found: np.ndarray = self.pieces()[self.body].reshape(self.shape)
+        return found
 
     @property
     def components(self) -> int:
@@ -316,4 +317,5 @@ def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
         else:
             above[other], place[other] = one, off
             winds[one] |= winds[other]
-    return np.array([winds[root_of(one)[0]] for one in range(pieces)])[piece]
+    found: np.ndarray = np.array([winds[root_of(one)[0]] for one in range(pieces)])[piece]
+    return found

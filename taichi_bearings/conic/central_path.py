@@ -59,7 +59,8 @@ def friction_stiffness(
     if len(along) == 2:
         across = np.stack([-along[1], along[0]])
         stiffness = stiffness + (friction / size) * across[:, None] * across[None, :]
-    return stiffness if viscosity is None else stiffness + isotropic(difference, viscosity)
+    found: np.ndarray = stiffness if viscosity is None else stiffness + isotropic(difference, viscosity)
+    return found
 
 
 def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
@@ -159,14 +160,16 @@ class _Step:
     def shorter(self) -> np.ndarray:
         """(S,), for each of S samples the largest factor of the step that keeps all contacts in their cones: bound >=
         |slip| and friction >= |force|."""
-        return self.lengths.min(axis=0)
+        found: np.ndarray = self.lengths.min(axis=0)
+        return found
 
     @property
     def reach(self) -> np.ndarray:
         """(S,), how good the step is for each of S samples, from 0 to 2: the sum of its two `lengths`, each counted as
         1 at most."""
         along, dual_along = self.within(1.0)
-        return along + dual_along
+        found: np.ndarray = along + dual_along
+        return found
 
     def within(self, share: float) -> np.ndarray:
         """Return the factors (2, S) by which S samples are to take the step, for primal and for dual points: the share
@@ -288,7 +291,8 @@ class Path:
         found = rows.run(kernels.take, (step.slot, step.slot), along, dual_along)
         self._power, self._excess, self._price = found[kernels.POWER_FOUND], found[kernels.EXCESS], None
         self._spins_before, self._spins = self._spins, self._spins + along * step.spins
-        return taken
+        result: np.ndarray = taken
+        return result
 
     def _target(self, step: _Step) -> np.ndarray:
         """Return the product friction * bound - slip . force (S,) that the next step of each of S samples aims at.
@@ -301,7 +305,8 @@ class Path:
         along, dual_along = step.within(1.0)
         after = product + along * by_reach + dual_along * by_dual_reach + along * dual_along * by_both
         remaining = np.maximum(after, 0.0) / np.maximum(product, TINY)
-        return np.minimum(1.0, remaining**2) * product / count / 4
+        found: np.ndarray = np.minimum(1.0, remaining**2) * product / count / 4
+        return found
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
         """Return the step after one of Gondzio's correctors. A step somewhat longer than the present one would change

@@ -12,7 +12,8 @@ Point = tuple[np.ndarray, np.ndarray]
 
 def length(tail: np.ndarray) -> np.ndarray:
     """Return the length (n,) of each of n vectors (d, n). Letters: d slip components."""
-    return np.abs(tail[0]) if len(tail) == 1 else np.sqrt(inner(tail, tail))
+    found: np.ndarray = np.abs(tail[0]) if len(tail) == 1 else np.sqrt(inner(tail, tail))
+    return found
 
 
 def determinant(point: Point) -> np.ndarray:
@@ -24,7 +25,8 @@ def determinant(point: Point) -> np.ndarray:
     Letters: n contacts with up to d slip components.
     """
     head, size = point[0], length(point[1])
-    return (head - size) * (head + size)
+    found: np.ndarray = (head - size) * (head + size)
+    return found
 
 
 def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -32,7 +34,8 @@ def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
 
     tail, other : (d, n), the vectors, with d slip components each.
     """
-    return np.einsum("dn,dn->n", tail, other)
+    found: np.ndarray = np.einsum("dn,dn->n", tail, other)
+    return found
 
 
 def longest_step(point: Point, step: Point) -> float:
@@ -64,4 +67,5 @@ def isotropic(vectors: np.ndarray, strength: np.ndarray | float = 1.0) -> np.nda
 
     Letters: d slip components.
     """
-    return np.multiply.outer(np.eye(len(vectors)), strength * np.ones_like(vectors[0]))
+    found: np.ndarray = np.multiply.outer(np.eye(len(vectors)), strength * np.ones_like(vectors[0]))
+    return found

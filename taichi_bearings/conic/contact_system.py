@@ -206,7 +206,8 @@ class ContactSystem:
     def feels(self) -> np.ndarray:
         """(n, C) mask, True where a component of the spins makes the contact slip and is unknown for some sphere.
         Letters: n contacts, C spin components."""
-        return np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
+        found: np.ndarray = np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
+        return found
 
     def of_contacts(self, bearing: Bearing, sample: int = 0) -> tuple[np.ndarray, ...]:
         """Return the material constants of the n contacts in one sample of a bearing, (n,) each, in the order in which
@@ -299,7 +300,8 @@ class ContactSystem:
 
         step : (unknowns,), change of the spins; (unknowns, S) of S samples gives (d, n, S).
         """
-        return (self.operator @ step).reshape(*self.offset.shape, *step.shape[1:])
+        found: np.ndarray = (self.operator @ step).reshape(*self.offset.shape, *step.shape[1:])
+        return found
 
     def differences(self, spins: np.ndarray) -> np.ndarray:
         """Return the slips (d, n) of n contacts with up to d components: K, the matrix that turns unknown spins into
@@ -307,7 +309,8 @@ class ContactSystem:
 
         spins : (unknowns,), values of the unknown spins.
         """
-        return self.change(spins) + self.offset
+        found: np.ndarray = self.change(spins) + self.offset
+        return found
 
     def precise_differences(self, spins: Pair) -> np.ndarray:
         """Return the slips (d, n) of n contacts with up to d components, so exactly that even a slip far below the
@@ -316,7 +319,8 @@ class ContactSystem:
         spins : (unknowns,), values of the unknown spins as sums of two doubles.
         """
         rest = self.change(spins[1])
-        return self.differences(spins[0]) + (rest if self.offset_rest is None else rest + self.offset_rest)
+        found: np.ndarray = self.differences(spins[0]) + (rest if self.offset_rest is None else rest + self.offset_rest)
+        return found
 
     def torques(self, forces: np.ndarray) -> np.ndarray:
         """Return the torques (unknowns,) that contact forces exert: K^T times the forces, where K is the matrix that
@@ -324,7 +328,8 @@ class ContactSystem:
 
         forces : (d, n), on n contacts with up to d slip components; (d, n, S) of S samples gives (unknowns, S).
         """
-        return self.transposed @ forces.reshape(-1, *forces.shape[2:])
+        found: np.ndarray = self.transposed @ forces.reshape(-1, *forces.shape[2:])
+        return found
 
     def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
         """Return vectors (d, n) on the n contacts of the system, with up to d slip components, from an array over all

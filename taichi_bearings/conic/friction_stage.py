@@ -78,7 +78,8 @@ class Friction:
 
         trial : (d, n), forces that the springs would have without a limit, on n contacts with up to d slip components.
         """
-        return trial * np.minimum(1.0, self.limit / np.maximum(vector_length(trial), LEAST_FORCE))
+        found: np.ndarray = trial * np.minimum(1.0, self.limit / np.maximum(vector_length(trial), LEAST_FORCE))
+        return found
 
     def slips(self, trial: np.ndarray) -> np.ndarray:
         """Return a mask (n,) of the contacts that slip, as the force of their springs would exceed the limit.
@@ -97,7 +98,8 @@ class Friction:
         across = self.resistance * np.where(slips, self.limit / size, 1.0)
         found = np.where(slips, -across, 0.0) * along[:, None] * along[None, :]
         found[np.diag_indices(len(trial))] += across if self.viscosity is None else across + self.viscosity
-        return found
+        result: np.ndarray = found
+        return result
 
 
 class FrictionStage:
@@ -173,7 +175,8 @@ class FrictionStage:
         resistance : (n,), stiffness of each spring, force * time / length.
         spins : (unknowns,), 1/time.
         """
-        return start + resistance * self.radius * self.system.differences(spins)
+        found: np.ndarray = start + resistance * self.radius * self.system.differences(spins)
+        return found
 
     def _with_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
         """Return the forces of all contacts with their viscous part, (d, n).
@@ -184,7 +187,8 @@ class FrictionStage:
         """
         if friction.viscosity is None:
             return force
-        return force + friction.viscosity * self.radius * self.system.differences(spins)
+        found: np.ndarray = force + friction.viscosity * self.radius * self.system.differences(spins)
+        return found
 
     def _torque(self, force: np.ndarray, inertia: float, gained: np.ndarray) -> np.ndarray:
         """Return the torques (unknowns,) that have to become 0 at the end of a stage: inertia * gained plus those of

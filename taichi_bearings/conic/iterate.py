@@ -32,7 +32,8 @@ class Inertia:
 
         spins : (unknowns,), spins at the end of the step.
         """
-        return self.weight * (spins - self.origin)
+        found: np.ndarray = self.weight * (spins - self.origin)
+        return found
 
 
 @dataclass(frozen=True)
@@ -126,13 +127,15 @@ class Iterate:
     @property
     def margin(self) -> np.ndarray:
         """(n,), the share of its friction that each contact has left: 1 - |dual| / friction."""
-        return 1 - length(self.dual) / self.friction
+        found: np.ndarray = 1 - length(self.dual) / self.friction
+        return found
 
     @property
     def slip_over_margin(self) -> np.ndarray:
         """(n,), slip speed over margin. Along the path it goes to 0 where a contact sticks, and to infinity where it
         slips."""
-        return length(self.difference) / np.maximum(self.margin, TINY)
+        found: np.ndarray = length(self.difference) / np.maximum(self.margin, TINY)
+        return found
 
     @property
     def whole_dual(self) -> np.ndarray:
@@ -172,7 +175,8 @@ class Iterate:
     def price_of_torques(self) -> float:
         """What unbalanced torques take from the lower bound on the cost, relative to the cost: the sum of their sizes.
         That is a bound where no spin of a minimum exceeds the unit of spin."""
-        return float(np.abs(self.system.torques(self.whole_dual)).sum()) / max(self.cost, TINY)
+        found: float = float(np.abs(self.system.torques(self.whole_dual)).sum()) / max(self.cost, TINY)
+        return found
 
     @property
     def excess(self) -> float:
@@ -189,7 +193,8 @@ class Iterate:
     @property
     def gap(self) -> float:
         """Relative gap (cost - lower bound) / cost of the point, for balanced forces."""
-        return self.excess / max(self.cost, TINY)
+        found: float = self.excess / max(self.cost, TINY)
+        return found
 
 
 def whole_dual(dual: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray) -> np.ndarray:

@@ -239,7 +239,8 @@ def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray)
     """
     regular = factor.factorise()
     if (regular | ~wanted).all():
-        return regular & wanted
+        found: np.ndarray = regular & wanted
+        return found
     numbers, shift = factor.entries[diagonal], np.zeros(len(wanted))
     hopeless = ~(wanted & np.isfinite(numbers).all(axis=0))
     for further in DIAGONAL_SHIFTS:
@@ -248,7 +249,8 @@ def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray)
         regular = factor.factorise()
         if (regular | hopeless).all():
             break
-    return regular & wanted
+    found = regular & wanted
+    return found
 
 
 @lru_cache
@@ -273,4 +275,5 @@ def resisted(stiffness: np.ndarray, change: np.ndarray) -> np.ndarray:
     stiffness : (d, d, n), stiffness matrix of each contact, for up to d slip components.
     change : (d, n), change of the slips.
     """
-    return np.einsum("ijn,jn->in", stiffness, change)
+    found: np.ndarray = np.einsum("ijn,jn->in", stiffness, change)
+    return found

@@ -152,7 +152,8 @@ class _PreciseSystem:
             total = total + self.contracted.torques(leading)
             rest = rest - leading
             largest = largest * 2.0 ** (SUM_BITS - 52)
-        return total + self.contracted.torques(rest + pulls[1])
+        found: np.ndarray = total + self.contracted.torques(rest + pulls[1])
+        return found
 
 
 def _forces(strengths: Strengths, difference: Pair) -> Pair:

@@ -491,7 +491,8 @@ class _SmoothPower:
             self.balanced |= going & (left < (NEWTON_TORQUE if count < MOST_NEWTON_STEPS - 1 else ROUNDED_TORQUE))
             going = going & ~self.balanced
             if not going.any():
-                return at_rest
+                found: np.ndarray = at_rest
+                return found
             # A Newton step for the samples that go on.
             stiffness = friction_stiffness(self.friction, self.viscosity, self.difference, LEAST_WORK)
             going = self.matrix.factorise_each(stiffness, going)
@@ -507,13 +508,15 @@ class _SmoothPower:
             self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
             there = self.difference + along[of_contacts] * change
             self.difference = np.where(going[of_contacts], there, self.difference)
-        return at_rest
+        found = at_rest
+        return found
 
     @property
     def dual(self) -> np.ndarray:
         """(d, kept), minus the friction forces on the contacts that are left, `kept` in number: the full friction of
         each, along its slip. Letters: d slip components."""
-        return -self.friction * self.difference / length(self.difference)
+        found: np.ndarray = -self.friction * self.difference / length(self.difference)
+        return found
 
     def resolved(self) -> list[Resolved | None]:
         """Return the minimum of each sample: None where torques do not balance; in twice the precision where that is

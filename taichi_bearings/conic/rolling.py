@@ -70,10 +70,12 @@ def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.n
     ]
     high, low = add((u[0][first], u[1][first]), (u[0][second], u[1][second]))
     if high.shape[1] == 1:
-        return high.T + low.T
+        found: np.ndarray = high.T + low.T
+        return found
     n, parts = network.normal[system.contact], [(high[:, k], low[:, k]) for k in range(3)]
     slip = [  # (u_i + u_j) x n
         subtract(scaled(n[:, b], parts[a]), scaled(n[:, a], parts[b])) for a, b in ((1, 2), (2, 0), (0, 1))
     ]
     vectors = np.stack([part[0] + part[1] for part in slip], axis=1)
-    return np.einsum("tek,ek->te", system.across, np.cross(n, vectors))
+    found = np.einsum("tek,ek->te", system.across, np.cross(n, vectors))
+    return found

@@ -213,7 +213,8 @@ class ContactRows:
         row : number of the row, which has one number of every contact and sample.
         sample : number of the sample.
         """
-        return self.values[row, self._at, sample]
+        found: np.ndarray = self.values[row, self._at, sample]
+        return found
 
     def vectors(self, row: int, sample: int, count: int) -> np.ndarray:
         """Return vectors (count, n) on the n contacts of one sample.

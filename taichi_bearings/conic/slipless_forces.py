@@ -135,7 +135,8 @@ def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
 
     Letters: n contacts with up to d slip components.
     """
-    return np.sqrt((dual**2).sum(axis=0)) > (1 - HELD_AT_LIMIT) * limit
+    found: np.ndarray = np.sqrt((dual**2).sum(axis=0)) > (1 - HELD_AT_LIMIT) * limit
+    return found
 
 
 def _balanced(
@@ -213,7 +214,8 @@ def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.n
     change = there - here
     square, slope, room = inner(change, change), inner(here, change), determinant((friction, here))
     found = room / np.maximum(slope + np.sqrt(np.maximum(slope**2 + square * room, 0.0)), TINY)
-    return np.where(free, np.inf, found).reshape(samples, -1).min(axis=1, initial=np.inf)
+    result: np.ndarray = np.where(free, np.inf, found).reshape(samples, -1).min(axis=1, initial=np.inf)
+    return result
 
 
 def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torques: np.ndarray) -> np.ndarray:
@@ -230,7 +232,8 @@ def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torque
     total, samples = MARGIN_PER_TORQUE * left.sum(axis=1), len(left)
     margin = (friction - length(dual)).reshape(samples, -1)
     surely = slipping.reshape(samples, -1) | (margin > total[:, None])
-    return (left.max(axis=1, initial=0.0) < LEFT_TORQUE) & surely.all(axis=1)
+    found: np.ndarray = (left.max(axis=1, initial=0.0) < LEFT_TORQUE) & surely.all(axis=1)
+    return found
 
 
 def _side_by_side(values: np.ndarray, samples: int) -> np.ndarray:

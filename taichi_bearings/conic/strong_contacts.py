@@ -31,7 +31,8 @@ def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
     (low, high), contact = system.ends[:, system.felt], np.nonzero(system.felt)[1]
     low, high = np.where(low < 0, system.unknowns, low), np.where(high < 0, system.unknowns + 1, high)
     cut = _cut(low, high, friction[contact], system.unknowns, system.unknowns + 1)
-    return np.minimum(friction, 2 * cut * system.felt.sum(axis=0))
+    found: np.ndarray = np.minimum(friction, 2 * cut * system.felt.sum(axis=0))
+    return found
 
 
 def _is_uniform(system: ContactSystem) -> bool:
@@ -41,7 +42,8 @@ def _is_uniform(system: ContactSystem) -> bool:
     system : its contacts.
     """
     pairs = np.stack([np.asarray(system.slot, dtype=float), system.offset])[:, system.offset != 0]
-    return np.unique(pairs, axis=1).shape[1] == len(np.unique(pairs[0]))
+    found: bool = np.unique(pairs, axis=1).shape[1] == len(np.unique(pairs[0]))
+    return found
 
 
 def _cut(low: np.ndarray, high: np.ndarray, friction: np.ndarray, bottom: int, top: int) -> float:

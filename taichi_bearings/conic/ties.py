@@ -142,7 +142,8 @@ def _sometimes_zero_of_part(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     if comb(len(first) + 2 * motions, motions) > MOST_CORNERS:
         return np.ones(len(first), dtype=bool)
     there = first + _corners(first, rates) @ rates.T
-    return np.where(first > 0, (there < LEAST_MOVE).any(axis=0), (there > LEAST_MOVE).any(axis=0))
+    found: np.ndarray = np.where(first > 0, (there < LEAST_MOVE).any(axis=0), (there > LEAST_MOVE).any(axis=0))
+    return found
 
 
 def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
@@ -160,4 +161,5 @@ def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     matrices = bounds[meeting]
     regular = np.abs(np.linalg.det(matrices)) > LEAST_TURN * np.prod(np.linalg.norm(matrices, axis=2), axis=1)
     points = np.linalg.solve(matrices[regular], -offsets[meeting[regular]][..., None])[..., 0]
-    return points[(offsets + points @ bounds.T >= -LEAST_MOVE / 10).all(axis=1)]
+    found: np.ndarray = points[(offsets + points @ bounds.T >= -LEAST_MOVE / 10).all(axis=1)]
+    return found

@@ -188,7 +188,8 @@ class StoredScan:
     @property
     def failed(self) -> np.ndarray:
         """(samples,) mask, True for a sample without a result because it failed."""
-        return self.table["status"] == FAILED
+        found: np.ndarray = self.table["status"] == FAILED
+        return found
 
     @property
     def reasons(self) -> np.ndarray:

@@ -168,7 +168,8 @@ class Lattice:
     @cached_property
     def column(self) -> np.ndarray:
         """(E contacts,) number, in C order, of the sphere of the top plane above the upper end of each contact."""
-        return self.ends[1] // self.shape[-1]
+        found: np.ndarray = self.ends[1] // self.shape[-1]
+        return found
 
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
         """Return a view (R, planes, m, n) of values (R, ...) of the spheres, or of the contacts along one axis.
@@ -196,19 +197,22 @@ class Lattice:
 
         spin_axes : numbers of the axes of the C components.
         """
-        return np.array(spin_axes)[:, None] != self.axis
+        found: np.ndarray = np.array(spin_axes)[:, None] != self.axis
+        return found
 
     @cached_property
     def parity(self) -> np.ndarray:
         """Sign s = +1 or -1 of each sphere, in the shape of the lattice: neighbours differ. In a bearing state, in
         which no contact slips, s * spin is the same for all.
         """
-        return 1 - 2 * (np.indices(self.shape).sum(axis=0) % 2)
+        found: np.ndarray = 1 - 2 * (np.indices(self.shape).sum(axis=0) % 2)
+        return found
 
     @cached_property
     def lower_parity(self) -> np.ndarray:
         """(E contacts,) s = +1 or -1 of the lower sphere of each contact."""
-        return self.parity.ravel()[self.ends[0]]
+        found: np.ndarray = self.parity.ravel()[self.ends[0]]
+        return found
 
     @cached_property
     def driven(self) -> np.ndarray:
@@ -229,7 +233,8 @@ class Lattice:
         """(E contacts,) True for the contacts that join two driven spheres: they never slip and are left out of every
         sum.
         """
-        return self.is_driven.ravel()[self.ends].all(axis=0)
+        found: np.ndarray = self.is_driven.ravel()[self.ends].all(axis=0)
+        return found
 
     @cached_property
     def contacts(self) -> int:
@@ -260,7 +265,8 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
     spin_axes : axes of the C spin components.
     """
     if lattice.dimension == 2:
-        return -lattice.lower_parity * force[0]
+        found: np.ndarray = -lattice.lower_parity * force[0]
+        return found
     friction = np.zeros((*force.shape[1:], 3))
     for slot, span, across, sign in _laboratory_axes(lattice, spin_axes):
         friction[:, span, across] = sign * force[slot][:, span]
@@ -289,7 +295,8 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
     spin_axes : numbers of the C spin components of the result.
     """
     if lattice.dimension == 2:
-        return -lattice.lower_parity * friction[None]
+        found: np.ndarray = -lattice.lower_parity * friction[None]
+        return found
     force = np.zeros((len(spin_axes), *friction.shape[:-1]))
     for slot, span, across, sign in _laboratory_axes(lattice, spin_axes):
         force[slot][:, span] = sign * friction[:, span, across]

@@ -20,7 +20,8 @@ def chain_modes(side: int, is_held: bool) -> np.ndarray:
         modes = np.sin(np.pi * np.outer(order + 1, order + 1) / (side + 1))
     else:
         modes = np.cos(np.pi * np.outer(order + 0.5, order) / side)
-    return modes / np.linalg.norm(modes, axis=0)
+    found: np.ndarray = modes / np.linalg.norm(modes, axis=0)
+    return found
 
 
 def chain_eigenvalues(side: int, is_held: bool) -> np.ndarray:
@@ -80,4 +81,7 @@ def ring_closures(side: int, held: np.ndarray, weight: float) -> np.ndarray:
     = 2 + held / weight.
     """
     decay, s = np.exp(-2 * np.arcsinh(np.sqrt(held / weight) / 2)), np.arange(side)[:, None]
-    return (decay ** (s + 1) - decay ** (side - s)) / np.sqrt(weight * (1 - decay**2) * (1 - decay ** (2 * side)))
+    found: np.ndarray = (decay ** (s + 1) - decay ** (side - s)) / np.sqrt(
+        weight * (1 - decay**2) * (1 - decay ** (2 * side))
+    )
+    return found

@@ -48,7 +48,8 @@ class LightestCuts:
     @property
     def between(self) -> np.ndarray:
         """(nodes,) True for nodes whose side is not the same, or not known to be the same, in all these cuts."""
-        return ~(self.near | self.far)
+        found: np.ndarray = ~(self.near | self.far)
+        return found
 
 
 def whole_numbers(values: np.ndarray) -> np.ndarray:

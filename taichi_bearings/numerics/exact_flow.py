@@ -178,4 +178,5 @@ def _flow_by_edge(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, rever
         before[order] = total - ordered - (total - ordered)[first][group]
         size, sign = np.abs(flow)[own], np.where(flow[own] > 0, 1, -1)
         shared = sign * np.maximum(np.minimum(size - before, capacity), 0)
-    return np.where(reversed_, -shared, shared)
+    found: np.ndarray = np.where(reversed_, -shared, shared)
+    return found

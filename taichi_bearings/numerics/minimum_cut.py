@@ -137,7 +137,8 @@ def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarr
     """
     replicas, lattice = range(len(above)), Lattice.of(weight)
     parts = ([values[r][_parted(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight))
-    return np.sum(list(parts), axis=0)
+    found: np.ndarray = np.sum(list(parts), axis=0)
+    return found
 
 
 def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -345,7 +346,8 @@ def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nda
     if status != network.OPTIMAL:
         raise RuntimeError(f"internal check failed: the maximum flow of OR-tools ended with {status}; please report it")
     there, back = (network.flows(arcs) for arcs in edges)
-    return there - back
+    found: np.ndarray = there - back
+    return found
 
 
 def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
@@ -398,4 +400,5 @@ def _shared_out(ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: 
     before = np.empty_like(capacity)  # capacity of the edges of the same pair that come first
     before[order] = np.cumsum(capacity[order]) - capacity[order] - (np.cumsum(total) - total)[own[order]]
     taken = np.sign(flow)[own] * np.clip(np.abs(flow)[own] - before, 0, capacity)
-    return np.where(ends[0] > ends[1], -taken, taken)
+    found: np.ndarray = np.where(ends[0] > ends[1], -taken, taken)
+    return found

@@ -37,4 +37,5 @@ def solve_poisson(source: np.ndarray, lattice: Lattice, component: int) -> np.nd
         spectrum = fft.ifftn(spectrum, axes=rings).real
     if component != height:
         spectrum = fft.idst(spectrum, type=1, axis=-1, norm="ortho")
-    return fft.idctn(spectrum, type=2, axes=chains, norm="ortho")
+    found: np.ndarray = fft.idctn(spectrum, type=2, axes=chains, norm="ortho")
+    return found

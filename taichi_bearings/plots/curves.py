@@ -212,7 +212,8 @@ def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Pag
 
 def _centre(histogram: PowerHistogram) -> np.ndarray:
     """Return the middle (bins,) of each bin of power on a logarithmic scale."""
-    return np.sqrt(histogram.edges[:-1] * histogram.edges[1:])
+    found: np.ndarray = np.sqrt(histogram.edges[:-1] * histogram.edges[1:])
+    return found
 
 
 def _label(histogram: PowerHistogram) -> str:

@@ -142,7 +142,8 @@ class ExactlyRolling:
     def unit(self) -> np.ndarray:
         """(n,), the units of the n unknowns in which friction that takes residuals away is bounded."""
         number = self.friction_bounds.number
-        return self.friction_bounds.exact.unit[number >= 0][self.columns]
+        found: np.ndarray = self.friction_bounds.exact.unit[number >= 0][self.columns]
+        return found
 
     @cached_property
     def motions(self) -> sparse.csr_array:
@@ -156,7 +157,8 @@ class ExactlyRolling:
     @cached_property
     def products(self) -> tuple[np.ndarray, np.ndarray]:
         """The scalar products of the z motions in `motions`, a matrix (z, z), as its factors by SciPy's `lu_factor`."""
-        return lu_factor((self.motions.T @ self.motions).toarray())
+        found: tuple[np.ndarray, np.ndarray] = lu_factor((self.motions.T @ self.motions).toarray())
+        return found
 
     @cached_property
     def part(self) -> np.ndarray:
@@ -165,7 +167,10 @@ class ExactlyRolling:
         network = self.friction_bounds.network
         first, second = network.graph.contact[:, self.contacts]
         inner = network.free[first] & network.free[second]
-        return pieces(len(network.free), first[inner], second[inner])[self.friction_bounds.sphere[self.columns]]
+        found: np.ndarray = pieces(len(network.free), first[inner], second[inner])[
+            self.friction_bounds.sphere[self.columns]
+        ]
+        return found
 
     @cached_property
     def bounded_contacts(self) -> np.ndarray:
@@ -214,9 +219,10 @@ class ExactlyRolling:
         more = self.rounding * self.friction_bounds.most_change
         for piece in self.loop_pieces:
             more[piece.contacts] += piece.by_rounding + self.rounding * piece.most_off_loops
-        return (self.friction_bounds.left_over + self.friction_bounds.sum_at_spheres(more))[
+        found: np.ndarray = (self.friction_bounds.left_over + self.friction_bounds.sum_at_spheres(more))[
             self.friction_bounds.sphere[self.columns]
         ] * UP
+        return found
 
     @cached_property
     def margin(self) -> np.ndarray:

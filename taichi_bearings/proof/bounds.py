@@ -198,7 +198,8 @@ def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
     torque : (n,), that component of the torque on each, an enclosure."""
     if not torque.high.any():
         return np.zeros(network.count)
-    return np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)
+    found: np.ndarray = np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)
+    return found
 
 
 def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:

@@ -53,7 +53,8 @@ def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.n
     spin_axes : the axes of the C components."""
     candidates = _candidates(scene, _finite(scene, force), spin_axes)
     best = np.max([dual_value(scene, candidate, spin_axes) for candidate in candidates], axis=0)
-    return np.maximum(best, 0.0)
+    found: np.ndarray = np.maximum(best, 0.0)
+    return found
 
 
 def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list[Forces]:
@@ -287,7 +288,8 @@ def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int,
     spin_axes : the axes of the C components.
     scene : R samples of a lattice with E contacts each."""
     pull = np.abs(torques(force, scene.lattice, spin_axes)[..., 1:-1])
-    return scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
+    found: np.ndarray = scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
+    return found
 
 
 def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...], plain: bool = False) -> np.ndarray:
@@ -414,7 +416,8 @@ def _divided(force: Forces, worst: np.ndarray) -> Forces:
     force : (C, R, E)."""
     if (worst <= 1.0).all():
         return force
-    return force * (1.0 / np.maximum(worst, 1.0))[:, None]
+    found: Forces = force * (1.0 / np.maximum(worst, 1.0))[:, None]
+    return found
 
 
 def saturation(scene: Bearing, force: Forces) -> np.ndarray:
@@ -429,7 +432,8 @@ def saturation(scene: Bearing, force: Forces) -> np.ndarray:
     ratio *= scene.inverse_limit
     if absent.any():
         ratio[absent & (size > 0)] = np.inf
-    return ratio
+    found: np.ndarray = ratio
+    return found
 
 
 def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:

@@ -51,7 +51,8 @@ def are_proven(state: np.ndarray, known: np.ndarray) -> np.ndarray:
 
     state : (R, E), states that are reported.
     known : (R, E), states proven of all minima, UNDECIDED where nothing is proven."""
-    return (state == ContactState.DRIVEN) | ((state == known) & (known != ContactState.UNDECIDED))
+    found: np.ndarray = (state == ContactState.DRIVEN) | ((state == known) & (known != ContactState.UNDECIDED))
+    return found
 
 
 def all_slipless(scene: Bearing) -> np.ndarray:
@@ -126,7 +127,8 @@ def unresolved(solution: Solution, times: float = 1.0) -> np.ndarray:
 
     solution : R samples of E contacts, solved."""
     scene, left = solution.scene, times * (solution.objective - solution.lower_bound)
-    return scene.strength * scene.coefficient * solution.slip <= left[:, None]
+    found: np.ndarray = scene.strength * scene.coefficient * solution.slip <= left[:, None]
+    return found
 
 
 def too_uneven(solution: Solution) -> np.ndarray:
@@ -147,7 +149,8 @@ def too_uneven(solution: Solution) -> np.ndarray:
     share = scene.smallest_jump / scene.jump if scene.jump else np.nan
     lost = acting & ((share * at_jump <= left[:, None]) | (at_jump <= LOST_POWER * solution.power[:, None]))
     lost &= scene.smallest_jump > 0
-    return lost.sum(axis=1) > LOST_CONTACTS * acting.sum(axis=1)
+    found: np.ndarray = lost.sum(axis=1) > LOST_CONTACTS * acting.sum(axis=1)
+    return found
 
 
 def what_is_proven(state: np.ndarray, proven: np.ndarray) -> np.ndarray:

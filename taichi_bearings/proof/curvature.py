@@ -406,7 +406,8 @@ class Form:
     @cached_property
     def scale(self) -> np.ndarray:
         """(q,), factors by which the q scaled unknowns are multiplied to give the original ones."""
-        return 1 / np.sqrt(self.squares)
+        found: np.ndarray = 1 / np.sqrt(self.squares)
+        return found
 
     def floor(self) -> np.ndarray:
         """Return for each of R samples a number tau, (R,): all eigenvalues of A^T A are proven to be tau or more. A is

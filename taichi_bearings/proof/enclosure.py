@@ -229,17 +229,22 @@ class Enclosure:
     @property
     def most(self) -> np.ndarray:
         """Doubles not below the absolute value of any enclosed number."""
-        return (np.abs(self.high) + (np.abs(self.low) + self.error)) * SLIGHTLY_UP
+        found: np.ndarray = (np.abs(self.high) + (np.abs(self.low) + self.error)) * SLIGHTLY_UP
+        return found
 
     @property
     def least(self) -> np.ndarray:
         """Doubles, 0 or more, not above the absolute value of any enclosed number."""
-        return np.maximum(np.abs(self.high) - (np.abs(self.low) + self.error) * SLIGHTLY_UP, 0.0) / SLIGHTLY_UP
+        found: np.ndarray = (
+            np.maximum(np.abs(self.high) - (np.abs(self.low) + self.error) * SLIGHTLY_UP, 0.0) / SLIGHTLY_UP
+        )
+        return found
 
     @property
     def value(self) -> np.ndarray:
         """The sums high + low, rounded to doubles."""
-        return self.high + self.low
+        found: np.ndarray = self.high + self.low
+        return found
 
     @in_cache
     def upper(self) -> np.ndarray:

@@ -222,7 +222,8 @@ class _Parts:
         # are fractions.
         clear = ~found[self.ends[:, slipping]].any(axis=0)
         found[self.ends[:, slipping[clear]]] = True
-        return found & everything
+        result: tuple[np.ndarray, np.ndarray, _Motions] | np.ndarray = found & everything
+        return result
 
     def _spheres(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the mask (N,) of the spheres to which any of the unknowns in the mask `unknowns` (n,) belongs."""

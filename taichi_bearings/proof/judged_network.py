@@ -90,7 +90,8 @@ class JudgedNetwork:
     @cached_property
     def acts(self) -> np.ndarray:
         """(m,) mask of the contacts with a free end and a coefficient, of friction or of viscosity."""
-        return ((self.holding.high > 0) | (self.slope.high > 0)) & self.graph.any_end(self.free)
+        found: np.ndarray = ((self.holding.high > 0) | (self.slope.high > 0)) & self.graph.any_end(self.free)
+        return found
 
     @cached_property
     def is_whole(self) -> bool:
@@ -110,7 +111,10 @@ class JudgedNetwork:
         touched = np.zeros(count, dtype=bool)
         for end, other in ((first, second), (second, first)):
             touched[label[end[self.free[end] & ~self.free[other]]]] = True
-        return self.free & touched[label] & ~(self.rolling if self.rolling is not None else np.zeros(count, dtype=bool))
+        found: np.ndarray = (
+            self.free & touched[label] & ~(self.rolling if self.rolling is not None else np.zeros(count, dtype=bool))
+        )
+        return found
 
     @cached_property
     def counts(self) -> np.ndarray:
@@ -160,7 +164,8 @@ class JudgedNetwork:
     def feels(self) -> np.ndarray:
         """(C, m) mask, True where one of m contacts can dissipate at a minimum (`counts`) and one of C spin components
         makes it slip. It has a meaning only for discs and for normals along the axes."""
-        return self.counts & self.slips_with
+        found: np.ndarray = self.counts & self.slips_with
+        return found
 
     @cached_property
     def division(self) -> list[Part]:
@@ -426,7 +431,8 @@ class Motion:
         model = np.empty(domain.max(initial=-1) + 1, dtype=np.intp)
         for spheres in (np.arange(len(domain))[::-1], np.flatnonzero(~self.network.free)):
             model[domain[spheres]] = spheres  # the last that is written stays
-        return model[domain]
+        found: np.ndarray = model[domain]
+        return found
 
     @cached_property
     def torn(self) -> np.ndarray:

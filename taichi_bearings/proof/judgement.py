@@ -121,7 +121,8 @@ class Judgement:
             fastest = float(network.box.max(initial=0.0)) or 1.0
             slip = self._by_sample(np.where(network.acts, network.slip.most, 0.0))
             found &= slip.max(axis=1, initial=0.0) <= STILL * fastest
-        return found
+        result: np.ndarray = found
+        return result
 
     @cached_property
     def slip(self) -> np.ndarray:
@@ -205,7 +206,8 @@ class Judgement:
         one, over the upper bound on the power. Infinite where that bound is 0 but the cost is not; 0 for samples with a
         state without any slip."""
         price, upper = np.where(self.can_all_rest, 0.0, self.bounds.price), self.bounds.upper
-        return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
+        found: np.ndarray = np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
+        return found
 
     @property
     def gap(self) -> np.ndarray:
@@ -249,4 +251,5 @@ def rounded_out(values: np.ndarray, unit: np.ndarray, towards: float) -> np.ndar
     for _ in range(2):
         inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)
         found = np.where((found != 0) & inexact, np.nextafter(found, towards), found)
-    return found
+    result: np.ndarray = found
+    return result

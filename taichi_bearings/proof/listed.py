@@ -113,7 +113,8 @@ class Listed:
         with a normal that is not along an axis. All False for discs, which have one component."""
         if self.normal.shape[1] == 2:
             return np.zeros(len(self.normal), dtype=bool)
-        return ~(np.sort(np.abs(self.normal)) == (0, 0, 1)).all(axis=1)
+        found: np.ndarray = ~(np.sort(np.abs(self.normal)) == (0, 0, 1)).all(axis=1)
+        return found
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
         """Return the lengths (m,) of m vectors, an enclosure.

@@ -276,7 +276,10 @@ def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -
     inverse : Y, (n, 2 q), nearly the pseudo-inverse of M."""
     found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
     of_along = np.abs(loops)
-    return found + terms * EPS * (np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse))
+    result: np.ndarray = found + terms * EPS * (
+        np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse)
+    )
+    return result
 
 
 def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -304,19 +304,22 @@ class Centre:
             as much of it as resting contacts can exert. `fixed` is the matrix that gives their slips from spins. The
             residual is solved for once more, against rounding."""
             found = factor.solve(torque)
-            return found + factor.solve(torque - fixed.T @ (fixed @ found))
+            result: np.ndarray = found + factor.solve(torque - fixed.T @ (fixed @ found))
+            return result
 
         def allowed(spins: np.ndarray, solve: Callable[[np.ndarray], np.ndarray] = factor.solve) -> np.ndarray:
             """Return the part of a vector (n,) that is left once its part which makes resting contacts slip is taken
             away. The vector holds changes of the n unknown spins, or torques on them.
 
             solve : what solves for that, to a few digits; or `borne`, to nearly all."""
-            return spins - solve(fixed.T @ (fixed @ spins))
+            result: np.ndarray = spins - solve(fixed.T @ (fixed @ spins))
+            return result
 
         def bends(spins: np.ndarray) -> np.ndarray:
             """Return by how much the torques (n,) of slipping contacts change, to first order, when the n unknown spins
             change by `spins` (n,)."""
-            return (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
+            result: np.ndarray = (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
+            return result
 
         best, least, found = self, np.inf, self
         while True:
@@ -375,14 +378,16 @@ class Centre:
         """Return for each of R samples the Euclidean norm (R,) of the values (N spheres, 3) at its spheres in the mask
         `some` (N,)."""
         squares = np.where(some[:, None], values, 0.0) ** 2
-        return np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
+        found: np.ndarray = np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
+        return found
 
     def _of_all(self, holds: np.ndarray, sample: np.ndarray) -> np.ndarray:
         """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are True; also of those
         without any entry.
 
         sample : (q,), the sample of each entry."""
-        return np.bincount(sample, ~holds, self.network.count) == 0
+        found: np.ndarray = np.bincount(sample, ~holds, self.network.count) == 0
+        return found
 
     @property
     def _loose_spheres(self) -> np.ndarray:

@@ -150,7 +150,8 @@ class OnLattice:
         """
         if len(self.jump[component].high) == 1:
             return np.zeros(self.lattice.sites, dtype=np.int64)
-        return np.indices(self.lattice.shape)[component].ravel()
+        found: np.ndarray = np.indices(self.lattice.shape)[component].ravel()
+        return found
 
     def leader(self, component: int) -> np.ndarray:
         """Return for each of N spheres of R samples the indices of the two leaders of its layer, (2, R * N): of the

@@ -138,7 +138,8 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
         if bears[rests].all():
             break
         rests &= bears
-    return rests
+    found: np.ndarray = rests
+    return found
 
 
 def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.ndarray) -> np.ndarray:

@@ -276,7 +276,8 @@ class Elimination:
                 failed[self._sample_of(front)] = True
         found = np.empty_like(held)
         found[self.order] = held
-        return found | failed[self.samples.of]
+        result: np.ndarray = found | failed[self.samples.of]
+        return result
 
     def factorised(self, shift: float = 0.0) -> Factor | None:
         """Return the Cholesky factor of the matrix less `shift` times the identity; None if a pivot of any sample is

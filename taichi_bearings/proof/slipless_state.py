@@ -79,7 +79,8 @@ def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
     found = nearly.reshape(network.count, -1).all(axis=1)
     for number in np.flatnonzero(found).tolist():
         found[number] = _rolls_exactly(network.some(slice(number, number + 1)))
-    return found
+    result: np.ndarray = found
+    return result
 
 
 def _rolls_exactly(network: JudgedNetwork) -> bool:

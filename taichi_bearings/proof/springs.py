@@ -158,14 +158,16 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
     label = pieces(len(some), first[inner], second[inner])
     independent = _independent(network, some)
     if independent.all():
-        return some
+        found: np.ndarray = some
+        return found
     open_ = some & ~np.repeat(independent, len(some) // network.count)
     # Keep the candidates, piece by piece as contacts join them, for which independence is proven.
     for part in np.unique(label[open_]):
         own = some & (label == part)
         if not _independent(network, own).all():
             some &= ~own
-    return some
+    found = some
+    return found
 
 
 def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:

@@ -127,7 +127,8 @@ class Pulls:
         """Return the mask (n,) of the contacts whose two spheres have different labels in component `slot` (0 or 1).
 
         label : (2, spheres), a label of each sphere for either component, such as that of its domain."""
-        return label[slot, self.lower] != label[slot, self.upper]
+        found: np.ndarray = label[slot, self.lower] != label[slot, self.upper]
+        return found
 
     def touches(self, label: np.ndarray, value: int) -> np.ndarray:
         """Return the mask (n,) of the contacts whose slip may change when one domain moves: slipping contacts of which
@@ -136,7 +137,8 @@ class Pulls:
         label : (spheres,), the label of the domain (group of spheres that move together) of each sphere.
         value : the label of the domain that moves."""
         ends = label[self.lower] == value, label[self.upper] == value
-        return np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
+        found: np.ndarray = np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
+        return found
 
     @cached_property
     def turned_by(self) -> np.ndarray:

@@ -126,7 +126,9 @@ def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_thre
     if (lattice := network.lattice) is not None:
         if (domains := drawn.domains) is not None:
             kind = domains.kind[domains.domain.ravel()].astype(np.uint8)
-            spheres["domain_kind"] = Finding(kind, "1", f"driven plane with which its rigid domain turns: {DOMAIN_KINDS}")
+            spheres["domain_kind"] = Finding(
+                kind, "1", f"driven plane with which its rigid domain turns: {DOMAIN_KINDS}"
+            )
         spheres["driven"] = Finding(lattice.is_driven.ravel(), "1", "spin is imposed")
         contacts["axis"] = Finding(lattice.axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")
     else:

@@ -585,9 +585,11 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
         where = "the scene" if path is None else f"scene file {path}"
         raise FileError(f"{where} is not valid TOML: {error}") from None
     if path is None:
-        return values
+        result: Json = values
+        return result
     folder = path if path.is_dir() else path.parent
-    return values | {key: placed(values[key], folder) for key in NAMED_FILES if key in values}
+    result = values | {key: placed(values[key], folder) for key in NAMED_FILES if key in values}
+    return result
 
 
 def placed(value: object, folder: Path) -> Any:

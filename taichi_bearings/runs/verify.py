@@ -288,7 +288,8 @@ def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarr
     """
     with np.errstate(invalid="ignore"):
         close = np.abs(said - true) <= ROUNDED * np.abs(true) + beside
-    return ~(close | (said == true) | (np.isnan(said) & np.isnan(true)))
+    found: np.ndarray = ~(close | (said == true) | (np.isnan(said) & np.isnan(true)))
+    return found
 
 
 def _driving_contradictions(stored: Solution) -> Iterator[str]:

@@ -75,7 +75,8 @@ class Source:
         """Return the values (samples S,) of a scalar for the samples with a result, by its name; raise InputError if
         there is no such scalar.
         """
-        return self.whole_column(name)[self.samples]
+        found: np.ndarray = self.whole_column(name)[self.samples]
+        return found
 
     def numbers(self, name: str) -> np.ndarray:
         """Return the values (samples S,) of a scalar as numbers, by its name; raise FileError if they are none."""

@@ -109,7 +109,8 @@ def read_journals(folder: Path) -> dict[str, Json]:
 
 def is_failed(record: Mapping[str, Any]) -> bool:
     """Return True if a record says that its sample has no result."""
-    return record["scalars"]["status"] == FAILED
+    found: bool = record["scalars"]["status"] == FAILED
+    return found
 
 
 def is_analysed(record: Mapping[str, Any]) -> bool:

@@ -82,6 +82,11 @@ class Bearing(ABC):
         normal force and radius, or how many spheres another packing has.
         """
 
+    @property
+    @abstractmethod
+    def imposed_in_words(self) -> str:
+        """What is imposed on driven spheres, in words that end a message."""
+
     @abstractmethod
     def with_top(self: Kind, strength: float) -> Kind:
         """Return a copy whose top (of packings the driven body with the largest number) has its imposed spins
@@ -306,7 +311,8 @@ class Bearing(ABC):
         if box is None:
             return staggered
         low, high = box.reshape(2, -1, *(1,) * (staggered.ndim - 1))
-        return np.clip(staggered, low, high)
+        found: np.ndarray = np.clip(staggered, low, high)
+        return found
 
     def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return the spin differences (d, samples R, contacts E) across all contacts; d is the number of slip
@@ -346,7 +352,8 @@ class Bearing(ABC):
             the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
         spin_axes : numbers of their C components.
         """
-        return self.law.power(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
+        found: np.ndarray = self.law.power(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
+        return found
 
     def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return the value (samples R,), energy/time, of the function that the stationary state minimises.
@@ -358,7 +365,8 @@ class Bearing(ABC):
             the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
         spin_axes : numbers of their C components.
         """
-        return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
+        found: np.ndarray = self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
+        return found
 
     def sample(self: Kind, number: int) -> Kind:
         """Return a bearing with one of the R samples alone.
@@ -451,7 +459,8 @@ class Bearing(ABC):
 
 def inverse(values: np.ndarray) -> np.ndarray:
     """Return 1 / values, an array of their shape, with 0 where a value is 0."""
-    return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
+    found: np.ndarray = np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
+    return found
 
 
 def vector_length(components: np.ndarray) -> np.ndarray:
@@ -479,4 +488,5 @@ def _length(components: np.ndarray) -> np.ndarray:
     """
     size, *others = [part for part in components if part.any()] or components[:1]
     size = np.hypot(size, others[0]) if others else np.abs(size)
-    return size if len(others) < 2 else np.hypot(size, others[1])
+    found: np.ndarray = size if len(others) < 2 else np.hypot(size, others[1])
+    return found

@@ -28,7 +28,8 @@ def _power_law(
     if abs(exponent + 1) < 1e-12:
         return low * (high / low) ** level
     a, b = low ** (exponent + 1), high ** (exponent + 1)
-    return (a + (b - a) * level) ** (1 / (exponent + 1))
+    found: np.ndarray = (a + (b - a) * level) ** (1 / (exponent + 1))
+    return found
 
 
 def _bimodal(rng: np.random.Generator, shape: tuple[int, ...], low: float, high: float, fraction: float) -> np.ndarray:

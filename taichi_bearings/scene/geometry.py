@@ -80,7 +80,8 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
         fault = "does not touch" if is_far else "is pressed too far"
         distance_and_radii = misfit(found.size[own], found.reach[own])
         raise InputError(f"contact {own} {fault}: spheres {first} and {second} {distance_and_radii}{hint}")
-    return found.along
+    result: np.ndarray = found.along
+    return result
 
 
 class _Contacts:
@@ -267,7 +268,8 @@ def _with(periods: np.ndarray, more: np.ndarray, slack: float) -> np.ndarray:
     found = reduced(np.vstack([periods, more]))
     while len(kept := found[np.linalg.norm(found, axis=1) > slack]) < len(found):
         found = reduced(kept)
-    return kept
+    result: np.ndarray = kept
+    return result
 
 
 def _short(vector: np.ndarray) -> str:

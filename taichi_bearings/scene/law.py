@@ -119,7 +119,8 @@ class Law:
             return self.viscosity(of)
         held = self.holding_force(of)
         excess = self.force(of, slip) - (0.0 if held is None else held)
-        return np.divide(excess, slip, out=np.zeros_like(excess), where=slip > 0)
+        found: np.ndarray | None = np.divide(excess, slip, out=np.zeros_like(excess), where=slip > 0)
+        return found
 
     def steepest(self, of: Coefficients, slip: float) -> np.ndarray:
         """Return the largest slope (..., E) of the force over the slip, force * time/length, between a slip of 0 and
@@ -181,7 +182,8 @@ class Law:
         excess = force if held is None else np.maximum(force - held, 0.0)
         if viscosity is None:
             return np.where(excess > 0, np.inf, 0.0)
-        return excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
+        found: np.ndarray = excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
+        return found
 
     def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
         """Return the force or the power of each contact, (..., E contacts): the sum of its coefficients, each times the
@@ -196,7 +198,8 @@ class Law:
             values * (friction if quantity.is_friction else viscous)
             for quantity, values in zip(self.quantities, of, strict=True)
         ]
-        return terms[0] if len(terms) == 1 else np.sum(terms, axis=0)
+        found: np.ndarray = terms[0] if len(terms) == 1 else np.sum(terms, axis=0)
+        return found
 
 
 OVERRIDDEN = ("force", "power", "potential", "conjugate")

@@ -225,7 +225,8 @@ class Network:
             return contact_differences(spins, self.lattice, spin_axes)
         columns = np.moveaxis(spins, 2, 0).reshape(-1, spins.shape[1])
         shape = self.dimension - 1, self.contacts, spins.shape[1]
-        return (self.whole @ columns).reshape(shape).transpose(0, 2, 1)
+        found: np.ndarray = (self.whole @ columns).reshape(shape).transpose(0, 2, 1)
+        return found
 
     def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return the sum of the contact forces on each sphere, (C, samples R, spheres *N); times the radius it is a
@@ -239,7 +240,8 @@ class Network:
             return torques(force, self.lattice, spin_axes)
         columns = np.moveaxis(force, 1, 2).reshape(-1, force.shape[1])
         shape = self.spheres, self.components, force.shape[1]
-        return -(self.whole_transposed @ columns).reshape(shape).transpose(1, 2, 0)
+        found: np.ndarray = -(self.whole_transposed @ columns).reshape(shape).transpose(1, 2, 0)
+        return found
 
     def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
         """Return an upper bound on the eigenvalues of M^-1 K^T W K over the free spheres, where K turns radius * spin
@@ -283,7 +285,8 @@ class Network:
         touched = np.zeros(self.spheres, dtype=bool)  # by label
         for end, other in ((first, second), (second, first)):
             touched[label[end[self.free[end] & ~self.free[other]]]] = True
-        return self.free & touched[label]
+        found: np.ndarray = self.free & touched[label]
+        return found
 
     def needed(
         self, imposed: np.ndarray, contact: np.ndarray, moves: np.ndarray

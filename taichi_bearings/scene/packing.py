@@ -192,6 +192,11 @@ class Packing(Bearing):
         return len(self.contact)
 
     @property
+    def imposed_in_words(self) -> str:
+        """What is imposed, in words that end a message: how many driven bodies there are."""
+        return f"driven bodies are {len(self.network.bodies)}"
+
+    @property
     def facts(self) -> Json:
         """Numbers of spheres and of driven spheres, by name."""
         return {"spheres": self.spheres, "driven_spheres": int((~self.network.free).sum())}
@@ -210,7 +215,8 @@ class Packing(Bearing):
     @property
     def dimension(self) -> int:
         """Number D of dimensions: 2 for discs, 3 for spheres."""
-        return self.center.shape[1]
+        found: int = self.center.shape[1]
+        return found
 
     @property
     def named_coefficients(self) -> dict[str, np.ndarray]:
@@ -289,9 +295,11 @@ class Packing(Bearing):
             if inertia is not None:
                 raise InputError(f"inertia is {inertia:g} and density is given; give only one of the two")
             volume = np.pi * radius**2 if self.dimension == 2 else 4 / 3 * np.pi * radius**3
-            return shape * volume * checks.sizes("density", density, self.spheres, "sphere")
+            found: np.ndarray = shape * volume * checks.sizes("density", density, self.spheres, "sphere")
+            return found
         mean = radius.mean()
-        return (shape * mass if inertia is None else inertia / mean**2) * (radius / mean) ** self.dimension
+        found = (shape * mass if inertia is None else inertia / mean**2) * (radius / mean) ** self.dimension
+        return found
 
     def as_stepped(self, spins: np.ndarray, at_rest: np.ndarray) -> "Packing":
         """Return a copy with only those contacts that can slip, for methods that make steps. Contacts that are absent

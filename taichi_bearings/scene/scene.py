@@ -417,6 +417,13 @@ class Scene(Bearing):
         return self.driving.sides
 
     @property
+    def imposed_in_words(self) -> str:
+        """What is imposed on the planes, in words that end a message: the direction of their spins, or their states."""
+        if self.top is None:
+            return f"direction is {list(self.direction)}"
+        return f"top is {self.top}, bottom {self.bottom}"
+
+    @property
     def facts(self) -> Json:
         """Shape, imposed spins, normal force and radius, by name."""
         top, bottom = self.imposed

@@ -30,7 +30,8 @@ ENERGY_NAMES = ("work", "injected", "energy_at_start")
 
 def replica_sum(values: np.ndarray) -> np.ndarray:
     """Return the sum (R,) of values (T, R, ...) over all axes but that of the R samples."""
-    return values.sum(axis=(0, *range(2, values.ndim)))
+    found: np.ndarray = values.sum(axis=(0, *range(2, values.ndim)))
+    return found
 
 
 def slipping_contacts(

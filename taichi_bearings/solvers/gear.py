@@ -115,7 +115,8 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
     matrices = amplification(
         GEAR_COEFFICIENTS[order], h * decay_rate * SOFTER_MODES, h**2 * frequency_squared * SOFTER_MODES
     )
-    return np.abs(np.linalg.eigvals(matrices)).max(axis=(1, 2))
+    found: np.ndarray = np.abs(np.linalg.eigvals(matrices)).max(axis=(1, 2))
+    return found
 
 
 def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
@@ -164,7 +165,10 @@ def laplacian_spectrum(lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarr
     spin_axes : numbers of the axes of the spin components.
     """
     found = [np.broadcast_to(eigenvalues(lattice, component), lattice.free_shape) for component in spin_axes]
-    return np.maximum(np.quantile(found, (np.arange(SAMPLE_MODES) + 0.5) / SAMPLE_MODES), LEAST_EIGENVALUE)
+    result: np.ndarray = np.maximum(
+        np.quantile(found, (np.arange(SAMPLE_MODES) + 0.5) / SAMPLE_MODES), LEAST_EIGENVALUE
+    )
+    return result
 
 
 @dataclass(frozen=True)

@@ -192,4 +192,5 @@ def _total(load: np.ndarray) -> np.ndarray:
 
     load : (B, m, n), torques.
     """
-    return np.abs(load).sum(axis=(1, 2))
+    found: np.ndarray = np.abs(load).sum(axis=(1, 2))
+    return found

@@ -319,4 +319,5 @@ def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
         raise RuntimeError(
             "internal check failed: the maximum flow does not equal the minimum cut; please report it with the command"
         )
-    return flow
+    found: np.ndarray = flow
+    return found

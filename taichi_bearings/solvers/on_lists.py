@@ -182,7 +182,8 @@ class OnLists(Stepped):
         total = np.zeros((network.spheres, network.components))
         for end in network.contact:
             np.add.at(total, end, rows)
-        return total.T[:, None]
+        found: np.ndarray = total.T[:, None]
+        return found
 
     def inertias(self, options: "Motion", density: ArrayLike | None) -> np.ndarray:
         """Return the moments of inertia of the spheres over the squares of their radii, (N spheres,), mass.
@@ -233,7 +234,8 @@ class OnLists(Stepped):
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
         """Return the larger of a lower bound (1,) and the best one that was proven before."""
-        return np.maximum(bound, self.bounds.proven)
+        found: np.ndarray = np.maximum(bound, self.bounds.proven)
+        return found
 
     def proven_by(self, force: Forces) -> np.ndarray:
         """Return the lower bound (1,) on the objective that the contact forces of a checkpoint prove.

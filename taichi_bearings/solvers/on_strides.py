@@ -250,7 +250,8 @@ class OnStrides(Stepped, WithMinima):
             return None
         else:
             rest[..., 1:-1] = 0.0
-        return rest
+        found: np.ndarray | None = rest
+        return found
 
     def proven_by(self, force: Forces) -> np.ndarray:
         """Return the lower bound (R samples,) on the objective (least power or potential) that some contact forces

@@ -278,9 +278,10 @@ class OperatorSplittingMethod(Method):
         """
         scene = self.scene
         jump, columns = scene.jump or 1.0, scene.lattice.sites // scene.lattice.shape[-1]
-        return (
+        found: np.ndarray = (
             USUAL_STIFFNESS * np.maximum(power, np.finfo(np.float32).tiny) / (scene.lattice.radius * columns * jump**2)
         )
+        return found
 
     def _stiffness_factors(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> np.ndarray:
         """Return factors (R samples,) by which the stiffness is to change so that the two parts of the gap get the

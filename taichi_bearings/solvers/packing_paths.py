@@ -291,7 +291,8 @@ def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.nd
     """
     if contacts is system or contacts.sign is None:
         return forces
-    return np.einsum("tek,ek->te", system.across, contacts.on_contacts(forces)[system.contact])
+    found: np.ndarray = np.einsum("tek,ek->te", system.across, contacts.on_contacts(forces)[system.contact])
+    return found
 
 
 def _everywhere(own: np.ndarray, of: np.ndarray, count: int) -> np.ndarray:

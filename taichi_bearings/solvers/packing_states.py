@@ -159,7 +159,8 @@ def judgement_of(system: ContactSystem, samples: Sequence[Packing], found: Seque
 
 def _finite(force: np.ndarray) -> np.ndarray:
     """Return forces with 0 in place of numbers that are not finite."""
-    return np.nan_to_num(force, posinf=0.0, neginf=0.0)
+    found: np.ndarray = np.nan_to_num(force, posinf=0.0, neginf=0.0)
+    return found
 
 
 def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:

@@ -193,12 +193,15 @@ class Look:
 def _length(components: list[np.ndarray]) -> np.ndarray:
     """Return the lengths of vectors of one or two components, arrays of one shape; their squares must not overflow."""
     if len(components) == 1:
-        return np.abs(components[0])
+        result: np.ndarray = np.abs(components[0])
+        return result
     found = components[0] * components[0]
     found += components[1] * components[1]
-    return np.sqrt(found, out=found)
+    result = np.sqrt(found, out=found)
+    return result
 
 
 def _safe_length(components: list[np.ndarray]) -> np.ndarray:
     """Return the lengths of vectors of one or two components, arrays of one shape, of any size."""
-    return np.abs(components[0]) if len(components) == 1 else np.hypot(*components)
+    found: np.ndarray = np.abs(components[0]) if len(components) == 1 else np.hypot(*components)
+    return found

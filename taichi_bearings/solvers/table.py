@@ -31,7 +31,7 @@ from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.words import meant, shown
 
 if TYPE_CHECKING:
-    from taichi_bearings.scene import Scene
+    from taichi_bearings.scene import Bearing, Scene
     from taichi_bearings.solvers.method import Method
 
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which factorisations fit into any memory (about 48^3)
@@ -134,7 +134,7 @@ class MethodOptions:
         return built
 
     @classmethod
-    def refusal(cls, scene: "Scene") -> str:
+    def refusal(cls, scene: "Bearing") -> str:
         """Return why the method cannot solve a scene, as a sentence; empty if it can."""
         if cls.solves(scene.law):
             return ""
@@ -225,16 +225,15 @@ class PlanarCut(MethodOptions):
     solves = _laws(attrgetter("is_rate_independent"))
 
     @classmethod
-    def refusal(cls, scene: "Scene") -> str:
+    def refusal(cls, scene: "Bearing") -> str:
         """Return why the method cannot solve a scene, such as imposed spins about two axes; empty if it can."""
         if reason := super().refusal(scene):
             return reason
         if len(scene.minimum_spin_axes) == 1:
             return ""
-        return f"method {cls.name} needs imposed spins about x or about y alone on a cubic lattice; " + (
-            f"direction is {list(scene.direction)}"
-            if scene.top is None
-            else f"top is {scene.top}, bottom {scene.bottom}"
+        return (
+            f"method {cls.name} needs imposed spins about x or about y alone on a cubic lattice; "
+            f"{scene.imposed_in_words}"
         )
 
     @classmethod
@@ -352,7 +351,8 @@ class OperatorSplitting(MethodOptions):
         tolerance : relative gap that is asked for.
         """
         iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(prod(shape) / 4096, 1) ** 0.25
-        return 0.02 + iterations * (2e-4 + 3.6e-8 * prod(shape))
+        found: float | None = 0.02 + iterations * (2e-4 + 3.6e-8 * prod(shape))
+        return found
 
 
 @register
@@ -429,19 +429,21 @@ def _rest_tolerance(default: float) -> float:
 
     default : value of the option if it is not given.
     """
-    return how(
+    found: float = how(
         default,
         POSITIVE,
         "Relative change of the power, in a step or between checks, below which the motion counts as at rest.",
         unset=True,
         rare=True,
     )
+    return found
 
 
 def _error_tolerance() -> float:
     """Return the option `error_tolerance`, the error of a time step whose length a method chooses itself."""
     help = "Root mean square error of the spins in a step, relative to the largest spin, by which the step is chosen."
-    return how(1e-3, POSITIVE, help, unset=True, rare=True)
+    found: float = how(1e-3, POSITIVE, help, unset=True, rare=True)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,7 +32,9 @@ def test_a_layer_that_turns_without_slip_looks_as_it_did(driving):
     spin = turned(best, np.array([9.0, 0.7, -0.3, 2.0, 9.0]))
     assert structure.slips_of(spin) == pytest.approx(structure.slips_of(np.array(best.spin)), abs=1e-12)
     assert np.abs(spin - best.spin).max() > 0.5
-    assert structure.scene.driving.shown(spin) == pytest.approx(structure.scene.driving.shown(np.array(best.spin)), abs=1e-12)
+    assert structure.scene.driving.shown(spin) == pytest.approx(
+        structure.scene.driving.shown(np.array(best.spin)), abs=1e-12
+    )
 
 
 def test_what_slips_within_a_layer_is_shown():

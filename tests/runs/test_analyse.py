@@ -238,5 +238,5 @@ def test_figures_and_files_beside_the_run(solved, tmp_path):
 
 @pytest.mark.parametrize("settings", [{"shape": (4, 5)}, {"shape": (4, 4, 3), "driven": "shaft:1"}], ids=str)
 def test_numbers_of_an_analysis_are_rows_of_the_tables(solved, settings):
-    beside = {*DRIVING_KEYS, "threshold", "states", "run", "figures", "path", "out"}
-    assert analysed(solved(**settings)).keys() <= COLUMNS.keys() | beside
+    said_beside = {*DRIVING_KEYS, "threshold", "states", "run", "files"}
+    assert analysed(solved(**settings)).keys() <= COLUMNS.keys() | said_beside

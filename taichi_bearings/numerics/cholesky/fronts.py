@@ -75,7 +75,8 @@ class SparsePattern:
         """
         a, b = self.place[first], self.place[second]
         wanted = np.minimum(a, b) * np.int64(self.size) + np.maximum(a, b)
-        return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
+        found: np.ndarray = np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
+        return found
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,8 @@ class Pattern(SparsePattern):
         """(fronts,), how many multiplications and additions of doubles each front (group of unknowns that are
         eliminated together) takes in one factorisation."""
         own, width = self.own.astype(float), self.width
-        return own**3 / 3 + own**2 * width + own * width**2
+        found: np.ndarray = own**3 / 3 + own**2 * width + own * width**2
+        return found
 
     @property
     def operations(self) -> float:
@@ -132,7 +134,8 @@ class Pattern(SparsePattern):
         number = np.repeat(np.arange(len(self.own)), self.width) * np.int64(self.size) + self.border
         behind = np.searchsorted(number, front * np.int64(self.size) + unknown) - self.share[front]
         own = unknown - self.first[front]
-        return np.where(own < self.own[front], own, self.own[front] + behind)
+        found: np.ndarray = np.where(own < self.own[front], own, self.own[front] + behind)
+        return found
 
 
 @dataclass(frozen=True)
@@ -172,7 +175,8 @@ class BlockPattern:
 
         first, second : (pairs,), the two unknowns of each pair.
         """
-        return np.minimum(first, second) * self.size + np.maximum(first, second)
+        found: np.ndarray = np.minimum(first, second) * self.size + np.maximum(first, second)
+        return found
 
 
 @dataclass(frozen=True)

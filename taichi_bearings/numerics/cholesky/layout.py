@@ -173,7 +173,8 @@ def update_size(border: Integers, height: Integers) -> Integers:
     """
     width = tuning.SHEET_COLUMNS
     before = border // width * width
-    return before * height - before * (before - width) // 2 + (border - before) * (height - before)
+    found: Integers = before * height - before * (before - width) // 2 + (border - before) * (height - before)
+    return found
 
 
 def _relatives(parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -57,7 +57,8 @@ class MinimumCuts:
     @property
     def unique(self) -> np.ndarray:
         """(B,) True for the grids of which every other cut is heavier than the one found."""
-        return self.tied == 0
+        found: np.ndarray = self.tied == 0
+        return found
 
 
 def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:

@@ -195,7 +195,8 @@ def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
     while True:
         further = ancestor[ancestor]
         if np.array_equal(further, ancestor):
-            return np.append(order, np.int32(0))[ancestor[:-1]]
+            found: np.ndarray = np.append(order, np.int32(0))[ancestor[:-1]]
+            return found
         ancestor = further
 
 

@@ -168,7 +168,8 @@ def _exact(vector: np.ndarray) -> np.ndarray:
     vector : (dimensions,), of length 1 but for rounding.
     """
     components = np.where(np.abs(vector) < 1e-9, 0.0, np.round(vector, 12))
-    return components / np.linalg.norm(components)
+    found: np.ndarray = components / np.linalg.norm(components)
+    return found
 
 
 def _of_bond(

@@ -66,7 +66,8 @@ class _Heap:
         """
         vector = self.place[since : self.count] - place
         vector[:, :-1] -= self.sides[:-1] * np.round(vector[:, :-1] / self.sides[:-1])
-        return vector
+        found: np.ndarray = vector
+        return found
 
     def is_free(self, place: np.ndarray, size: float, since: int = 0) -> bool:
         """Return True if a sphere of radius `size` at a place (dimensions D,) overlaps none of the spheres from number

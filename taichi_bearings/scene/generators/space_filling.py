@@ -128,7 +128,8 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
     factor = size**2 / np.where(power > 0, power, np.inf)
     kept = (factor < 1 - TANGENT) & (factor * radius >= least * (1 - TANGENT))
     image = np.column_stack([[x, y] + factor[:, None] * offset, factor * radius, copies[:, 3]])
-    return image[kept]
+    found: np.ndarray = image[kept]
+    return found
 
 
 def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
