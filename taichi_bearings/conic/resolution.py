@@ -292,7 +292,7 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     ============================  =====  ====================================  ===================================
 
     Tying contacts helps as the stiffness of those that stick blurs the forces of the others. If no states are sure, the
-    last minimum that trial 2 or a later one has found is returned (with repeated frictions: that any trial has found).
+    minimum of the last trial that has found one is returned.
     """
     path, settled = LastDecades.after(iterate, before, shared.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
@@ -300,9 +300,9 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     none, sticking = np.zeros_like(path.sticking), path.sticking
     if not (ties_possible := may_have_several_minima(iterate.friction, none)):
         with suppress(NotPositiveDefinite):
-            early = _early_minimum(iterate, copy(path), shared)
-            if early is not None and early.sure:
-                return early
+            settled = _early_minimum(iterate, copy(path), shared)
+            if settled is not None and settled.sure:
+                return settled
     # for each trial: (are contacts tied?, is the path followed to its end?)
     first, second, free = (True, False), (True, True), (False, False)
     for ties, to_the_end in (first, second, second, free) if ties_possible else (free, first):

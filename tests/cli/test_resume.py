@@ -16,6 +16,7 @@ from taichi_bearings_cli.run import _how_to_go_on
 
 import taichi_bearings as tb
 from taichi_bearings import compiler
+from taichi_bearings.runs import packing_run
 from tests.cli.commands import bearings, refused
 
 DRAWN = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
@@ -275,3 +276,36 @@ def test_an_interrupted_run_says_how_it_goes_on(tmp_path):
         _how_to_go_on(tmp_path / "run", False).strip().startswith("this run cannot be resumed; with --checkpoint-every")
     )
     assert _how_to_go_on(tmp_path / "run", True).strip().startswith("the result is complete; only figures are missing")
+
+
+KINDS = {"lattice": (), "packing": ("--driven", "shaft:1")}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_run_that_is_interrupted_while_figures_are_drawn_is_complete(kind, tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("taichi_bearings.runs.run.draw_figures", interrupted)
+    words = ("run", "--shape", "4,4,4", "--replicas", "2", *KINDS[kind], "--out", tmp_path / "run")
+    told = bearings(*words)
+    assert told.returncode == 130
+    assert "the result is complete; only figures are missing" in told.stdout
+    assert len(tb.load(tmp_path / "run")) == 2
+
+
+def test_a_packing_of_which_some_samples_are_missing_is_not_called_complete(tmp_path, monkeypatch):
+    solve, count = packing_run.solved_packing, []
+
+    def solved(*given, **others):
+        count.append(1)
+        if len(count) > 1:
+            raise KeyboardInterrupt
+        return solve(*given, **others)
+
+    monkeypatch.setattr(packing_run, "solved_packing", solved)
+    words = ("--shape", "4,4,4", "--driven", "shaft:1", "--replicas", "2", "--torque", "0.1", "--figures", "none")
+    told = bearings("run", *words, "--out", tmp_path / "run")
+    assert told.returncode == 130
+    assert "this run cannot be resumed" in told.stdout
+    assert len(tb.load(tmp_path / "run")) == 1
