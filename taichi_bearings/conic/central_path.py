@@ -63,7 +63,7 @@ def friction_stiffness(
     return found
 
 
-def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
+def newton_step(iterate: Iterate, matrix: NewtonMatrix, raised: int = 0) -> Iterate:
     """Return the next point along the central path: one Newton step of predictor, corrector and recentring.
 
     On the central path the product of slip bound and friction margin, friction * bound - slip . force, is the same for
@@ -71,12 +71,14 @@ def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 
     iterate : a point of the path; not changed.
     matrix : Newton matrix of its system, which is factorised anew.
+    raised : index in DIAGONAL_SHIFTS (newton_matrix.py) of the first addition to the diagonal to try, 0 for none; the
+        one that was taken is then in `matrix.raised`.
 
     Raises NotPositiveDefinite if the Newton matrix is singular to working precision.
     """
     path = Path(matrix)
     path.put(0, iterate)
-    if not path.step()[0]:
+    if not path.step(raised)[0]:
         raise NotPositiveDefinite
     return path.iterate(0)
 
@@ -257,9 +259,11 @@ class Path:
             self._viscous[:, sample] = stiffness
 
     @np.errstate(all="ignore")  # at the end, and where there is no sample, numbers that are not finite turn up
-    def step(self) -> np.ndarray:
+    def step(self, raised: int = 0) -> np.ndarray:
         """Take one Newton step of every sample: predictor, corrector and recentring, STEP_SHARE of the way to the
         boundary of the cones.
+
+        raised : index in DIAGONAL_SHIFTS (newton_matrix.py) of the first addition to the diagonals to try, 0 for none.
 
         Returns a mask (S,), True where the step was taken; False where the Newton matrix is singular to working
         precision.
@@ -267,7 +271,7 @@ class Path:
         rows = self._rows
         # Scaling of all cones, factorisation, and the predictor: a step towards product 0.
         rows.run(kernels.prepare, (0, 0), LEAST_WORK)
-        going = self._matrix.factorise_rows(rows, self.used, self._inertia, self._viscous)
+        going = self._matrix.factorise_rows(rows, self.used, self._inertia, self._viscous, raised)
         taken, step = going.copy(), self._solved(0)
         target = self._target(step)
         # Mehrotra's corrector: the product that the predictor makes credible, and its second-order terms.

@@ -67,6 +67,7 @@ class LastDecades:
         self.sticking = self.at_limit = np.zeros(len(iterate.friction), dtype=bool)
         # (n,) slip over margin, and the product, at the point before; 0 and infinity at the start of each `decide`
         self._ratios, self._product = np.zeros(len(iterate.friction)), np.inf
+        self._raised = 0  # index in DIAGONAL_SHIFTS of what the diagonal of the last step's matrix was raised by
 
     @classmethod
     def after(cls, iterate: Iterate, before: Iterate | None, matrix: NewtonMatrix) -> "LastDecades":
@@ -147,7 +148,8 @@ class LastDecades:
             # with larger slips contacts leave their cones, as rounding hides the distance; slips in doubt are smaller
             far = length(self.point.difference) > max(product / (1000 * EPS), 100 * np.sqrt(product))
             slips = far & ((power > DECIDED_EXPONENT) | self._smooth)
-            self.point = newton_step(self.point.let_slip(slips), self._matrix)
+            self.point = newton_step(self.point.let_slip(slips), self._matrix, self._raised)
+            self._raised = self._matrix.raised  # further on stiffnesses differ by more still
             before, last, fell = ratios, product, ~(power > -DECIDED_EXPONENT)
         return None
 

@@ -18,7 +18,7 @@ from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, 
 
 MOST_NEWTON_STEPS = 60  # steps of Newton's method, or of a search along one; successful ones take some 10 to 30
 REFINEMENTS = 4  # refinements of a solution; two are enough where stiffnesses are of one size
-DIAGONAL_SHIFTS = (1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
+DIAGONAL_SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
 INVERSE_ITERATIONS, SURELY_REGULAR = 3, 1e-8  # inverse iterations, and a least eigenvalue that is surely not 0
 Order = np.ndarray | Callable[[int], np.ndarray]
 
@@ -35,6 +35,7 @@ class NewtonMatrix:
     little as helps (DIAGONAL_SHIFTS), and the caller has to refine solutions.
 
     memory : work space that another matrix can share.
+    raised : index in DIAGONAL_SHIFTS of the largest addition that the last call of :meth:`factorise_rows` tried.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class NewtonMatrix:
         # `_choleskys` : for each part its factorisation; `_entries` : for each part which entries change, and where
         # they stand among those of all parts; `_map` : sparse matrix that turns `stacked` stiffnesses into entries
         self.memory, self._system, self._parts = memory or Memory(), system, parts or [slice(0, system.unknowns)]
+        self.raised = 0
         own_memory = self.memory if len(self._parts) == 1 else None
         # Each term of the matrix belongs to the sample of its first unknown.
         first, second, source, sign = system.terms()
@@ -131,7 +133,7 @@ class NewtonMatrix:
             springs = _side_by_side(inertia[part])[pattern.order] if isinstance(inertia, np.ndarray) else inertia
             factor.entries[pattern.diagonal, :samples] += springs
             of_lanes = np.append(regular[own], np.zeros(factor.entries.shape[1] - samples, dtype=bool))
-            regular[own] = _factorise_raising(factor, pattern.diagonal, of_lanes)[:samples]
+            regular[own] = _factorise_raising(factor, pattern.diagonal, of_lanes)[0][:samples]
         return regular
 
     def is_regular(self, stiffness: np.ndarray) -> bool:
@@ -176,7 +178,12 @@ class NewtonMatrix:
         return self._kept[samples]
 
     def factorise_rows(
-        self, rows: ContactRows, wanted: np.ndarray, inertia: float = 0.0, viscous: np.ndarray | None = None
+        self,
+        rows: ContactRows,
+        wanted: np.ndarray,
+        inertia: float = 0.0,
+        viscous: np.ndarray | None = None,
+        raised: int = 0,
     ) -> np.ndarray:
         """Factorise the matrices of the stiffnesses stored in `rows`, of S samples. Return a mask (S,) of the wanted
         samples in which that succeeds, if need be with a raised diagonal.
@@ -186,6 +193,8 @@ class NewtonMatrix:
         inertia : stiffness of a spring at every spin.
         viscous : stiffnesses to add, (d (d + 1) / 2 * n, S): upper triangles of the n contacts' matrices (d, d), all
             entries [0, 0], then all [0, 1], and so on.
+        raised : index in DIAGONAL_SHIFTS of the first addition to the diagonals to try: 0 for none. Where an earlier
+            matrix of the same path needed one, that saves a factorisation that would fail.
         """
         factor, diagonal = self._choleskys[0].factor(rows.samples), self._choleskys[0].pattern.diagonal
         rows.add_stiffnesses(factor.entries)
@@ -193,7 +202,8 @@ class NewtonMatrix:
             factor.entries[: self._map.shape[0]] += self._map @ viscous
         if inertia:
             factor.entries[diagonal] += inertia
-        return _factorise_raising(factor, diagonal, wanted)
+        regular, self.raised = _factorise_raising(factor, diagonal, wanted, raised)
+        return regular
 
     def solve_rows(self, rows: ContactRows) -> None:
         """Solve the factorised systems: replace the right-hand sides in `rows.spins` by the solutions."""
@@ -229,28 +239,28 @@ def _side_by_side(values: np.ndarray) -> np.ndarray:
     return values if values.ndim == 2 else values[:, None]
 
 
-def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _factorise_raising(
+    factor: Factor, diagonal: np.ndarray, wanted: np.ndarray, first: int = 0
+) -> tuple[np.ndarray, int]:
     """Factorise S matrices, with the diagonal raised by as little as helps. Return a mask (S,) of the wanted matrices
-    in which that succeeds.
+    in which that succeeds, and the index in DIAGONAL_SHIFTS of the largest addition that was tried.
 
     factor : Cholesky factor whose `entries` hold the matrices.
     diagonal : (unknowns,) places of their diagonals among the entries.
     wanted : (S,) mask of the matrices that are wanted.
+    first : index in DIAGONAL_SHIFTS of the first addition to try, of all matrices.
     """
-    regular = factor.factorise()
-    if (regular | ~wanted).all():
-        found: np.ndarray = regular & wanted
-        return found
-    numbers, shift = factor.entries[diagonal], np.zeros(len(wanted))
-    hopeless = ~(wanted & np.isfinite(numbers).all(axis=0))
-    for further in DIAGONAL_SHIFTS:
-        shift[~regular] = further
-        factor.entries[diagonal] = numbers * (1 + shift)
+    numbers, shift, tried = factor.entries[diagonal], np.zeros(len(wanted)), first
+    regular, hopeless = np.zeros(len(wanted), dtype=bool), ~(wanted & np.isfinite(numbers).all(axis=0))
+    for tried in range(first, len(DIAGONAL_SHIFTS)):
+        shift[~regular] = DIAGONAL_SHIFTS[tried]
+        if shift.any():
+            factor.entries[diagonal] = numbers * (1 + shift)
         regular = factor.factorise()
         if (regular | hopeless).all():
             break
-    found = regular & wanted
-    return found
+    found: np.ndarray = regular & wanted
+    return found, tried
 
 
 @lru_cache
