@@ -74,9 +74,7 @@ class SliplessNetwork:
         """Columns (edges, ...) that identify the edges (slipless contacts) in listings, by name: position of the lower
         sphere and axis on a lattice, else numbers of contact and spheres.
         """
-        if self.whole.lattice is None:
-            return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
-        return {"contact": self.contact, "axis": self.axis}
+        return self.whole.named(np.flatnonzero(self.slipless))
 
     def places(self, spheres: np.ndarray) -> np.ndarray:
         """Return the lattice positions (n, dimension) of spheres (n,), given as indices."""

@@ -25,8 +25,8 @@ ROUNDED_NORMAL = 8 * float(np.finfo(np.float64).eps)
 
 class Listed:
     """Contacts given by the indices of their spheres, for proofs: m contacts and n spheres of R samples in all, with C
-    components of spins. Nothing in it changes once it is made. Four constants say which proofs are tried of such
-    contacts; lattices have a subclass (`Grid`), where they differ."""
+    components of spins. Nothing in it changes once it is made. Constants say what is known of such contacts and
+    which proofs are tried; lattices have a subclass (`Grid`), where they differ."""
 
     has_two_planes = False
     """True if the driven spheres are two planes of a lattice: then a state without slip exists just where no contacts
@@ -37,6 +37,8 @@ class Listed:
     """True if contacts with damping are also tried as resting part by part (a part: spheres that contacts connect)."""
     friction_is_at_limit = False
     """True if a minimum is only looked for where the stored friction of slipping contacts hardly misses its limit."""
+    friction_is_rounded = True
+    """True if the stored friction of a contact may exceed its limit by rounding, as its components are rounded."""
 
     def __init__(self, place: np.ndarray, contact: np.ndarray, normal: np.ndarray, friction: np.ndarray) -> None:
         """Take arrays about n spheres in D dimensions and m contacts.

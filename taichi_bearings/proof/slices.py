@@ -28,7 +28,7 @@ class Grid(Listed):
     samples : the samples whose contacts these are, with their spins and friction."""
 
     has_two_planes = ties_are_known = friction_is_at_limit = True
-    rests_in_parts = False
+    rests_in_parts = friction_is_rounded = False
 
     def __init__(self, samples: OnLattice) -> None:
         """Take the R samples of a lattice whose contacts these are, with their spins and friction."""

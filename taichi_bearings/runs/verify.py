@@ -192,7 +192,7 @@ class NewProof:
         """
         new, may_be_one = self.judgement, self.run.solution.scene.driving.slips_are_unique
         # largest force that still counts as within the friction limit, relative to that
-        most = 1 + ROUNDED * (self.run.solution.scene.network.lattice is None)
+        most = 1 + ROUNDED * new.network.graph.friction_is_rounded
         numbers = {
             name: [plain(v) for v in getattr(new, of)]
             for name, of in {"power": "power", "upper_bound": "upper_bound", "lower_bound": "lower_bound",

@@ -103,7 +103,8 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
         if states is not None:
             make_folder(states)
             path = state_path(states, sample.key)
-            stored = self_contained(run.asked, run.scene, run.given_start, states, path.name)
+            stored = replace(run.asked, threads=first.threads)
+            stored = self_contained(stored, run.scene, run.given_start, states, path.name)
             write_state(path, replace(run, path=path, command="bearings scan"), stored)
     return [_record(sample.key, run, analyse) for sample, run in zip(block, runs, strict=True)]
 

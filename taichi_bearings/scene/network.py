@@ -150,6 +150,17 @@ class Network:
         """
         return values if self.lattice is None else self.lattice.by_axis(values)
 
+    def named(self, contact: np.ndarray) -> dict[str, np.ndarray]:
+        """Return columns (n, ...) that identify contacts in listings, by name: on a lattice the position of the lower
+        sphere, `contact`, and the `axis`; in other packings the number of the `contact`, and those of its `spheres`.
+
+        contact : (n,) numbers of the contacts.
+        """
+        if self.lattice is None:
+            return {"contact": contact, "spheres": self.contact[:, contact].T}
+        place = np.stack(np.unravel_index(self.contact[0, contact], self.shape), axis=1)
+        return {"contact": place, "axis": self.lattice.axis[contact]}
+
     def friction_as_given(self, friction: np.ndarray) -> np.ndarray | tuple[np.ndarray, ...]:
         """Return friction (..., contacts E, 3), in 2D (..., E), of all contacts in the form in which users get it: on a
         lattice a tuple with one array for each axis, (..., *contacts, 3), in other packings as it is.

@@ -22,6 +22,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.scans.sample import solve_samples, state_path
 from taichi_bearings.scans.scan import estimate, refuse_unused, scan
 from tests.scans import scan_faults
 from tests.scans.scan_faults import Here, asking
@@ -300,3 +301,23 @@ def test_a_scan_runs_in_a_thread_too(plan_of, tmp_path):
     thread.start()
     thread.join()
     assert reports[0]["reached"] == 1
+
+
+def test_kept_states_of_lattices_need_no_file_of_the_scan(plan_of, tmp_path):
+    rng = np.random.default_rng(0)
+    given, spin = {"x": rng.uniform(0.1, 1, (3, 5)), "y": rng.uniform(0.1, 1, (4, 4))}, rng.uniform(-1, 1, (4, 5))
+    np.savez(tmp_path / "given.npz", **given)
+    np.savez(tmp_path / "spin.npz", spin=spin)
+    words = 'coefficients = "given.npz"\ninitial = "spin.npz"\nmethod = "gradient-descent"\niterations = 3\n'
+    (sample,) = plan_of(words + "[scan]\nspin_top = [2.0]\n").samples
+    (record,) = solve_samples([sample], states=tmp_path / "states")
+    for name in ("given.npz", "spin.npz"):
+        (tmp_path / name).unlink()
+    moved = (tmp_path / "states").rename(tmp_path / "moved")
+    state = read_run(state_path(moved, sample.key))
+    assert state.power == record["scalars"]["power"]
+    assert np.array_equal(state.start(), spin[None])
+    for axis, values in zip("xy", state.scene.coefficients, strict=True):
+        assert np.array_equal(np.squeeze(values), given[axis])
+    assert state.asked.spin_top == 2.0
+    assert state.asked.threads == sample.settings.threads
