@@ -8,7 +8,14 @@ both for a z-contact driven along x + y, one for an x-contact, and the one compo
 list with an entry for each component; an entry is a number for one site, or a vector for a block of sites.
 """
 
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable, Iterator
+from typing import Any
+
 from taichi_bearings.compiler import ti
+from taichi_bearings.errors import InputError
 
 
 @ti.func
@@ -86,3 +93,44 @@ FORCES = {"coulomb": coulomb_force, "viscous": viscous_force, "coulomb-viscous":
 
 Arguments of these functions: D, the coefficients in one unit, and the sharpness of a law with friction, or the radius R
 of one without. The slip speed is R |D|."""
+
+
+def force_on_device(law: str) -> Callable[..., Any]:
+    """Return the force of a contact as kernels compute it, a function of the table `FORCES`.
+
+    law : name of the law.
+
+    Raises InputError if the table has no force of this law, or one that uses what vectors over contacts do not know, at
+    which the compiler would end the process.
+    """
+    if law not in FORCES:
+        raise InputError(
+            f"law is {law!r}, which has no compiled force; add one to the table FORCES in "
+            "taichi_bearings.kernels.contact, or take another method"
+        )
+    for used in _unknown_to_vectors(FORCES[law]):
+        raise InputError(
+            f"law is {law!r}, whose compiled force uses {used}; it works on several contacts at once, so it may use "
+            f"only + - * / ** between two terms, length, and {', '.join(f'ti.{name}' for name in ON_VECTORS[3:])}"
+        )
+    return FORCES[law]
+
+
+ON_VECTORS = ("func", "template", "static", "sqrt", "select", "min", "max", "floor")
+"""What a force may use of Taichi, whose other functions do not work on vectors over contacts."""
+
+
+def _unknown_to_vectors(force: Callable[..., Any]) -> Iterator[str]:
+    """Yield what the source of a force uses that does not work on vectors over contacts.
+
+    force : a Taichi function.
+    """
+    function = inspect.unwrap(force)
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(function)))):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            if function.__globals__.get(node.value.id) is ti and node.attr not in ON_VECTORS:
+                yield f"ti.{node.attr}"
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "abs":
+            yield "abs"
+        elif isinstance(node, ast.UnaryOp) and not isinstance(node.operand, ast.Constant):
+            yield "a minus sign before a term (write 0.0 - term)"

@@ -5,7 +5,9 @@ the spheres it adds up the torques, corrects the spins and predicts the next ste
 once a part.
 """
 
+from collections.abc import Callable
 from math import comb
+from typing import Any
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
@@ -140,7 +142,10 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     parts, numbers, looks_up = 2, 8, True
 
-    def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
+    def __init__(
+        self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...],
+        force_law: Callable[..., Any] | None = None,
+    ):  # fmt: skip
         """Set the constants for which the kernel is compiled: the rows of memory in which each field stands, and which
         fields there are. A row is one number of every site; a field has one row for each spin component or for each
         component of a contact's force.
@@ -148,6 +153,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         spec : pairs (name of a field, number of its rows), in the order of memory.
         stencil : spin components, dimension and periodic axes of the lattice.
         corrector : coefficients of Gear's corrector, that of the spin first.
+        force_law : force of a law of one's own as a function of spin difference, coefficients and radius, like those of
+            `contact.FORCES`; None for friction, viscosity or both.
 
         Attributes that the passes use:
 
@@ -165,6 +172,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         super().__init__(stencil.block, stencil.periodic)  # `block` is how many sites are worked on together
         slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
+        self.force_law, self.own_law = force_law, force_law is not None
         self.spin, derivatives = stencil.spin_rows(slot["gear_0"]), [f"gear_{n}" for n in range(self.order)]
         self.join(self.joined and "predicted" not in slot)  # small lattices stay in the caches anyway
         self.ahead = tuple(
@@ -238,7 +246,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     ):
         """Stretch the springs of the contacts from a block of sites to their upper neighbours along each axis, and
         write their elongations and forces into the fields. Without friction there are no springs: the force is
-        coefficient * numbers[2] * D, with D the difference of the spins, upper less lower sphere.
+        coefficient * numbers[2] * D, with D the difference of the spins, upper less lower sphere, or that of a law of
+        one's own at this D.
 
         values : all fields, flat.
         blocks : the same memory as vectors, one for each block (group of sites that are worked on together).
@@ -261,6 +270,8 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
                 before = load_each(values, elongation, self.block)
                 new = self.spring(moved, speed, before, coefficients, numbers)
                 store_each(values, blocks, elongation + force, self.block, new)
+            elif ti.static(self.own_law):
+                store_each(values, blocks, force, self.block, self.force_law(speed, coefficients, numbers[2]))
             else:
                 damping = numbers[2]
                 store_each(values, blocks, force, self.block, [coefficients[0] * damping * d for d in ti.static(speed)])

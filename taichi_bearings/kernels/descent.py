@@ -1,8 +1,11 @@
 """Descent sweeps: every free sphere moves against the gradient of the dissipated power (paper Eqs. 5 and 6)."""
 
+from collections.abc import Callable
+from typing import Any
+
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
-from taichi_bearings.kernels.contact import FORCES, clamp
+from taichi_bearings.kernels.contact import clamp
 from taichi_bearings.kernels.memory import (
     in_range,
     last,
@@ -45,19 +48,19 @@ class DescentSweeps(Sweeps):
 
     repeats, numbers = 2, 9
 
-    def __init__(self, spec: FieldSpec, stencil: Stencil, law: str):
+    def __init__(self, spec: FieldSpec, stencil: Stencil, force_law: Callable[..., Any]):
         """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every
         site) each field stands, by axis or by spin component; and which fields there are: with `spin` sweeps have a
         momentum, with `spin_sum` averages are taken.
 
         spec : names and numbers of components of the fields, in the order of their rows.
         stencil : spin components, dimension and periodic axes of the lattice.
-        law : name of a force law in `contact.FORCES`."""
+        force_law : a force law, such as one of those in `contact.FORCES`."""
         super().__init__(stencil.block, stencil.periodic)
         # slot: first row of each field by name; components: numbers of the spin components; coefficients: for each axis
         # the row of the friction coefficient, and of the viscosity if there is one
         self.slot = slot = first_slots(spec)
-        self.stencil, self.force_law = stencil, FORCES[law]
+        self.stencil, self.force_law = stencil, force_law
         self.momentum, self.averages = "spin" in slot, "spin_sum" in slot
         self.components = tuple(range(stencil.components))
         first = [slot[name] for name in ("coefficient", "viscosity") if name in slot]

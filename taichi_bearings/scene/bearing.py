@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.double_double import Pair
 from taichi_bearings.plain_files import Json
 from taichi_bearings.read_only import cached_read_only
@@ -218,9 +219,10 @@ class Bearing(ABC):
         """
         return self.driving.cut_off(self.coefficient > 0)
 
-    def drawn_again(self) -> Iterator[tuple[str, int, np.ndarray]]:
+    def drawn_again(self) -> Iterator[tuple[str, int, np.ndarray, float]]:
         """Yield the coefficients that the seeds give, where they are known to be drawn: the name of a coefficient as in
-        files, the number of the sample, and the coefficients (contacts E,). Nothing is known to be drawn here.
+        files, the number of the sample, the coefficients (contacts E,), and by how much, relatively, they may differ
+        between machines. Nothing is known to be drawn here.
         """
         yield from ()
 
@@ -455,6 +457,24 @@ class Bearing(ABC):
         others.
         """
         return self.viscosities if self.law.holds else None
+
+    def steepest(self, fastest: float) -> np.ndarray | None:
+        """Return the largest slope (samples R, contacts E) of the force of each contact over its slip, force *
+        time/length, without the jump of friction at slip 0; None for friction alone.
+
+        fastest : largest slip speed of any contact, length/time, which limits the slope of a law of one's own.
+
+        Raises InputError for a law of one's own that is infinitely steep.
+        """
+        if self.law.is_sum:
+            return self.viscosities
+        slopes = self.law.steepest(self.material, fastest)
+        if not np.isfinite(slopes).all():
+            raise InputError(
+                f"law is {self.law.name!r}, whose force is infinitely steep at some slip; gradient-descent and "
+                "cundall-strack need a finite slope, so take another method"
+            )
+        return slopes
 
 
 def inverse(values: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Random contact coefficients from a seed, the same on any machine.
+"""Random contact coefficients from a seed, the same on any machine, but for the last digits of those that need an
+exponential or a power, whose rounding depends on the processor.
 
 Those of a lattice are drawn axis by axis, in the order x, y, z: one array of numbers for all contacts along an axis.
 """
@@ -41,18 +42,34 @@ def _bimodal(rng: np.random.Generator, shape: tuple[int, ...], low: float, high:
     return np.where(rng.uniform(0.0, 1.0, shape) < fraction, high, low)
 
 
-DISTRIBUTIONS: dict[str, tuple[tuple[str, ...], Callable[..., np.ndarray]]] = {
-    "uniform": (("low", "high"), lambda rng, shape, low, high: rng.uniform(low, high, shape)),
+def _power_law_rounding(low: float, high: float, exponent: float) -> float:
+    """Return by how much, relatively, a number of a power law may differ between machines.
+
+    low, high, exponent : as of `_power_law`. The two powers of which it mixes shares may be rounded differently; its
+        sum loses what they differ in size, and its last power multiplies the error.
+    """
+    over = abs(exponent + 1)
+    with np.errstate(over="ignore"):
+        lost = 0.0 if over < 1e-12 else (float(np.power(high / low, over)) + 1) / over
+    return 8 * EPSILON * (1 + lost)
+
+
+EPSILON = float(np.finfo(float).eps)
+
+DISTRIBUTIONS: dict[str, tuple[tuple[str, ...], Callable[..., np.ndarray], Callable[..., float]]] = {
+    "uniform": (("low", "high"), lambda rng, shape, low, high: rng.uniform(low, high, shape), lambda low, high: 0.0),
     "lognormal": (
         ("median", "sigma"),
         lambda rng, shape, median, sigma: median * np.exp(sigma * rng.standard_normal(shape)),
+        lambda median, sigma: 8 * EPSILON * (1 + 8 * sigma),  # no normal number that occurs is larger than 8
     ),
-    "power-law": (("low", "high", "exponent"), _power_law),
-    "bimodal": (("low", "high", "fraction"), _bimodal),
-    "constant": (("value",), lambda rng, shape, value: np.full(shape, value)),
+    "power-law": (("low", "high", "exponent"), _power_law, _power_law_rounding),
+    "bimodal": (("low", "high", "fraction"), _bimodal, lambda low, high, fraction: 0.0),
+    "constant": (("value",), lambda rng, shape, value: np.full(shape, value), lambda value: 0.0),
 }
-"""The distributions by name: the names of the parameters, and a function (rng, shape, *parameters) that draws an array.
-A new distribution is a row here; help texts and messages follow from it."""
+"""The distributions by name: the names of the parameters; a function (rng, shape, *parameters) that draws an array; and
+one of the parameters that returns by how much, relatively, a number that is drawn may differ between machines. A new
+distribution is a row here; help texts and messages follow from it."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +88,7 @@ class Distribution:
     name: str
     parameters: tuple[float, ...]
 
-    PARAMETERS: ClassVar[dict[str, tuple[str, ...]]] = {name: words for name, (words, _) in DISTRIBUTIONS.items()}
+    PARAMETERS: ClassVar[dict[str, tuple[str, ...]]] = {name: row[0] for name, row in DISTRIBUTIONS.items()}
 
     @classmethod
     def parse(cls, text: str) -> "Distribution":
@@ -122,9 +139,9 @@ class Distribution:
 
         rng : generator of random numbers.
 
-        Extreme parameters may give infinities, which scenes and packings refuse.
+        Extreme parameters may give infinities or not-a-number, which scenes and packings refuse.
         """
-        with np.errstate(over="ignore", under="ignore"):
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             return self._draw(rng, shape)
 
     def _draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
@@ -133,8 +150,12 @@ class Distribution:
         rng : generator of random numbers.
         shape : shape of the array.
         """
-        _, drawn = DISTRIBUTIONS[self.name]
-        return drawn(rng, shape, *self.parameters)
+        return DISTRIBUTIONS[self.name][1](rng, shape, *self.parameters)
+
+    @property
+    def rounding(self) -> float:
+        """By how much, relatively, a number that is drawn may differ between machines."""
+        return DISTRIBUTIONS[self.name][2](*self.parameters)
 
 
 Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]

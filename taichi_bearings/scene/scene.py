@@ -112,7 +112,8 @@ class Scene(Bearing):
         law: str | Law = COULOMB, spin_top: float = 1.0, spin_bottom: float = 0.0,
         direction: tuple[float, float, float] = (1.0, 1.0, 0.0), **others: Any,
     ) -> "Scene":  # fmt: skip
-        """Return a scene whose coefficients are drawn from its seed: the same on any machine.
+        """Return a scene whose coefficients are drawn from its seed: the same on any machine (those of `lognormal` and
+        `power-law` but for rounding).
 
         Parameters
         ----------
@@ -366,9 +367,10 @@ class Scene(Bearing):
         beside = {"viscosity": self._of_contacts(self.viscosity)} if self.viscosity else {}
         return {"coefficient": self.coefficient, **beside}
 
-    def drawn_again(self) -> Iterator[tuple[str, int, np.ndarray]]:
+    def drawn_again(self) -> Iterator[tuple[str, int, np.ndarray, float]]:
         """Yield the coefficients that the seeds give, as far as they are known to be drawn: the name of a coefficient
-        as in files, the number of the sample, and the coefficients (contacts E,).
+        as in files, the number of the sample, the coefficients (contacts E,), and by how much, relatively, they may
+        differ between machines.
         """
         for second, name in enumerate(self.named_coefficients):
             if (words := self.drawn.get(self.DRAWN[second])) is None:
@@ -376,7 +378,7 @@ class Scene(Bearing):
             source = Distribution.parse(words)
             for number, seed in enumerate(self.seeds):
                 drawn = draw_coefficients(self.lattice, source, seed, bool(second))
-                yield name, number, np.ravel(self.lattice.flat(drawn))
+                yield name, number, np.ravel(self.lattice.flat(drawn)), source.rounding
 
     def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Scene":
         """Return a copy with some of the samples.

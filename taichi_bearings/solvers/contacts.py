@@ -279,7 +279,7 @@ class Stepped(Contacts):
         """
 
     @abstractmethod
-    def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
+    def fastest_modes(self, inertia: Inertia, slopes: np.ndarray | None) -> tuple[float, float]:
         """Return two upper bounds on how fast spins can change, from which the longest stable time step follows:
 
         1. the decay rate by viscosity of the fastest mode, 1/time; 0 without viscosity;
@@ -288,6 +288,8 @@ class Stepped(Contacts):
 
         inertia : moments of inertia of the free spheres, one number or (N spheres,): mass * length^2 on a lattice, mass
             in a packing.
+        slopes : (R samples, E contacts), largest slope of each contact's force over its slip, force * time/length; None
+            for friction alone.
         """
 
     @abstractmethod

@@ -78,7 +78,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         # the kernels multiply viscosities by spin differences, hence the radius
         self.contacts.allocate(self.needed(), None if beside is None else scene.slip_radius * beside)
         # the largest stable step, from the fastest modes of the network
-        bound = largest_step(options, scene.law.holds, *self.contacts.fastest_modes(self.inertia))
+        slopes = scene.steepest(self._largest_slip(scene.staggered_spin(spin, self.spin_axes)))
+        bound = largest_step(options, scene.law.holds, *self.contacts.fastest_modes(self.inertia, slopes))
         self.common_inertia = self.contacts.common_inertia(self.inertia)
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # without contacts any step is stable
         if (options.time_step or 0.0) > self.stability_bound:
@@ -95,6 +96,16 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.network.shape)))
         self.team, self.sweeps = self.contacts.spring_kernel(GEAR_COEFFICIENTS[options.gear_order])
         self.sweeps.compile(self.fields, self.team)
+
+    def _largest_slip(self, staggered: np.ndarray) -> float:
+        """Return a slip speed, length/time, that no contact of a lattice without friction exceeds. Each spin component
+        is drawn towards those of the neighbours, so it stays between the smallest and the largest one at the start.
+
+        staggered : (C components, R samples, *N spheres), spins at the start with signs that alternate between
+            neighbours, 1/time.
+        """
+        spins = self.scene.impose_driving(staggered, self.spin_axes).reshape(len(staggered), -1)
+        return self.scene.slip_radius * float(np.linalg.norm(np.ptp(spins, axis=1)))
 
     def needed(self) -> AnySpec:
         """Return the names and sizes of the fields that the time steps need.
@@ -163,6 +174,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
             n of the last one.
         """
         scene, options, order = self.scene, self.options, len(derivatives) - 1
+        if not scene.law.is_sum:
+            return self._derivative_of_own_law(derivatives)
         if order == 0 or not scene.law.holds:
             return self.damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
@@ -172,6 +185,21 @@ class CundallStrackMethod(Swept, SpringDynamics):
         rate = self.differences(rate)
         force = np.where(sticks, scene.slip_radius * rate, 0.0)
         return self.with_viscosity(force, self.differences(derivatives[-1]))
+
+    def _derivative_of_own_law(self, derivatives: list[np.ndarray]) -> np.ndarray:
+        """Return a scaled derivative (C components, R samples, E contacts) of the contact forces at the start, for a
+        law of one's own: the n-th time derivative times (time step)^n / n!, with n the number of the last given derivative.
+
+        It is a coefficient of the polynomial in time that has the forces of the law at five times one step apart; the
+        spins at these times follow from their Taylor series.
+
+        derivatives : scaled derivatives of the spins, the 0th first, each (C, R, *N spheres).
+        """
+        steps = np.arange(-2.0, 3.0)
+        series = np.polynomial.polynomial.polyvander(steps, len(derivatives) - 1)
+        forces = [self.damping_force(np.tensordot(powers, derivatives, 1)) for powers in series]
+        weights = np.linalg.inv(np.polynomial.polynomial.polyvander(steps, len(steps) - 1))[len(derivatives) - 1]
+        return np.asarray(np.tensordot(weights, forces, 1))
 
     def end_at(self, time: float, resumable: bool) -> None:
         """Set the simulated time at which the run ends.
@@ -408,13 +436,16 @@ def _mean_over_step(derivatives: list[np.ndarray]) -> np.ndarray:
 def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:
     """Return the largest stable time step while all contacts stick, from the stiffest mode of a lattice.
 
-    Slipping contacts are softer and do not reduce it.
+    Slipping contacts are softer and do not reduce it. Contacts with a law of one's own are taken to slip at most as
+    fast as the driven planes would on each other.
 
     scene : the lattice.
     spin_axes : numbers of the axes of the spin components that are computed.
     options : stiffness, damping, mass and order of Gear's method.
     """
-    return largest_step(options, scene.law.holds, *fastest_modes(scene, spin_axes, inertia_of(scene, options)))
+    slopes = scene.steepest(scene.slip_radius * float(np.linalg.norm(np.ptp(scene.box(spin_axes), axis=0))))
+    inertia = inertia_of(scene, options)
+    return largest_step(options, scene.law.holds, *fastest_modes(scene, spin_axes, inertia, slopes))
 
 
 def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: float) -> float:

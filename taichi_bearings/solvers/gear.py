@@ -128,20 +128,22 @@ def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -
     return max(float(eigenvalues(lattice, component).max()) for component in spin_axes)
 
 
-def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> float:
-    """Return an upper estimate of the largest eigenvalue of the Laplacians of a lattice weighted by the viscosities,
-    over all samples and spin components; 0 for a law without viscosity.
+def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...], slopes: np.ndarray | None) -> float:
+    """Return an upper estimate of the largest eigenvalue of the Laplacians of a lattice weighted by the slopes of the
+    forces over the slips, over all samples and spin components; 0 for friction alone.
 
     It is found by Lanczos' method to a relative 1e-3, and raised by as much.
 
-    scene : the lattice, with the viscosities of its contacts.
+    scene : the lattice.
     spin_axes : numbers of the axes of the spin components that are computed.
+    slopes : (R samples, E contacts), largest slope of each contact, such as its viscosity, force * time/length; None
+        for friction alone.
     """
-    lattice, largest, viscosities = scene.lattice, 0.0, scene.viscosities
-    if viscosities is None:
+    lattice, largest = scene.lattice, 0.0
+    if slopes is None:
         return largest
     for couples in lattice.tangential_mask(spin_axes):
-        for weights in viscosities:
+        for weights in slopes:
             edges = [(*lattice.ends[:, couples], weights[couples])]
             matrix = graph_laplacian(edges, lattice.sites, lattice.is_driven.ravel())
             if not matrix.count_nonzero():

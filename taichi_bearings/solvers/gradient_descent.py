@@ -25,7 +25,6 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.errors import InputError
 from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.contacts import CONSTANT, Launch
@@ -131,12 +130,8 @@ class GradientDescentMethod(Swept):
         smoothed = self.width if self.momentum else 2 * self.step_length
         bounds = scene.acting_coefficient
         if not scene.law.is_sum:
-            slopes = scene.law.steepest((scene.strength * bounds,), self._largest_slip())
-            if not np.isfinite(slopes).all():
-                raise InputError(
-                    f"law is {scene.law.name!r}, whose force is infinitely steep at some slip; gradient-descent needs a"
-                    " finite slope, so take another method"
-                )
+            slopes = scene.steepest(self._largest_slip())
+            assert slopes is not None, "a law of one's own that is solved here has no friction"
             bounds = scene.slip_radius * slopes
         if self.viscosity is not None:
             bounds = bounds + smoothed * self.viscosity

@@ -202,19 +202,20 @@ class OnLists(Stepped):
         """
         return 1.0
 
-    def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
+    def fastest_modes(self, inertia: Inertia, slopes: np.ndarray | None) -> tuple[float, float]:
         """Return two upper bounds on how fast spins can change: the decay rate by viscosity, 1/time, 0 without
         viscosity; and the largest eigenvalue of M^-1 L if all contacts stick, 1/mass, from which the shortest period of
         springs follows.
 
         L is the Laplacian of the contact network, M the diagonal matrix of the inertias. For the decay rate the
-        contacts have their viscosities as weights in L, for the second number 1. Both are rigorous, by the theorem of
+        contacts have their slopes as weights in L, for the second number 1. Both are rigorous, by the theorem of
         Collatz and Wielandt on matrices without negative entries.
 
         inertia : (N spheres,), moments of inertia over squared radii, mass.
+        slopes : (1, E contacts), viscosity of each contact, force * time/length; None for friction alone.
         """
-        network, viscosities, each = self.scene.network, self.scene.viscosities, np.asarray(inertia)
-        decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], each)
+        network, each = self.scene.network, np.asarray(inertia)
+        decay = 0.0 if slopes is None else network.largest_eigenvalue(slopes[0], each)
         return decay, network.largest_eigenvalue(np.ones(network.contacts), each)
 
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> Unknowns:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec, block_size, team_size
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import weights
@@ -157,29 +156,31 @@ class OnStrides(Stepped, WithMinima):
         """Return the threads and the kernel for the dynamics of Cundall and Strack.
 
         corrector : coefficients of Gear's corrector, that of the spin itself first.
+
+        Raises InputError for a law whose force is not known on the device.
         """
-        from taichi_bearings.kernels.cundall_strack import CundallStrackSteps  # methods without sweeps need no Taichi
+        from taichi_bearings.kernels.contact import force_on_device  # methods without sweeps need no Taichi
+        from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
         from taichi_bearings.kernels.team import Team, made_once
 
-        team = Team(team_size(self.fields.layout, self.stencil.components + self.stencil.force_components))
-        return team, made_once(CundallStrackSteps, self.spec, self.stencil, corrector)
+        team, law = (
+            Team(team_size(self.fields.layout, self.stencil.components + self.stencil.force_components)),
+            self.scene.law,
+        )
+        own = () if law.is_sum else (force_on_device(law.name),)
+        return team, made_once(CundallStrackSteps, self.spec, self.stencil, corrector, *own)
 
     def descent_kernel(self) -> "tuple[Team, Sweeps]":
         """Return the threads that make the sweeps of gradient descent together, and the kernel of these sweeps.
 
         Raises InputError for a law whose force is not known on the device.
         """
-        from taichi_bearings.kernels.contact import FORCES
+        from taichi_bearings.kernels.contact import force_on_device
         from taichi_bearings.kernels.descent import DescentSweeps
         from taichi_bearings.kernels.team import Team, made_once
 
-        team, law = Team(team_size(self.fields.layout, self.stencil.components)), self.scene.law.name
-        if law not in FORCES:
-            raise InputError(
-                f"law is {law!r}, for which gradient-descent has no compiled force; add one to the table FORCES in "
-                "taichi_bearings.kernels.contact, or take another method"
-            )
-        return team, made_once(DescentSweeps, self.spec, self.stencil, law)
+        team = Team(team_size(self.fields.layout, self.stencil.components))
+        return team, made_once(DescentSweeps, self.spec, self.stencil, force_on_device(self.scene.law.name))
 
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
         """Call a kernel several times with the same constants.
@@ -213,14 +214,16 @@ class OnStrides(Stepped, WithMinima):
         """
         return float(inertia)
 
-    def fastest_modes(self, inertia: Inertia) -> tuple[float, float]:
+    def fastest_modes(self, inertia: Inertia, slopes: np.ndarray | None) -> tuple[float, float]:
         """Return two numbers of the fastest modes: the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, if
         all contacts stick. R is the radius, I the moment of inertia, lambda the largest eigenvalue of the Laplacian of
         the contacts.
 
         inertia : I, mass * length^2.
+        slopes : (R samples, E contacts), largest slope of each contact's force over its slip, force * time/length; None
+            for friction alone.
         """
-        return fastest_modes(self.scene, self.spin_axes, float(inertia))
+        return fastest_modes(self.scene, self.spin_axes, float(inertia), slopes)
 
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> "Unknowns":
         """Return the free spins of the spin components that move, as the unknowns of an implicit step.
@@ -308,20 +311,24 @@ def inertia_of(scene: Scene, options: "Motion") -> float:
     return float(options.inertia or usual)
 
 
-def fastest_modes(scene: Scene, spin_axes: tuple[int, ...], inertia: float) -> tuple[float, float]:
+def fastest_modes(
+    scene: Scene, spin_axes: tuple[int, ...], inertia: float, slopes: np.ndarray | None
+) -> tuple[float, float]:
     """Return two numbers of the fastest modes of a lattice: the decay rate by viscosity, 1/time, and R^2 lambda / I,
     1/mass, if all contacts stick.
 
-    The first follows from the largest eigenvalue of the Laplacian weighted by the viscosities, as an upper estimate; it
-    is 0 without viscosity. For the second, lambda is the largest eigenvalue of the Laplacian with weights 1, in closed
+    The first follows from the largest eigenvalue of the Laplacian weighted by the slopes, as an upper estimate; it is 0
+    for friction alone. For the second, lambda is the largest eigenvalue of the Laplacian with weights 1, in closed
     form.
 
-    scene : the lattice, with the viscosities of its contacts.
+    scene : the lattice.
     spin_axes : numbers of the axes of the spin components that are computed.
     inertia : I, mass * length^2; R is the radius.
+    slopes : (R samples, E contacts), largest slope of each contact's force over its slip, such as its viscosity,
+        force * time/length; None for friction alone.
     """
     over = scene.slip_radius**2 / inertia
-    decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
+    decay = over * largest_weighted_eigenvalue(scene, spin_axes, slopes)
     return decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)
 
 

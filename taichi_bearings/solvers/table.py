@@ -48,8 +48,9 @@ def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[
     return staticmethod(lambda law: law.is_sum and condition(law))
 
 
-def _descends(law: Law) -> bool:
-    """Return True if gradient descent solves a law: friction, viscosity or both, or a suitable one of a user.
+def _steps(law: Law) -> bool:
+    """Return True if explicit steps, of gradient descent or of Cundall and Strack, solve a law: friction, viscosity or
+    both, or a suitable one of a user.
 
     A suitable law has one coefficient and a force that grows with the slip and is 0 without slip, and defines
     `steepest`, the slope of its force.
@@ -409,7 +410,7 @@ class GradientDescent(MethodOptions):
     implementation = "taichi_bearings.solvers.gradient_descent:GradientDescentMethod"
     steps_packings = True
     colour, marker = "#E69F00", "P"
-    solves = staticmethod(_descends)
+    solves = staticmethod(_steps)
 
     @classmethod
     def step_seconds(cls, shape: Sequence[int]) -> float | None:
@@ -562,7 +563,7 @@ class CundallStrack(Motion):
     implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
     steps_packings = True
     colour, marker = "#8C6BB1", ">"
-    solves = _laws()
+    solves = staticmethod(_steps)
 
     @classmethod
     def step_seconds(cls, shape: Sequence[int]) -> float | None:

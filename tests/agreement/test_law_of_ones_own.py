@@ -1,12 +1,15 @@
 """A law of one's own is certified by the methods that docs/extending.md names, given what the law says of itself."""
 
 import importlib.util
+import re
 import sys
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
+from taichi_bearings.compiler import ti
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.kernels.contact import FORCES
 from taichi_bearings.runs import run as runs
@@ -20,7 +23,7 @@ from taichi_bearings.scene.law import LAWS, Law, Quantity
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import METHODS, fastest
+from taichi_bearings.solvers.table import METHODS, CundallStrack, fastest
 from tests.handbook.pages import ROOT, steps
 
 
@@ -67,6 +70,78 @@ def test_the_methods_that_the_page_names_certify_it(page, method, shape):
         assert found.lower_bound[0] <= least_potential(scene) * (1 + 1e-9)
 
 
+def laboratory_motion(scene, spin, duration):
+    """The spins of spheres after some time, from Newton's law in the laboratory frame and the formula of the law."""
+    shape, radius = scene.lattice.shape, scene.lattice.radius
+    inertia = (0.5 if len(shape) == 2 else 0.4) * radius**2
+    spins = np.zeros((*shape, 3))
+    spins[..., 2 if len(shape) == 2 else slice(None)] = spin
+    free = np.zeros(shape, bool)
+    free[..., 1:-1] = True
+    links = []
+    for axis, eta in enumerate(scene.coefficients):
+        lower, upper = [slice(None)] * len(shape), [slice(None)] * len(shape)
+        lower[axis], upper[axis] = slice(None, -1), slice(1, None)
+        links.append((tuple(lower), tuple(upper), np.eye(3)[axis], eta.reshape(*eta.shape[-len(shape) :], 1)))
+
+    def acceleration(time, flat):
+        now, torque = flat.reshape(spins.shape), np.zeros_like(spins)
+        for lower, upper, normal, eta in links:
+            slip = radius * np.cross(now[lower] + now[upper], normal)
+            force = -eta * slip * (1 + (slip**2).sum(axis=-1, keepdims=True))
+            turning = radius * np.cross(normal, force)
+            torque[lower] += turning
+            torque[upper] += turning
+        return (torque * free[..., None] / inertia).ravel()
+
+    found = solve_ivp(acceleration, (0, duration), spins.ravel(), rtol=1e-11, atol=1e-12)
+    return found.y[:, -1].reshape(spins.shape)
+
+
+@pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize("shape", [(4, 5), (3, 3, 4)], ids=str)
+def test_cundall_strack_moves_it_as_newton_does(page, shape):
+    """Where no contact has springs the error of Gear's method falls with the third power of the step."""
+    scene = Scene.random(shape, seed=1, law="thickening", spin_top=3.0)
+    spin = initial_spin(scene, "linear")
+    expected = laboratory_motion(scene, spin[0], 0.2)
+    error = []
+    for step in (2e-3, 1e-3):
+        found = solve(scene, CundallStrack(mass=1.0, time_step=step).build(), spin, StopRule(1e-15, duration=0.2))
+        got = found.spin if len(shape) == 3 else np.stack([0 * found.spin, 0 * found.spin, found.spin], axis=-1)
+        error.append(np.abs(got.reshape(expected.shape) - expected).max())
+    assert error[1] < 1e-5
+    assert 7 < error[0] / error[1] < 9
+    rested = solve(scene, CundallStrack(mass=1.0).build(), spin, StopRule(1e-6))
+    assert rested.status is Status.CERTIFIED
+    least = solve(scene, METHODS["gradient-descent"]().build(), spin, StopRule(1e-8))
+    assert rested.objective[0] == pytest.approx(least.objective[0], rel=2e-6)
+
+
+def test_a_force_that_vectors_do_not_know_is_refused_in_a_sentence(page, monkeypatch):
+    """The compiler would end the process without a message."""
+    scene = Scene.random((4, 5), law="thickening")
+    for force, used in ((uses_exp, "ti.exp"), (uses_abs, "abs"), (uses_sign, "a minus sign before a term")):
+        monkeypatch.setitem(FORCES, "thickening", force)
+        with pytest.raises(InputError, match=f"law is 'thickening', whose compiled force uses {re.escape(used)}"):
+            solve(scene, METHODS["gradient-descent"]().build(), initial_spin(scene, "linear"), StopRule(1e-6))
+
+
+@ti.func
+def uses_exp(difference: ti.template(), coefficients: ti.template(), radius):
+    return [coefficients[0] * ti.exp(d) for d in ti.static(difference)]
+
+
+@ti.func
+def uses_abs(difference: ti.template(), coefficients: ti.template(), radius):
+    return [coefficients[0] * radius * abs(d) for d in ti.static(difference)]
+
+
+@ti.func
+def uses_sign(difference: ti.template(), coefficients: ti.template(), radius):
+    return [-(coefficients[0] * d) for d in ti.static(difference)]
+
+
 @pytest.mark.usefixtures("needs_f64")
 def test_the_slip_of_the_law_is_that_of_the_laboratory(page):
     """Two radii with the same surface speeds are one problem: the kernel's force depends on R |D| alone."""
@@ -83,7 +158,7 @@ def test_the_slip_of_the_law_is_that_of_the_laboratory(page):
 def test_others_refuse_it_in_a_sentence_and_auto_descends(page):
     scene = Scene.random((4, 5), law="thickening")
     takes = {name for name, row in METHODS.items() if not row.refusal(scene)}
-    assert takes == {"minimise", "gradient-descent"}
+    assert takes == {"minimise", "gradient-descent", "cundall-strack"}
     assert fastest(scene, 1e-6, on_gpu=False).name in takes
     for name in set(METHODS) - takes:
         assert f"method {name!r} does not solve the law 'thickening'; it solves" in METHODS[name].refusal(scene)
@@ -114,7 +189,7 @@ def test_gradient_descent_refuses_a_law_that_is_infinitely_steep(page, monkeypat
     scene = Scene.random((4, 5), law="thickening")
     monkeypatch.setattr(type(scene.law), "steepest", lambda self, of, slip: np.full_like(of[0], np.inf))
     with pytest.raises(
-        InputError, match="whose force is infinitely steep at some slip; gradient-descent needs a finite slope"
+        InputError, match="whose force is infinitely steep at some slip; gradient-descent and cundall-strack need"
     ):
         solve(scene, METHODS["gradient-descent"]().build(), initial_spin(scene, "linear"), StopRule(1e-6))
 

@@ -217,6 +217,17 @@ def test_a_sample_beside_that_of_its_seed_is_not_the_seeds(tmp_path):
     assert other.solution.power[0] == pytest.approx(verify(tmp_path / "run")["power"], rel=1e-15)
 
 
+def test_a_run_whose_coefficients_another_machine_has_rounded_is_verified(tmp_path):
+    settings = RunSettings(shape=(20, 20), seed=3, distribution="lognormal:0.4,0.8", figures="none")
+    run(settings, tmp_path / "run")
+    for factor, verified in ((1 + 2.0**-52, True), (1 + 1e-12, False)):
+        with h5py.File(tmp_path / "run" / "run.h5", "r+") as file:
+            file.attrs.pop("sha256", None)
+            file["coefficient/x"][3, 4] *= factor
+        said = verify(tmp_path / "run")["contradictions"]
+        assert ("the coefficient in the file differs from what seed 3 gives" in said) != verified
+
+
 def test_viscous_contacts_that_are_proven_to_slip_are_not_said_to_rest(changed):
     def say_that_they_rest(file):
         slips = file["contact/z/state"][()] == 1

@@ -123,3 +123,29 @@ def test_a_lattice_and_the_packing_of_its_kind_start_alike(shape, start):
     free = packing.driven < 0
     assert spins[0][free] == pytest.approx(spins[1][free], abs=1e-9)
     assert (np.ptp(spins[0][free]) > 0) == (start != "zero")
+
+
+@pytest.mark.parametrize("text", [
+    "lognormal:0.4,0.8", "lognormal:1e-3,12", "power-law:0.1,1,-0.5", "power-law:0.1,1,-1", "power-law:1e-3,1e3,-3",
+    "power-law:0.1,1,-1.001", "power-law:0.5,2,6", "uniform:0.1,1", "bimodal:0.1,1,0.5", "constant:0.3",
+])  # fmt: skip
+def test_how_far_machines_may_differ_in_what_a_seed_draws(text):
+    """Another machine rounds exponentials and powers otherwise; here they are computed to 64 bits and then rounded."""
+    source, shape, wide = Distribution.parse(text), (20_000,), np.longdouble
+    name, (a, b, *more) = source.name, (*map(wide, source.parameters), None)
+    level = np.random.default_rng(5).uniform(0.0, 1.0, shape)
+    if name == "lognormal":
+        other = a * np.exp(b * np.random.default_rng(5).standard_normal(shape))
+    elif name == "power-law" and more[0] == -1:
+        other = a * (b / a) ** level
+    elif name == "power-law":
+        low, high = (float(end ** (more[0] + 1)) for end in (a, b))
+        other = (low + (high - low) * level) ** (1 / (more[0] + 1))
+    else:
+        other = source(np.random.default_rng(5), shape)
+    drawn = source(np.random.default_rng(5), shape)
+    difference = np.abs(np.asarray(other, np.float64) / drawn - 1).max()
+    assert difference <= source.rounding
+    assert difference == 0 or source.rounding > 0
+    if np.finfo(wide).eps < np.finfo(float).eps:  # elsewhere nothing is computed more precisely
+        assert difference > 0 or source.rounding == 0
