@@ -260,7 +260,7 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
             given = ", ".join(f"{values[row, column]:g}" for values in at)
             raise InputError(
                 f"law is {law.name!r}, whose functions contradict each other at a contact with coefficient {given} "
-                f"that slips at {speed[row, column]:g}: {sentence}"
+                f"that slips at {speed[row, column]:g}, or one of them loses digits there: {sentence}"
             )
 
 

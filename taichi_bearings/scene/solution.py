@@ -281,9 +281,13 @@ class Solution:
         read_only((*(getattr(self, item.name) for item in fields(self)), *kept))
         for value, bound, gap in zip(self.objective, self.lower_bound, self.gap, strict=True):
             if is_crossed(None, None, gap):
+                law = self.scene.law
+                remedy = "please report it with the command that you ran"
+                if not law.is_sum:
+                    remedy = f"look whether `potential` or `conjugate` of the law {law.name!r} loses digits"
                 raise BearingsError(
-                    f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
-                    "is wrong, so this is no result; please report it with the command that you ran"
+                    f"the lower bound {bound:.17g} lies above the {law.minimises} {value:.17g}: one of them is wrong, so "
+                    f"this is no result; {remedy}"
                 )
 
     @cached_property

@@ -188,7 +188,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
 
     def _derivative_of_own_law(self, derivatives: list[np.ndarray]) -> np.ndarray:
         """Return a scaled derivative (C components, R samples, E contacts) of the contact forces at the start, for a
-        law of one's own: the n-th time derivative times (time step)^n / n!, with n the number of the last given derivative.
+        law of one's own: the n-th time derivative times (time step)^n / n!, with n the number of the last
+        derivative that is given.
 
         It is a coefficient of the polynomial in time that has the forces of the law at five times one step apart; the
         spins at these times follow from their Taylor series.

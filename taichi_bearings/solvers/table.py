@@ -623,7 +623,14 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
     for row in METHODS.values():
         if row.suits(scene, tolerance, on_gpu):
             return row
-    raise InputError(f"law is {scene.law.name!r}; auto knows no method for this law, so name one by --method")
+    law, why = scene.law, "name one of your own by --method"
+    if len(law.quantities) > 1:
+        why = "gradient-descent takes laws of your own with one coefficient; " + why
+    elif law.holds:
+        why = f'its {law.quantities[0].name} has the unit "1" of friction, which none of our methods takes in a law of your own'
+    elif type(law).steepest is Law.steepest:
+        why = "gradient-descent takes it if it defines `steepest`; " + why
+    raise InputError(f"law is {law.name!r}; auto knows no method for this law: {why}")
 
 
 def row_of_packing(method: str) -> type[MethodOptions] | None:
