@@ -286,8 +286,8 @@ class Solution:
                 if not law.is_sum:
                     remedy = f"look whether `potential` or `conjugate` of the law {law.name!r} loses digits"
                 raise BearingsError(
-                    f"the lower bound {bound:.17g} lies above the {law.minimises} {value:.17g}: one of them is wrong, so "
-                    f"this is no result; {remedy}"
+                    f"the lower bound {bound:.17g} lies above the {law.minimises} {value:.17g}: one of them is wrong, "
+                    f"so this is no result; {remedy}"
                 )
 
     @cached_property

@@ -627,7 +627,7 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
     if len(law.quantities) > 1:
         why = "gradient-descent takes laws of your own with one coefficient; " + why
     elif law.holds:
-        why = f'its {law.quantities[0].name} has the unit "1" of friction, which none of our methods takes in a law of your own'
+        why = f'its {law.quantities[0].name} has the unit "1" of friction, which none of our methods takes; ' + why
     elif type(law).steepest is Law.steepest:
         why = "gradient-descent takes it if it defines `steepest`; " + why
     raise InputError(f"law is {law.name!r}; auto knows no method for this law: {why}")
