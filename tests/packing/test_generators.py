@@ -1,5 +1,6 @@
 """Packings that are made: they touch to rounding, overlap nowhere, and are what they are said to be."""
 
+import zlib
 from pathlib import Path
 
 import networkx
@@ -68,6 +69,19 @@ def test_random_packings_touch_overlap_nowhere_and_are_isostatic(spheres, dimens
     assert found.status == "certified"
     assert found.proof == "proven"
     assert 0 < found.power < found.packing.material[0][0].sum() * np.abs(packing.driven_speed).max() * 4
+
+
+@pytest.mark.parametrize(
+    ("options", "contacts"),
+    [
+        ({"spheres": 400}, 2844425138),
+        ({"spheres": 900, "dimension": 2, "ratio": 2.0, "large": 0.3, "seed": 1}, 1282990584),
+    ],
+    ids=["spheres", "discs"],
+)
+def test_a_seed_makes_the_same_packing_for_ever(options, contacts):
+    """Checksums of contacts that code found which compared every place with all spheres."""
+    assert zlib.crc32(tb.Packing.random(**options).contact.astype("<i8").tobytes()) == contacts
 
 
 def test_a_deep_random_packing_has_the_isostatic_number_of_contacts_inside():

@@ -9,8 +9,10 @@ pocket : a place where a new sphere would touch D others. D is the dimension, 2 
 spheres.
 """
 
+from functools import lru_cache
 from heapq import heappop, heappush
-from math import pi
+from itertools import product
+from math import floor, pi
 
 import numpy as np
 
@@ -27,6 +29,10 @@ FLATTEST = (
     1e-3  # square of the height of a pocket above those that form it, over that of a radius: rounding stays small
 )
 CLAIMED_OVERLAP = 1e-12  # overlap that may be rounding, relative to the sum of the radii
+# How spheres nearby are found, on which no result depends: cells longer by this factor than a sphere reaches; share of
+# a squared distance that covers any rounding.
+CELL_SPARE, ROUGHLY = 1.01, 1e-9
+MOST_TOGETHER = 200  # with no more spheres, all are compared with a place by arrays
 
 Pocket = tuple[float, int, np.ndarray, tuple[int, ...], int]
 """A pocket: its height, its number, its place (D,), the numbers of the spheres that form it, and how many spheres stood
@@ -44,6 +50,10 @@ class _Heap:
     made : number of pockets made so far.
     pockets : for each radius of the sphere to come a heap of pockets: height, number, place, numbers of the D spheres
         that form it, and number of spheres when it was made.
+    across : (D,), lengths of the cells of a grid: spheres that touch are in one cell or in neighbouring ones.
+    cells : D - 1 numbers of cells along the periodic sides.
+    inside : numbers of the spheres in each cell, by the D indices of the cell, in ascending order.
+    spots, radii : lists of the D coordinates and of the radius of each sphere, as `place` and `radius` have them.
     """
 
     def __init__(self, count: int, width: float, ratio: float, dimension: int) -> None:
@@ -59,38 +69,97 @@ class _Heap:
         self.sizes = (1.0, ratio)
         self.count, self.made = 0, 0
         self.pockets: dict[float, list[Pocket]] = {size: [] for size in self.sizes}
+        reach = 2 * ratio * CELL_SPARE
+        self.cells = (max(1, int(width / reach)),) * (dimension - 1)
+        self.across = np.append(width / np.array(self.cells), reach)
+        self.inside: dict[tuple[int, ...], list[int]] = {}
+        self.spots, self.radii = list[list[float]](), list[float]()
 
-    def away(self, place: np.ndarray, since: int = 0) -> np.ndarray:
-        """Return vectors (n, dimensions D) from a place (D,) to the nearest images of the spheres with numbers from
-        `since` on.
+    def _lists(self, place: np.ndarray, away: int) -> list[list[int]]:
+        """Return the numbers of the spheres in the cell of a place (D,), and in the cells up to so many cells away: a
+        list for each of these that is not empty, in ascending order.
+
+        away : 1 for all spheres that touch one at the place; 2 for all that touch one that touches it.
         """
-        vector = self.place[since : self.count] - place
-        vector[:, :-1] -= self.sides[:-1] * np.round(vector[:, :-1] / self.sides[:-1])
-        found: np.ndarray = vector
-        return found
+        *own, height = self._cell(place)
+        steps = range(-away, away + 1)
+        ways = [{(at + step) % cells for step in steps} for at, cells in zip(own, self.cells, strict=True)]
+        there = map(self.inside.get, product(*ways, range(height - away, height + away + 1)))
+        return [numbers for numbers in there if numbers]
+
+    def near(self, place: np.ndarray, away: int) -> np.ndarray:
+        """Return the numbers (n,) of the spheres that `_lists` finds, in ascending order.
+
+        place : (D,).
+        away : number of cells up to which they are looked for.
+        """
+        found = [number for numbers in self._lists(place, away) for number in numbers]
+        return np.sort(np.array(found, dtype=np.int64))
+
+    def _cell(self, place: np.ndarray) -> tuple[int, ...]:
+        """Return the D indices of the cell in which a place (D,) lies, or its image between the periodic sides."""
+        *own, height = map(floor, (place / self.across).tolist())
+        return *(at % cells for at, cells in zip(own, self.cells, strict=True)), height
+
+    def away(self, place: np.ndarray, others: slice | np.ndarray) -> np.ndarray:
+        """Return vectors (n, dimensions D) from a place (D,) to the nearest images of n spheres.
+
+        others : their numbers, or a slice of all.
+        """
+        vector: np.ndarray = self.place[others] - place
+        vector[:, :-1] -= self.sides[:-1] * np.rint(vector[:, :-1] / self.sides[:-1])
+        return vector
 
     def is_free(self, place: np.ndarray, size: float, since: int = 0) -> bool:
         """Return True if a sphere of radius `size` at a place (dimensions D,) overlaps none of the spheres from number
         `since` on.
         """
-        reach = (self.radius[since : self.count] + size) * (1 - CLAIMED_OVERLAP)
-        return bool(((self.away(place, since) ** 2).sum(axis=1) >= reach**2).all())
+        others: slice | np.ndarray = slice(since, self.count)
+        if self.count - since > MOST_TOGETHER:
+            if self._clearly_overlaps(place, size, since):
+                return False
+            others = self.near(place, 1)
+            others = others[others >= since]
+        reach = (self.radius[others] + size) * (1 - CLAIMED_OVERLAP)
+        return bool(((self.away(place, others) ** 2).sum(axis=1) >= reach**2).all())
+
+    def _clearly_overlaps(self, place: np.ndarray, size: float, since: int) -> bool:
+        """Return True if a sphere of radius `size` at a place (dimensions D,) overlaps one of those from number `since`
+        on by more than rounding; this takes less time than arrays where there are few of them."""
+        here, width = place.tolist(), float(self.sides[0])
+        for numbers in self._lists(place, 1):
+            for number in reversed(numbers):
+                if number < since:
+                    break
+                *other, height = self.spots[number]
+                square = (height - here[-1]) ** 2
+                for a, b in zip(here, other, strict=False):
+                    square += (a - b - width * round((a - b) / width)) ** 2
+                if square < (self.radii[number] + size) ** 2 * (1 - ROUGHLY):
+                    return True
+        return False
 
     def put(self, place: np.ndarray, size: float) -> None:
         """Add a sphere of radius `size` at a place (D,), and find the pockets that it forms with others: the places
         where a further sphere would touch it and D - 1 others, and overlap none.
         """
-        vector = self.away(place)
-        close = (vector**2).sum(axis=1) < (size + self.radius[: self.count] + 2 * self.sizes[1]) ** 2
-        near, vector = np.flatnonzero(close), vector[close]
+        near = self.near(place, 2)
+        vector = self.away(place, near)
+        close = (vector**2).sum(axis=1) < (size + self.radius[near] + 2 * self.sizes[1]) ** 2
+        near, vector = near[close], vector[close]
         own = self.count
         self.place[own, :-1], self.place[own, -1] = np.mod(place[:-1], self.sides[:-1]), place[-1]
         self.radius[own], self.count = size, own + 1
+        self.inside.setdefault(self._cell(self.place[own]), []).append(own)
+        self.spots.append(self.place[own].tolist())
+        self.radii.append(size)
+        pairs = _Pairs(vector)
         for new, pockets in self.pockets.items():
             reach = self.radius[near] + new
-            middle, held = _touching(vector, size + new, reach)
-            free = ((middle[:, None] - vector) ** 2).sum(axis=2) >= (reach * (1 - CLAIMED_OVERLAP)) ** 2
-            free = free.all(axis=1) & (place[-1] + middle[:, -1] > 0)
+            middle, held = pairs.touching(size + new, reach)
+            above = place[-1] + middle[:, -1] > 0
+            middle, held = middle[above], held[above]
+            free = _clear(middle, vector, reach * (1 - CLAIMED_OVERLAP))
             for offset, others in zip(middle[free], held[free], strict=True):
                 self.made += 1
                 there = place + offset
@@ -110,36 +179,83 @@ class _Heap:
         return None
 
 
-def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return places (P, dimensions D) where a new sphere touches a sphere at 0 and D - 1 others, and the numbers (P, D
-    - 1) of these others.
+class _Pairs:
+    """Spheres beside one at 0, each (in two dimensions) or each two of them (in three), and what follows from their
+    directions alone: where a further sphere touches that at 0 and these.
 
-    vector : (n, D), centres of the others.
-    first : distance of the new centre from 0, a sum of two radii.
-    reach : (n,), its distances from the centres of the others. Lengths are in radii of the small spheres.
+    vector : (n, D), centres of the spheres beside it. Lengths are in radii of the small spheres.
     """
-    count, dimension = vector.shape
-    others = np.arange(count)[:, None] if dimension == 2 else np.column_stack(np.triu_indices(count, 1))
-    size = np.linalg.norm(vector, axis=1)
-    # the new centre lies on a sphere of radius `first` about 0 and in a plane across each vector: at `along` on it
-    along = (first**2 - reach**2 + size**2) / (2 * size)
-    unit = vector / size[:, None]
-    if dimension == 2:
-        foot, left, across = along[:, None] * unit, first**2 - along**2, unit[:, ::-1] * [-1.0, 1.0]
-    else:
-        one, two = others.T
-        cosine = (unit[one] * unit[two]).sum(axis=1)
-        sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
-        sine[sine == 0] = np.inf  # in line with the first
-        side = (unit[two] - cosine[:, None] * unit[one]) / sine[:, None]
-        beside = (along[two] - cosine * along[one]) / sine
-        foot = along[one, None] * unit[one] + beside[:, None] * side
-        left, across = first**2 - along[one] ** 2 - beside**2, np.cross(unit[one], side)
-        left[np.isinf(sine) | (sine**2 < FLATTEST)] = -1.0
-    # `left` is the squared distance from the foot to both solutions, which lie at right angles to the vectors
-    real = left > FLATTEST
-    foot, height, others = foot[real], np.sqrt(left[real])[:, None] * across[real], others[real]
-    return np.concatenate([foot + height, foot - height]), np.concatenate([others, others])
+
+    def __init__(self, vector: np.ndarray) -> None:
+        """Take the centres (n, D) of n spheres beside that at 0, and compare their directions."""
+        self.vector, self.size = vector, np.linalg.norm(vector, axis=1)
+        self.unit = vector / self.size[:, None]
+        if vector.shape[1] == 3:
+            self.others = _two_of(len(vector))
+            one, two = self.others.T
+            self.cosine = (self.unit[one] * self.unit[two]).sum(axis=1)
+            self.sine = np.sqrt(np.maximum(1 - self.cosine**2, 0.0))
+            self.sine[self.sine == 0] = np.inf  # in line with the first
+            self.flat = np.isinf(self.sine) | (self.sine**2 < FLATTEST)
+        else:
+            self.others = np.arange(len(vector))[:, None]
+
+    def touching(self, first: float, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return places (P, dimensions D) where a new sphere touches the sphere at 0 and D - 1 others, and the numbers
+        (P, D - 1) of these others.
+
+        first : distance of the new centre from 0, a sum of two radii.
+        reach : (n,), its distances from the centres of the others. Lengths are in radii of the small spheres.
+        """
+        # the new centre lies on a sphere of radius `first` about 0 and in a plane across each vector: at `along` on it
+        along, unit = (first**2 - reach**2 + self.size**2) / (2 * self.size), self.unit
+        # `left` is the squared distance from the foot to both solutions, which lie at right angles to the vectors
+        if self.vector.shape[1] == 2:
+            left = first**2 - along**2
+            real = left > FLATTEST
+            foot, across = along[real, None] * unit[real], unit[real][:, ::-1] * [-1.0, 1.0]
+        else:
+            one, two = self.others.T
+            beside = (along[two] - self.cosine * along[one]) / self.sine
+            left = first**2 - along[one] ** 2 - beside**2
+            left[self.flat] = -1.0
+            real = left > FLATTEST
+            one, two = one[real], two[real]
+            side = (unit[two] - self.cosine[real, None] * unit[one]) / self.sine[real, None]
+            foot = along[one, None] * unit[one] + beside[real, None] * side
+            across = _cross(unit[one], side)
+        height, others = np.sqrt(left[real])[:, None] * across, self.others[real]
+        return np.concatenate([foot + height, foot - height]), np.concatenate([others, others])
+
+
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the cross products (k, 3) of vectors (k, 3), as `numpy.cross` does, in a third of the time."""
+    (x, y, z), (a, b, c) = first.T, second.T
+    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
+
+
+@lru_cache
+def _two_of(count: int) -> np.ndarray:
+    """Return all pairs of numbers below `count`, (pairs, 2), the smaller one first."""
+    return np.column_stack(np.triu_indices(count, 1))
+
+
+def _clear(middle: np.ndarray, vector: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Return the mask (P,) of the places that are as far from all others as they have to be.
+
+    middle : (P, D), the places.
+    vector : (n, D), centres of the others.
+    reach : (n,), the least distance from each of these.
+
+    Most places are clearly too close to some other one. Matrix products, whose rounding ROUGHLY covers, leave these
+    out.
+    """
+    squares = (middle**2).sum(axis=1)[:, None] + (vector**2).sum(axis=1) - 2 * (middle @ vector.T)
+    found = (squares > reach**2 * (1 - ROUGHLY)).all(axis=1)
+    some = np.flatnonzero(found)
+    exact = ((middle[some, None] - vector) ** 2).sum(axis=2)
+    found[some] = (exact >= reach**2).all(axis=1)
+    return found
 
 
 def built(
