@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_bearings.proof.enclosure import Enclosure
+from taichi_bearings.numerics.double_double import two_product
+from taichi_bearings.proof.enclosure import UNDERFLOWING_PRODUCT, Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import Listed, moments
 from taichi_bearings.proof.on_lattice import LEAST_SCALE, MOST_SCALE, OnLattice, samples_of_lattice
@@ -101,7 +102,7 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     graph = Listed.of_samples(contacts, friction)
     every, radius = np.tile(free, count), np.tile(radius, count)
     moving = [Enclosure.exact(*(of[..., k].ravel() for of in (spin, rounding))) for k in range(spin.shape[2])]
-    moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
+    moving = moving if (radius == 1).all() else [_surface_speed(part, radius, ~every) for part in moving]
     for part in moving:
         _equalise_imposed_speeds(part, np.flatnonzero(~every))
     zero, pressed = Enclosure.exact(np.zeros(acts.size)), pressed.ravel()
@@ -113,6 +114,19 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
         [part.where(~every) for part in moving],
         graph, factors=(given.ravel(), np.broadcast_to(packing.normal_force, given.shape).ravel()),
     )  # fmt: skip
+
+
+def _surface_speed(spin: Enclosure, radius: np.ndarray, driven: np.ndarray) -> Enclosure:
+    """Return one component of spin times radius of N spheres, an enclosure (N,). Imposed spins are doubles, and two
+    doubles hold their product with a radius exactly, unless it is tiny.
+
+    spin : the component, an enclosure (N,).
+    radius : (N,).
+    driven : (N,) mask of the driven spheres."""
+    found, (high, low) = spin.times(radius), two_product(spin.high, radius)
+    exact = np.flatnonzero(driven & (spin.low == 0) & ((spin.high == 0) | (np.abs(high) > UNDERFLOWING_PRODUCT)))
+    found.put(exact, Enclosure.exact(high[exact], low[exact]))
+    return found
 
 
 def _equalise_imposed_speeds(u: Enclosure, driven: np.ndarray) -> None:

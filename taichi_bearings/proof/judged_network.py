@@ -32,12 +32,15 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.dissection import Part, dissected, restricted
+from taichi_bearings.numerics.double_double import two_product
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, row_sum
 from taichi_bearings.proof.listed import Listed, across, signs
 from taichi_bearings.proof.rounded_elimination import REGION_UNKNOWNS, Samples
 from taichi_bearings.proof.slices import nothing, slices
 from taichi_bearings.scene.law import Law
+
+LEAST_EXACT = 1e-250  # size of a product above which two doubles hold all of it
 
 
 @dataclass(frozen=True)
@@ -233,6 +236,16 @@ class JudgedNetwork:
         """Results of proofs about this network that may be asked for again; the key of each is made of the arguments
         with which it was found."""
         return {}
+
+    @cached_property
+    def exact_limits(self) -> np.ndarray | None:
+        """(m, p), friction limits in exact proportions within a sample, each as the exact sum of p doubles; None if
+        products of `factors` are so small or large that doubles may not hold them."""
+        if len(self.factors) == 1:
+            return self.factors[0][:, None]
+        found = np.stack(two_product(*self.factors), axis=1)
+        sizes = np.abs(found[:, 0])[np.all(self.factors, axis=0)]
+        return found if np.isfinite(found).all() and (sizes > LEAST_EXACT).all() else None
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
         """Return for each of the m contacts the value (m,) of its sample.

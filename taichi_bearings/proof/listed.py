@@ -31,8 +31,8 @@ class Listed:
     has_two_planes = False
     """True if the driven spheres are two planes of a lattice: then a state without slip exists just where no contacts
     join the planes."""
-    ties_are_known = False
-    """True if several minima of equal power can be found, which is only known of lattices (tied_minima.py)."""
+    still_is_exact = False
+    """True if contacts at rest have stored slips of exactly 0, which is only known of lattices."""
     rests_in_parts = True
     """True if contacts with damping are also tried as resting part by part (a part: spheres that contacts connect)."""
     friction_is_at_limit = False
@@ -212,6 +212,18 @@ class Listed:
 
         k : number of the spin component, not used here."""
         return np.arange(len(self.place))
+
+    def driven_alike(self, k: int, imposed: Enclosure, driven: np.ndarray) -> np.ndarray:
+        """Return for each of q driven spheres a number (q,), 0, 1, ..., equal only for those that have exactly the same
+        imposed spin (times radius and sign) in component k.
+
+        k : number of the spin component, not used here.
+        imposed : the imposed spins times radius and sign, an enclosure (n,).
+        driven : (q,), indices of the driven spheres."""
+        high, low, error = (part[driven] + 0.0 for part in imposed.parts)  # + 0.0 makes -0.0 to 0.0
+        own = np.where(error > 0, driven, -1)  # what is not known exactly equals nothing else
+        _, found = np.unique(np.stack([high, low, own]), axis=1, return_inverse=True)
+        return np.asarray(found.reshape(-1))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
         """Return spins multiplied by the signs `sign`, an enclosure (n,). Signs differ between neighbours, so that

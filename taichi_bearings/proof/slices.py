@@ -27,7 +27,7 @@ class Grid(Listed):
 
     samples : the samples whose contacts these are, with their spins and friction."""
 
-    has_two_planes = ties_are_known = friction_is_at_limit = True
+    has_two_planes = still_is_exact = friction_is_at_limit = True
     rests_in_parts = friction_is_rounded = False
 
     def __init__(self, samples: OnLattice) -> None:
@@ -309,6 +309,15 @@ class Grid(Listed):
 
         k : position of the spin component among the C components."""
         return self.samples.leader(self.samples.components[k])
+
+    def driven_alike(self, k: int, imposed: Enclosure, driven: np.ndarray) -> np.ndarray:
+        """Return for each of q driven spheres 0 if it is in the bottom plane, 1 if it is in the top plane: (q,).
+
+        k, imposed : number of a spin component, and imposed spins; not used here.
+        driven : (q,), indices of the driven spheres."""
+        top = np.zeros(self.spheres, dtype=np.intp)
+        self.on_spheres(top)[..., -1] = 1
+        return top[driven]
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
         """Return the mask (m,) of the contacts without any slip: the signed spins of both spheres (spin times the sign

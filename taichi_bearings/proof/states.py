@@ -240,11 +240,12 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
 
     network : the R samples with stored spins and friction."""
     count = network.count
-    if not network.graph.ties_are_known:
+    if not network.graph.still_is_exact:
         return _by_tiny_slips(network)
     if count == 1:
-        return [_with_ties(network)]
-    if _repeats(network):
+        states = _with_ties(network.motion)
+        return [states] if isinstance(states, States) else _all_undecided(network, states)
+    if _repeats(network.motion):
         parts = [network.some(slice(number, number + 1)) for number in range(count)]
     else:
         if len(network.free) <= PROVEN_AT_ONCE and isinstance(
@@ -271,27 +272,36 @@ def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
     network : the R samples with stored spins and friction."""
     slip, fastest = network.slip.value, network.box.max()
     still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
-    known = _by_domains(network, still)  # first as if spins were known in twice the precision
-    if isinstance(known, str) and network.count > 1:
-        return [states for half in _halves(network) for states in _by_tiny_slips(half)]
-    if isinstance(known, str) and (nearly != still).any():
-        known = _by_domains(network, nearly)
-    return _all_undecided(network, known) if isinstance(known, str) else _samples(network, known, "", None)
+    if network.count > 1:
+        known = _by_domains(network, still)
+        if isinstance(known, str):
+            return [states for half in _halves(network) for states in _by_tiny_slips(half)]
+        return _samples(network, known, "", None)
+    # First as if spins were known in twice the precision.
+    doubt = ""
+    for rests in (still, nearly) if (nearly != still).any() else (still,):
+        motion = _in_domains(network, rests)
+        states = motion if isinstance(motion, str) else _with_ties(motion)
+        if isinstance(states, States):
+            return [replace(states, unique=None if states.unique else states.unique)]
+        doubt = doubt or states
+    return _all_undecided(network, doubt)
 
 
-def _with_ties(network: JudgedNetwork) -> States:
-    """Return the states of one sample of a lattice that may have several minima. Where friction limits are repeated, a
-    proof for several minima is tried first, then one for a single minimum; else the other way round.
+def _with_ties(motion: Motion) -> States | str:
+    """Return the states of one sample that may have several minima, or a text that says why nothing is proven. Where
+    friction limits are repeated, a proof for several minima is tried first, then one for a single minimum; else the
+    other way round.
 
-    network : the sample with stored spins and friction."""
-    contacts, repeats = Slipping.of(network.motion), _repeats(network)
-    tied = tied_states(network.motion, contacts) if repeats else None
-    if tied is None and isinstance(doubt := _near(network.motion, contacts), tuple):
-        return States(_as_stored(network.motion), True)
-    tied = tied_states(network.motion, contacts) if not repeats else tied
-    if tied is None:
-        return _all_undecided(network, str(doubt))[0]
-    return States(*tied, "minima tie in ways that are not known closely enough")
+    motion : the sample with stored spins and friction, and which of its contacts are taken to rest."""
+    contacts, repeats, doubt = Slipping.of(motion), _repeats(motion), ""
+    for several in (True, False) if repeats else (False, True):
+        if several and (tied := tied_states(motion, contacts)) is not None:
+            return States(*tied, "minima tie in ways that are not known closely enough")
+        if not several and isinstance(near := _near(motion, contacts), tuple):
+            return States(_as_stored(motion), True)
+        doubt = doubt if several else str(near)
+    return doubt
 
 
 def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
@@ -345,15 +355,26 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
     network : stored spins and friction; each component of a slip depends on one component of the spins.
     rests : (m,) mask of the contacts that are taken to rest.
     """
+    motion = _in_domains(network, rests)
+    near = motion if isinstance(motion, str) else _near(motion, Slipping.of(motion))
+    return near if isinstance(motion, str) or isinstance(near, str) else _as_stored(motion)
+
+
+def _in_domains(network: JudgedNetwork, rests: np.ndarray) -> Motion | str:
+    """Return the stored spins as a motion in which some contacts rest, and all others between spheres that these join,
+    so that they cannot slip either. Return a text instead if loops are odd: spheres in them that are joined do not turn
+    as one.
+
+    network : stored spins and friction; each component of a slip depends on one component of the spins.
+    rests : (m,) mask of the contacts that are taken to rest.
+    """
     odd = (network.graph.in_odd_loops(k, network.feels[k]) for k in network.needed)
     if any(found[network.graph.contact[:, network.counts]].any() for found in odd):
         return "loops are odd"
     motion = Motion(network, rests)
     first, second = network.graph.contact
     within = [(motion.domain[k][first] == motion.domain[k][second]) | ~network.feels[k] for k in network.needed]
-    motion = Motion(network, network.counts & np.all(within, axis=0))
-    near = _near(motion, Slipping.of(motion))
-    return near if isinstance(near, str) else _as_stored(motion)
+    return Motion(network, network.counts & np.all(within, axis=0))
 
 
 def _as_stored(motion: Motion) -> np.ndarray:
@@ -364,13 +385,14 @@ def _as_stored(motion: Motion) -> np.ndarray:
     return np.where(motion.network.counts & ~motion.rests, SLIPPING, SLIPLESS)
 
 
-def _repeats(network: JudgedNetwork) -> bool:
+def _repeats(motion: Motion) -> bool:
     """Return True if friction limits repeat: if two contacts of one sample that slip in the stored spins have the same
     limit. Then sums of friction may cancel, and there may be several minima.
 
-    network : samples of a lattice.
+    motion : the samples with stored spins, and which of their contacts rest.
     """
-    own = np.flatnonzero(network.counts & ~network.motion.rests)
+    network = motion.network
+    own = np.flatnonzero(network.counts & ~motion.rests)
     values, sample = network.holding.high[own], network.sample_of(own)
     order = np.lexsort((values, sample))
     return bool(((np.diff(values[order]) == 0) & (np.diff(sample[order]) == 0)).any())

@@ -1,8 +1,9 @@
 """Which contacts slip at every minimum, at none, or at some, where there are many minima: theorem 9.
 
 What is proven. Where frictions cancel exactly, groups of spheres can move without changing the power, and the minima
-are a polyhedron of motions. This file finds one minimum u*, then all others, for one sample of a lattice with two spin
-components that matter.
+are a polyhedron of motions. This file finds one minimum u*, then all others, for one sample with two spin components
+that matter, in which each component of a slip depends on one of them: lattices, and packings with normals along the
+axes.
 
 Symbols
     S : the contacts that slip in the stored spins. C : those that do not slip and yet bear all their friction mu F_n,
@@ -32,7 +33,7 @@ Firm: {1, 2}, {3}, {4}, {5}. Locked: {1, 2, 3}, {4}, {5}. Slipless: {1, 2, 3, 4}
 five; of locked ones: {1, 2, 3}, {4, 5}.
 
 The proof
-1. *What can move at no cost.* A welded domain without a driven plane is pulled by its other contacts with their whole
+1. *What can move at no cost.* A welded domain without a driven sphere is pulled by its other contacts with their whole
    friction, one way or the other. If these pulls, added exactly, cancel, then the balance of all its members but one
    implies that of the last one: so one equation is redundant, and one member can be held without loss. The same is true
    of a domain between two others that pull it with the same total friction in opposite directions (`BetweenTwo`): on
@@ -77,7 +78,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
-from taichi_bearings.proof.slices import slices
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 # A contact is put into C if its stored friction misses mu F_n by no more than this share, and if the share that is not
@@ -104,13 +104,14 @@ class Pulls:
     sign : (2, n), sign of the slip along each component: of the spin at `upper` less that at `lower`, times signs that
         differ between neighbours. For C it is the sign of the slip that its friction would go with, and 0 along the
         component in which it bears nothing.
-    coefficient : (n,), friction limits, in exact proportions.
+    coefficient : (n, p), friction limits in exact proportions: that of a contact is the exact sum of its p numbers.
     in_s : (n,) mask of the contacts of S.
-    slipless_domain : (2, spheres), by component the label of the domain of each sphere if T and C join spheres: 0 for
-        what moves with the bottom, 1 with the top, larger numbers for all others.
+    slipless_domain : (2, spheres), by component the label of the domain of each sphere if T and C join spheres. The
+        smallest labels, 0, 1, ..., are those of domains with a driven sphere, which are imposed.
     firm_domain : (2, spheres), such labels if T alone joins spheres.
     locked_domain : (2, spheres), such labels if T joins spheres, and those of C that bear nothing along the
-        component."""
+        component.
+    driven : (spheres,) mask of the driven spheres."""
 
     own: np.ndarray
     lower: np.ndarray
@@ -122,6 +123,15 @@ class Pulls:
     slipless_domain: np.ndarray
     firm_domain: np.ndarray
     locked_domain: np.ndarray
+    driven: np.ndarray
+
+    def imposed_labels(self, label: np.ndarray, slot: int) -> int:
+        """Return how many labels of component `slot` (0 or 1) belong to domains with a driven sphere: these are 0, 1,
+        ... up to this number less 1.
+
+        label : (2, spheres), the label of the domain of each sphere: one of the fields `slipless_domain`, `firm_domain`
+            and `locked_domain`."""
+        return int(label[slot][self.driven].max()) + 1
 
     def apart(self, label: np.ndarray, slot: int) -> np.ndarray:
         """Return the mask (n,) of the contacts whose two spheres have different labels in component `slot` (0 or 1).
@@ -149,7 +159,7 @@ class Pulls:
 
     def welded_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
         """Return the number (spheres,) of the welded domain of each sphere in component `slot` (0 or 1): 0 for those
-        that contain a driven plane, then 1, 2, ...
+        that contain a driven sphere, then 1, 2, ...
 
         A domain is a group of spheres that turn as one in a component. Some domains have to move together from one
         minimum of the power to another, since otherwise the slip of a contact between them would change its direction.
@@ -160,10 +170,11 @@ class Pulls:
         domain = label[slot]
         joins = self.turned_by[slot] & self.apart(label, slot)
         first, second = domain[self.lower[joins]], domain[self.upper[joins]]
-        # bottom (0) and top (1) count as joined, as one plane cannot move past the other
-        first, second = np.append(first, 0), np.append(second, 1)
+        # all domains with a driven sphere count as joined, as none of them can move
+        imposed = np.arange(self.imposed_labels(label, slot))
+        first, second = np.append(first, 0 * imposed), np.append(second, imposed)
         size = int(domain.max()) + 1
-        graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(max(size, 2),) * 2)
+        graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(size,) * 2)
         joined = connected_components(graph, directed=False)[1]
         found = np.where(joined == joined[0], -1, joined)[domain]
         return np.unique(np.append(found, -1), return_inverse=True)[1][:-1]
@@ -187,10 +198,10 @@ class Pulls:
             self.in_s, self.apart(self.slipless_domain, slot), self.apart(self.firm_domain, slot)
         )  # fmt: skip
         values_of: dict[int, list[float]] = {}
-        pull = self.sign[slot] * self.coefficient
+        pull = self.sign[slot][:, None] * self.coefficient
         for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
-            for number, value in zip(owner[end[exact]].tolist(), (sign * pull[exact]).tolist(), strict=True):
-                values_of.setdefault(number, []).append(value)
+            for number, values in zip(owner[end[exact]].tolist(), (sign * pull[exact]).tolist(), strict=True):
+                values_of.setdefault(number, []).extend(values)
         return {number: math.fsum(values) == 0.0 for number, values in values_of.items()}
 
 
@@ -314,8 +325,9 @@ class BetweenTwo:
         for sphere in np.unique(label, return_index=True)[1]:
             own = [int(pulls.slipless_domain[slot, sphere]) for slot in range(2)]
             some = at[0].get(own[0], set())
-            # The same turning contacts must pull the domain in both components, and no plane may drive it.
-            if min(own) < 2 or not some or some != at[1].get(own[1], set()):
+            # The same turning contacts must pull the domain in both components, and nothing may drive it.
+            driven = [of < pulls.imposed_labels(pulls.slipless_domain, slot) for slot, of in enumerate(own)]
+            if any(driven) or not some or some != at[1].get(own[1], set()):
                 continue
             chosen = np.array(sorted(some))
             up = label[pulls.upper[chosen]] == label[sphere]
@@ -326,8 +338,8 @@ class BetweenTwo:
             if not (spans[chosen].all() and mine.all() and len(sides) == 2):
                 continue
             # Both sets must have the same friction in all, exactly, and all other pulls on the domain must cancel.
-            weight = np.where(other == sides[0], 1.0, -1.0) * pulls.coefficient[chosen]
-            if math.fsum(weight.tolist()) != 0.0 or not all(
+            weight = np.where(other == sides[0], 1.0, -1.0)[:, None] * pulls.coefficient[chosen]
+            if math.fsum(weight.ravel().tolist()) != 0.0 or not all(
                 cancels.get(domain, True) for cancels, domain in zip(known, own, strict=True)
             ):
                 continue
@@ -376,18 +388,19 @@ def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> di
 
 
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
-    """Prove the states of all E contacts of one sample of a lattice that may have many minima.
+    """Prove the states of all E contacts of one sample that may have many minima.
 
-    motion : the stored spins of the sample and which contacts rest; two components of the spins matter.
+    motion : the stored spins of the sample and which contacts rest. Each component of a slip depends on one component
+        of the spins, of which two matter; no loop of contacts is odd.
     contacts : those that slip.
 
     Returns None if nothing is proven. Else the states (E,), SLIPLESS, SLIPPING (at every minimum), TIED (at some), or
     UNDECIDED; and True if there is only one minimum, False if there are more, None if that is not known."""
-    saturated = Saturated.of(motion)
-    if saturated is None or motion.torn.any() or not (contacts.size.least > 0).all():
+    saturated, coefficient = Saturated.of(motion), motion.network.exact_limits
+    if saturated is None or coefficient is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
     # Hold one slipless domain of each welded domain, for one minimum; and one locked domain, to exclude other motions.
-    pulls = _pulls(motion, contacts, saturated)
+    pulls = _pulls(motion, contacts, saturated, coefficient)
     between = BetweenTwo.of(pulls, contacts)
     held, held_locked = (_spheres_to_hold(pulls, of, between) for of in (pulls.slipless_domain, pulls.locked_domain))
     if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
@@ -466,13 +479,14 @@ class Saturated:
         return found
 
 
-def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
+def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) -> Pulls:
     """Return the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
     one) that these and the resting contacts make.
 
     motion : the sample, and which of its contacts rest.
     contacts : those that slip.
-    saturated : those that do not slip and yet bear all their friction."""
+    saturated : those that do not slip and yet bear all their friction.
+    coefficient : (E, p), friction limits of all E contacts, in exact proportions, as sums of p doubles."""
     network, in_c = motion.network, np.flatnonzero(saturated.mask)
     components = len(network.needed)
     own = np.append(contacts.own, in_c)
@@ -480,7 +494,6 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
     signs_of_c = np.array([np.sign(saturated.friction(slot).high) * network.sign[k][network.graph.contact[1, in_c]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     signs = np.array([np.sign(part.high) for part in contacts.difference])
-    (coefficient,) = network.factors
     slipless_domain, firm_domain, locked_domain = (
         np.array([_numbered(own, k) for own, k in zip(motions, network.needed, strict=True)])
         for motions in (
@@ -492,18 +505,24 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated) -> Pulls:
     return Pulls(
         own, lower, upper, np.array([network.feels[k][own] for k in network.needed]),
         np.concatenate([signs, signs_of_c], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
-        slipless_domain, firm_domain, locked_domain,
+        slipless_domain, firm_domain, locked_domain, ~network.free,
     )  # fmt: skip
 
 
 def _numbered(motion: Motion, k: int) -> np.ndarray:
-    """Return a label (spheres,) for each sphere of a lattice, equal for those that resting contacts of a motion join in
-    spin component k: 0 and 1 for what turns with the bottom and the top, larger numbers for all others.
+    """Return a label (spheres,) for each sphere, equal for those that resting contacts of a motion join in spin
+    component k. The smallest numbers, 0, 1, ..., are for what turns with a driven sphere, one number for all that are
+    driven alike; larger ones are for all others.
 
-    motion : the lattice, and which of its contacts rest."""
-    label = motion.domain[k]
-    low, high = slices(motion.network.graph).leader(k)
-    return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
+    motion : the network, and which of its contacts rest. These join no driven spheres that are driven differently."""
+    network, label = motion.network, motion.domain[k]
+    driven = np.flatnonzero(~network.free)
+    group = network.graph.driven_alike(k, network.imposed[k].signed(network.sign[k]), driven)
+    found = np.full(int(label.max()) + 1, -1)
+    found[label[driven]] = group
+    others = np.unique(label[found[label] < 0])
+    found[others] = group.max() + 1 + np.arange(len(others))
+    return found[label]
 
 
 def _spheres_to_hold(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | None:
@@ -513,7 +532,7 @@ def _spheres_to_hold(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np
     A *domain* is a group of spheres that turn as one; a *welded domain* consists of domains that can only move
     together. Two kinds of groups can move at no cost, and are held:
 
-    * Of each welded domain without a driven plane one domain is held. It must not be one of `between`; if all are, the
+    * Of each welded domain without a driven sphere one domain is held. It must not be one of `between`; if all are, the
       result is None.
     * Each domain of `between` is held in one component, which `between` chooses.
 
@@ -524,7 +543,7 @@ def _spheres_to_hold(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
         welded, inner = pulls.welded_domains(label, slot), np.isin(pulls.slipless_domain[slot], between.labels[slot])
-        # Welded domains without a driven plane have the numbers 1, 2, ...
+        # Welded domains without a driven sphere have the numbers 1, 2, ...
         for number in range(1, int(welded.max()) + 1):
             some = label[slot][(welded == number) & ~inner]
             if not len(some):
@@ -537,7 +556,7 @@ def _spheres_to_hold(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np
 
 def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> dict[int, np.ndarray]:
     """Return a dictionary: for each of the two spin components k that matter the labels (spheres,) of domains, with 0,
-    the label of the bottom, for spheres that are held where they are.
+    the label of a driven domain, for spheres that are held where they are.
 
     motion : says which components these are.
     label : (2, spheres), for either component the label of the domain (group of spheres that turn as one) of a sphere.
@@ -582,8 +601,8 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
     are those of contacts that bear all their friction and cannot turn its direction.
 
     This is asked of two kinds of groups of spheres:
-    * welded domains without a driven plane: groups that move together from one minimum to another;
-    * firm domains without a driven plane: spheres that resting contacts with friction left join. One is excepted in
+    * welded domains without a driven sphere: groups that move together from one minimum to another;
+    * firm domains without a driven sphere: spheres that resting contacts with friction left join. One is excepted in
       each slipless domain (spheres that all contacts without slip join): the one, if any, on which contacts act that
       may turn their slip. It is in balance once the whole slipless domain and its other firm domains are.
 
@@ -597,12 +616,15 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
         turning = pulls.in_s & pulls.turned_by[slot] & pulls.apart(pulls.slipless_domain, slot)
         ends = np.concatenate([pulls.lower[turning], pulls.upper[turning]])
         pulled = np.unique(np.array([firm[ends], slipless[ends]]), axis=1)
-        pulled = pulled[:, pulled[0] > 1]
-        # The slipless domain of none of these may belong to a plane, and none may have two of them.
-        if (pulled[1] < 2).any() or len(np.unique(pulled[1])) < pulled.shape[1]:
+        imposed = pulls.imposed_labels(pulls.firm_domain, slot)
+        pulled = pulled[:, pulled[0] >= imposed]
+        # The slipless domain of none of these may have a driven sphere, and none may have two of them.
+        if (pulled[1] < pulls.imposed_labels(pulls.slipless_domain, slot)).any() or len(
+            np.unique(pulled[1])
+        ) < pulled.shape[1]:
             return False
         cancels_at = pulls.known_pulls_cancel_at(firm, slot)
-        if not all(cancels for number, cancels in cancels_at.items() if number > 1 and number not in pulled[0]):
+        if not all(cancels for number, cancels in cancels_at.items() if number >= imposed and number not in pulled[0]):
             return False
     return True
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import linprog
 from taichi_bearings_studies.stress import truth
 
+import taichi_bearings as tb
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.proof.tied_minima import Constraints
 from taichi_bearings.quantities import numbers_of
@@ -73,6 +74,31 @@ def test_states_are_those_of_an_oracle(distribution, seed):
     assert proven.all() == (seed != 20 and distribution == BIMODAL)
     if proven.all() and seed == 3:
         assert ((state == SLIPLESS) & clear & (margin < AT_LIMIT)).any()
+
+
+@pytest.mark.parametrize("seed", [3, 124])
+def test_packings_on_a_cubic_lattice_have_the_ties_of_an_oracle(seed):
+    """Spheres and contacts in another order, some contacts from the upper to the lower sphere, a normal force beside
+    the friction, and several radii: the states are those of the lattice in 140 digits, and all are proven."""
+    scene, draw = make_scene((3, 3, 4), seeds=(seed,), distribution=BIMODAL), np.random.default_rng(seed)
+    least = least_of_all(scene)
+    names = {truth.SLIPLESS: SLIPLESS, truth.SLIPPING: SLIPPING, EITHER: TIED, minima.DRIVEN: DRIVEN}
+    right = np.array([names.get(of, -1) for of in scene.lattice.flat(least.state).tolist()])
+    given = tb.Packing.lattice("cubic", (3, 3, 4), seed=seed, distribution=BIMODAL).arrays()
+    spheres, contacts = (draw.permutation(len(given[name])) for name in ("driven", "friction"))
+    place, radius = np.argsort(spheres), 0.5 * 2.0 ** draw.integers(-1, 2, len(spheres))
+    pairs, turned = place[given["contact"][contacts]], draw.random(len(contacts)) < 0.5
+    pairs[turned] = pairs[turned, ::-1]
+    packing = tb.Packing(
+        center=given["center"][spheres], contact=pairs, driven=given["driven"][spheres],
+        spin=given["spin"][spheres] * (0.5 / radius)[:, None], radius=radius, friction=given["friction"][contacts] / 3,
+        normal_force=3.0, normal=np.where(turned, -1, 1)[:, None] * given["normal"][contacts], schematic=True,
+    )  # fmt: skip
+    found = tb.solve(packing)
+    acts = right[contacts] != DRIVEN
+    assert (found.state == right[contacts])[acts].all()
+    assert found.proven[acts].all()
+    assert (found.state == TIED).sum() == {3: 0, 124: 4}[seed]
 
 
 def test_friction_that_differs_in_its_last_digit_ties_nothing():
