@@ -15,6 +15,7 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.cholesky.fronts import coupled
 from taichi_bearings.numerics.double_double import Pair, add, subtract, two_sum
+from taichi_bearings.scene.network import Network
 
 # number of unknowns from which a sample has an order of its own, and of a region that then is not divided
 OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = 2_000, 20
@@ -242,8 +243,13 @@ def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: 
     place : (D, unknowns), where each unknown is; None for the places that the system has.
     own : range of the unknowns to order, None for all; they are counted from its first.
 
+    Where contacts mix spin components, all components of a sphere are coupled alike. There the spheres are ordered,
+    which takes a fifth of the time.
+
     Letters: D dimensions.
     """
+    if place is None and own is None and system.whole is not None and not system.whole.along_axes(system.numbers):
+        return _by_spheres(system, system.whole)
     own, place = own or slice(0, system.unknowns), system.place if place is None else place
     assert place is not None
     first, second = (end - own.start for end in system.terms()[:2])
@@ -251,3 +257,16 @@ def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: 
     graph = coupled(np.arange(own.stop - own.start), first[inside], second[inside])
     parts = dissected(graph, place[:, own], OWN_LEAF_UNKNOWNS) if graph.shape[0] else []
     return np.concatenate([np.zeros(0, dtype=np.int64), *(part.nodes for part in parts)])
+
+
+def _by_spheres(system: ContactSystem, network: Network) -> np.ndarray:
+    """Return the order in which the unknowns of a system are eliminated, those of a sphere one after the other, by
+    nested dissection of the graph of its spheres.
+
+    system : the contacts.
+    network : the spheres, and all their contacts.
+    """
+    parts = network.order(system.numbers, np.any(system.moved >= 0, axis=1))
+    place = np.empty(network.spheres, dtype=np.int64)
+    place[np.concatenate([spheres for spheres, _ in parts])] = np.arange(network.spheres)
+    return np.argsort(place[system.sphere], kind="stable")

@@ -48,7 +48,6 @@ more digits. Nothing about it has to be proven, since the proof starts from what
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -62,17 +61,15 @@ from taichi_bearings.proof.enclosure import UP, Enclosure, length
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import ROUNDED_NORMAL, moments
-from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
+from taichi_bearings.proof.rounded_elimination import EPS, Samples
 from taichi_bearings.proof.springs import floor_by_contact, numbered, slip_rows
 
 # A contact is put into S if its slip exceeds this share of the fastest imposed component: any choice is safe, since a
 # wrong one only makes the proof fail.
 MOVING = 1e-10
 TINY = 1e-290  # added to bounds that might underflow
-# The four numbers below belong to Newton's method, of which nothing has to be proven.
-FIRM = 1e4  # factor of the rows of T over those of a contact with the median slip, to precondition conjugate gradients
-SOFT = -1e-9  # minus what is added to eigenvalues of the rows of T: above rounding, below those of motions that slip
-MOST_GRADIENTS, CLOSE = 40, 1e-6  # most steps of conjugate gradients; they end at this share of the first residual
+# The numbers below belong to Newton's method, of which nothing has to be proven.
+FIRM, STIFFER, NEARBY = 1e4, 1e4, 3  # how stiff the springs at resting contacts are, see `_stiffness_of_springs`
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -246,16 +243,16 @@ class Centre:
         """The sample, one of R, to which each of the n unknown spin components belongs."""
         return self.network.samples_of(np.nonzero(self.number >= 0)[0])
 
-    def curvature(self, firmness: float = 1.0) -> Form | None:
+    def curvature(self, stiffness: np.ndarray | None = None) -> Form | None:
         """Return the curvature of the potential at these spins, as a quadratic form |B x|^2 of the changes x of the n
         unknowns, with fictitious springs at resting contacts; None if some unknown changes no slip.
 
-        firmness : factor of the rows of resting contacts, see below.
+        stiffness : (T,), of these springs, force over slip speed; None for mu F_n / median |y|.
 
         The rows of B are, for a contact with slip y,
         * if it slips and has friction, one: the change of the slip across y, times (mu F_n / |y|)^1/2,
         * if it slips and has damping, three: the components of the change of the slip, times eta^1/2,
-        * if it rests, three: the components of its slip, times `firmness` (mu F_n / median |y|)^1/2. These are 0 for
+        * if it rests, three: the components of its slip, times the root of the stiffness of its spring. These are 0 for
           motions in which it rests, so they do not change the curvature there, and let an elimination work in all
           unknowns.
         """
@@ -267,7 +264,9 @@ class Centre:
         across /= np.linalg.norm(across, axis=1)[:, None]  # unit vectors across the slip and the normal
         sizes = self.size.value[some]
         root = np.sqrt(strength[turning] / sizes)
-        firm = firmness * np.sqrt(strength[resting] / (np.median(sizes) if len(some) else 1.0))
+        if stiffness is None:
+            stiffness = strength[resting] / (np.median(sizes) if len(some) else 1.0)
+        firm = np.sqrt(stiffness)
         # Weights by which the rows of K (columns of this matrix) are combined to the rows of B.
         at = np.concatenate([self.rows_of(turning), self.rows_of(flowing), self.rows_of(resting)])
         further = 3 * (len(flowing) + len(resting))  # number of rows after those of friction
@@ -287,54 +286,47 @@ class Centre:
 
     def improved(self) -> Centre:
         """Return spins closer to the minimum among those spins at which the resting contacts do not slip, and the
-        friction that these contacts have to bear then: by Newton's method. It makes steps while each of them more than
-        halves the norm of the leftover torques. Nothing about the result is proven."""
-        curvature, there = self.curvature(FIRM), self.number >= 0
-        # The slips of resting contacts are fixed @ spins. A motion is split into one in which these are 0 and another
-        # one, by the factorised matrix fixed^T fixed.
-        fixed = sparse.csr_array(self.rows[self.rows_of(self.resting)])
-        factor = Elimination.of((fixed.T @ fixed).tocsc(), self.place, self.parts).factorised(SOFT)
-        soft = None if curvature is None else curvature.elimination.factorised()
-        if curvature is None or factor is None or soft is None:
+        friction that these contacts have to bear then. Nothing about the result is proven.
+
+        These are steps of Newton's method with stiff springs at the resting contacts (an augmented Lagrangian). Each
+        step solves once, with one factorised matrix: the curvature at slipping contacts, and the springs. What a spring
+        bears after a step is added to the friction of its contact. So slips of resting contacts, and torques, become
+        smaller in each step by the ratio of the stiffness of slipping contacts to that of springs. Steps are made while
+        each of them more than halves the norm of the leftover torques."""
+        stiffness = self._stiffness_of_springs()
+        curvature = self.curvature(stiffness)
+        factor = None if curvature is None else curvature.elimination.factorised()
+        if curvature is None or factor is None:
             return self
-        moving = curvature.rows[: curvature.rows.shape[0] - 3 * len(self.resting)]  # those of slipping contacts
-
-        def borne(torque: np.ndarray) -> np.ndarray:
-            """Return x (n,) such that friction `fixed @ x` on the resting contacts exerts the torque `torque` (n,), or
-            as much of it as resting contacts can exert. `fixed` is the matrix that gives their slips from spins. The
-            residual is solved for once more, against rounding."""
-            found = factor.solve(torque)
-            result: np.ndarray = found + factor.solve(torque - fixed.T @ (fixed @ found))
-            return result
-
-        def allowed(spins: np.ndarray, solve: Callable[[np.ndarray], np.ndarray] = factor.solve) -> np.ndarray:
-            """Return the part of a vector (n,) that is left once its part which makes resting contacts slip is taken
-            away. The vector holds changes of the n unknown spins, or torques on them.
-
-            solve : what solves for that, to a few digits; or `borne`, to nearly all."""
-            result: np.ndarray = spins - solve(fixed.T @ (fixed @ spins))
-            return result
-
-        def bends(spins: np.ndarray) -> np.ndarray:
-            """Return by how much the torques (n,) of slipping contacts change, to first order, when the n unknown spins
-            change by `spins` (n,)."""
-            result: np.ndarray = (moving.T @ (moving @ (spins / curvature.scale))) / curvature.scale
-            return result
-
+        there, rest = self.number >= 0, slice(curvature.rows.shape[0] - 3 * len(self.resting), None)
+        fixed, root = curvature.rows[rest], np.tile(np.sqrt(stiffness), 3)
         best, least, found = self, np.inf, self
         while True:
-            # One step: first take away slips of resting contacts. Then solve for the motion that leaves them at rest
-            # and removes the torques of slipping contacts, and let resting contacts bear what is left.
-            torque = np.stack([part.value for part in found.torques], axis=1)[there]
-            if not (left := float(np.linalg.norm(curvature.scale * torque))) < least / 2:
+            torque = curvature.scale * np.stack([part.value for part in found.torques], axis=1)[there]
+            if not (left := float(np.linalg.norm(torque))) < least / 2:
                 return best
             best, least = found, left
-            slip = np.stack([part.value[self.resting] for part in best.slips]).ravel()
-            step = -borne(fixed.T @ slip)
-            further = _conjugate_gradients(lambda x: allowed(bends(x)), allowed(torque + bends(step), borne),
-                            lambda x: allowed(curvature.scale * soft.solve(curvature.scale * x)))  # fmt: skip
-            step -= allowed(further, borne)
-            found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
+            stretch = root * np.concatenate([part.value[self.resting] for part in best.slips])
+            step = -factor.solve(torque + fixed.T @ stretch)
+            borne = root * (stretch + fixed @ step)
+            found = best.moved(curvature.scale * step, -borne.reshape(3, -1))
+
+    def _stiffness_of_springs(self) -> np.ndarray:
+        """Return how stiff the springs at resting contacts are in `improved`, (T,), force over slip speed: at least
+        FIRM times the median stiffness mu F_n / |y| of slipping contacts, and STIFFER times the stiffness of each of
+        those that are at most NEARBY contacts away through free spheres."""
+        own = np.zeros(len(self.network.counts))
+        own[self.slipping] = self.damping.value
+        own[self.slipping[self.with_friction]] += (self.strength.value / self.size.value)[self.with_friction]
+        median = float(np.median(own[self.slipping])) if len(self.slipping) else 1.0
+        for _ in range(NEARBY):
+            stiffest = np.zeros(len(self.network.free))
+            for end in self.network.graph.contact:
+                np.maximum.at(stiffest, end, own)
+            stiffest[~self.network.free] = 0.0
+            own = np.maximum(own, stiffest[self.network.graph.contact].max(axis=0))
+        found: np.ndarray = np.maximum(FIRM * median, STIFFER * own[self.resting])
+        return found
 
     def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Centre:
         """Return a copy with other spins and friction, after one step of Newton's method.
@@ -560,25 +552,3 @@ class Centre:
 def _without_error(values: Enclosure) -> Enclosure:
     """Return the enclosures with their error bounds dropped: sums of two doubles that are taken as exact numbers."""
     return Enclosure.exact(values.high, values.low)
-
-
-def _conjugate_gradients(
-    operator: Callable[[np.ndarray], np.ndarray], right: np.ndarray, precondition: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray:
-    """Return an approximate solution x (n,) of operator(x) = right, by preconditioned conjugate gradients. Nothing is
-    proven about it.
-
-    operator : linear function that maps (n,) to (n,), symmetric, and positive on the vectors that occur.
-    right : (n,), the right-hand side.
-    precondition : function that maps (n,) to (n,), roughly the inverse of the operator.
-    """
-    x, left, last, along = np.zeros_like(right), right, np.inf, np.zeros_like(right)
-    for _ in range(MOST_GRADIENTS):
-        if not np.linalg.norm(left) > CLOSE * np.linalg.norm(right):
-            break
-        guessed = precondition(left)
-        along, last = guessed + (left @ guessed) / last * along, left @ guessed
-        changed = operator(along)
-        share = last / (along @ changed)
-        x, left = x + share * along, left - share * changed
-    return x

@@ -317,7 +317,8 @@ class Grid(Listed):
         driven : (q,), indices of the driven spheres."""
         top = np.zeros(self.spheres, dtype=np.intp)
         self.on_spheres(top)[..., -1] = 1
-        return top[driven]
+        found: np.ndarray = top[driven]
+        return found
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
         """Return the mask (m,) of the contacts without any slip: the signed spins of both spheres (spin times the sign

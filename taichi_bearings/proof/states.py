@@ -356,8 +356,10 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
     rests : (m,) mask of the contacts that are taken to rest.
     """
     motion = _in_domains(network, rests)
-    near = motion if isinstance(motion, str) else _near(motion, Slipping.of(motion))
-    return near if isinstance(motion, str) or isinstance(near, str) else _as_stored(motion)
+    if isinstance(motion, str):
+        return motion
+    near = _near(motion, Slipping.of(motion))
+    return near if isinstance(near, str) else _as_stored(motion)
 
 
 def _in_domains(network: JudgedNetwork, rests: np.ndarray) -> Motion | str:

@@ -522,7 +522,8 @@ def _numbered(motion: Motion, k: int) -> np.ndarray:
     found[label[driven]] = group
     others = np.unique(label[found[label] < 0])
     found[others] = group.max() + 1 + np.arange(len(others))
-    return found[label]
+    of_spheres: np.ndarray = found[label]
+    return of_spheres
 
 
 def _spheres_to_hold(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | None:

@@ -251,7 +251,7 @@ def _clear(middle: np.ndarray, vector: np.ndarray, reach: np.ndarray) -> np.ndar
     out.
     """
     squares = (middle**2).sum(axis=1)[:, None] + (vector**2).sum(axis=1) - 2 * (middle @ vector.T)
-    found = (squares > reach**2 * (1 - ROUGHLY)).all(axis=1)
+    found: np.ndarray = (squares > reach**2 * (1 - ROUGHLY)).all(axis=1)
     some = np.flatnonzero(found)
     exact = ((middle[some, None] - vector) ** 2).sum(axis=2)
     found[some] = (exact >= reach**2).all(axis=1)
