@@ -32,7 +32,7 @@ CLAIMED_OVERLAP = 1e-12  # overlap that may be rounding, relative to the sum of 
 # How spheres nearby are found, on which no result depends: cells longer by this factor than a sphere reaches; share of
 # a squared distance that covers any rounding.
 CELL_SPARE, ROUGHLY = 1.01, 1e-9
-MOST_TOGETHER = 200  # with no more spheres, all are compared with a place by arrays
+MOST_COMPARED = 200  # with no more spheres, all are compared with a place by arrays
 
 Pocket = tuple[float, int, np.ndarray, tuple[int, ...], int]
 """A pocket: its height, its number, its place (D,), the numbers of the spheres that form it, and how many spheres stood
@@ -115,7 +115,7 @@ class _Heap:
         `since` on.
         """
         others: slice | np.ndarray = slice(since, self.count)
-        if self.count - since > MOST_TOGETHER:
+        if self.count - since > MOST_COMPARED:
             if self._clearly_overlaps(place, size, since):
                 return False
             others = self.near(place, 1)
