@@ -1,6 +1,7 @@
 """A mistyped word of any kind is refused with the one that was likely meant."""
 
 import doctest
+from pathlib import Path
 
 import pytest
 from taichi_bearings_cli.main import COMMANDS
@@ -124,3 +125,8 @@ def test_nothing_is_suggested_where_nothing_is_near():
     assert words.meant("zzz", METHODS) == ""
     assert words.meant("", METHODS) == ""
     assert words.meant(3.5, METHODS) == ""
+
+
+def test_the_page_of_methods_has_a_row_for_each():
+    page = (Path(__file__).parents[1] / "docs" / "methods.md").read_text(encoding="utf-8")
+    assert [name for name in METHODS if f"\n| `{name}` |" not in page] == []

@@ -38,9 +38,7 @@ def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     solution : the answer to all samples of a lattice or a packing.
     settings : settings of the run.
     """
-    of_packings = (_without_power, _too_wide, _not_proven, _contacts_found_and_idle, _tied)
-    is_lattice = solution.scene.network.lattice is not None
-    of_kind = (_torque_between, *(CAVEATS if is_lattice else of_packings))
+    of_kind = CAVEATS if solution.scene.network.lattice is not None else CAVEATS_OF_PACKINGS
     return [sentence for of in of_kind for sentence in of(solution, settings)]
 
 
@@ -112,16 +110,14 @@ def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
         yield f"the least power is 0{_in_samples(still)}: the spins can be such that no contact slips"
 
 
-def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence if the method stalled with a gap of a packing above the tolerance: either power and slips are so
-    small that they may be rounding alone, or the method got no closer.
+def _packing_unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Yield a sentence if a run of a packing ended early. Where the method stalled, power and slips may be so small
+    that they are rounding alone; otherwise the sentence is that of `_unfinished`.
 
     solution : the answer for the packing, with all samples.
-    settings : settings of the run, with the tolerance.
+    settings : settings of the run, with the tolerance and the duration that were asked for.
     """
-    short = ~(solution.gap <= settings.tolerance)
-    if not short.any() or solution.status is not Status.STALLED:
-        return
+    short = ~(solution.gap <= settings.tolerance) & (solution.status is Status.STALLED)
     fastest = float(np.abs(solution.scene.driven_speed).max(initial=0.0))
     slip = np.where(solution.state == ContactState.DRIVEN, 0.0, solution.slip).max(axis=1, initial=0.0)
     if (faint := short & (slip <= ROUNDED_SLIP * fastest)).any():
@@ -131,9 +127,7 @@ def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
             "no state without slip is proven to exist for normals and spins as they are stored"
         )
     else:
-        worst = float(np.max(np.where(np.isfinite(solution.gap), solution.gap, np.inf)))
-        words = f"{UNFINISHED[Status.STALLED]} with a proven gap of {worst:.1e}{_in_samples(short)}"
-        yield f"{words}; the tolerance is {settings.tolerance:g}"
+        yield from _unfinished(solution, settings)
 
 
 def _in_samples(which: np.ndarray) -> str:
@@ -183,7 +177,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence if a run ended early: why, and what it had reached, which is the proven gap of a minimisation,
     or the simulated time of a dynamics and the torques that were left over if its motion was not at rest.
 
-    solution : the answer to all samples of a lattice.
+    solution : the answer to all samples.
     settings : settings of the run, with the tolerance and the duration that were asked for.
     """
     reason, history = UNFINISHED.get(solution.status), solution.history
@@ -308,6 +302,10 @@ def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _law_of_ones_own, _powerless, _unfinished, _undecided, _mingled, _tied, _step, _springs,
+    _torque_between, _law_of_ones_own, _powerless, _unfinished, _undecided, _mingled, _tied, _step, _springs,
 )  # fmt: skip
 """The warnings about answers on lattices, in their order."""
+CAVEATS_OF_PACKINGS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
+    _torque_between, _without_power, _packing_unfinished, _not_proven, _contacts_found_and_idle, _tied,
+)  # fmt: skip
+"""The warnings about answers on packings, in their order."""

@@ -190,12 +190,21 @@ Row = TypeVar("Row", bound=type[MethodOptions])
 
 
 def register(row: Row) -> Row:
-    """Add a method to the table and return it, as a decorator does; raise InputError if its name is taken.
+    """Add a method to the table and return it, as a decorator does; raise InputError if its name is taken, or if
+    another method has an option of the same name with values of another kind.
 
     row : class with the options of the method.
     """
     if row.name in METHODS or row.name == "auto":
         raise InputError(f"method is {row.name!r}, but a method of that name exists already; choose another name")
+    for other in METHODS.values():
+        theirs = options_of(other)
+        for key, item in options_of(row).items():
+            if key in theirs and item.kind.allowed != theirs[key].kind.allowed:
+                raise InputError(
+                    f"option {key} of method {row.name!r} must be {item.kind.allowed}, but that of {other.name!r} "
+                    f"{theirs[key].kind.allowed}; choose another name for it"
+                )
     METHODS[row.name] = row
     return row
 

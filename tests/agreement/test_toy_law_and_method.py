@@ -3,12 +3,14 @@
 import json
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.options import Kind, bounded, how, real
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.scans.plan import sample_key
@@ -16,7 +18,7 @@ from taichi_bearings.scene import LAWS, Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import METHODS, LinearSolver, register
+from taichi_bearings.solvers.table import METHODS, LinearSolver, MethodOptions, register
 from tests.scenes import make_scene
 
 BEARINGS = "import tests.agreement.toy; from taichi_bearings_cli.main import main; main()"
@@ -52,9 +54,20 @@ def test_a_new_method_agrees_with_the_old_ones(toy):
         solve(make_scene((4, 3)), toy.Minimise().build(), initial_spin(make_scene((4, 3)), "zero"))
 
 
+@dataclass(frozen=True, kw_only=True)
+class HeavyBall(MethodOptions):
+    """A method whose option is called as one of gradient descent that is true or false."""
+
+    name = "heavy-ball"
+    momentum: float = how(0.9, Kind(bounded(real, 0, 1, open_low=True), "above 0 and at most 1", "NUMBER"), "Momentum.")
+
+
 def test_a_name_is_given_once_and_options_are_checked(toy):
     with pytest.raises(InputError, match="a method of that name exists already"):
         register(toy.Minimise)
+    with pytest.raises(InputError, match="option momentum of method 'heavy-ball' must be above 0 and at most 1, "):
+        register(HeavyBall)
+    assert "heavy-ball" not in METHODS
     with pytest.raises(InputError, match="corrections is '-1'; it must be a positive whole number"):
         toy.Minimise(corrections=-1)
 

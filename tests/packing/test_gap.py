@@ -172,6 +172,14 @@ def test_a_packing_in_which_nothing_is_driven_says_so(method):
     assert found.warnings == ["the least power is 0: no sphere is driven"]
 
 
+def test_a_packing_whose_solve_ended_early_says_so():
+    packing = tb.Packing.lattice("triangular", (4, 5), seed=2)
+    found = tb.solve(packing, method="gradient-descent", iterations=20)
+    assert found.gap > 1e-6
+    words = f"the limit of iterations came with a proven gap of {found.gap:.1e}; the tolerance is 1e-08"
+    assert words in found.warnings
+
+
 def test_power_that_may_be_mere_rounding_is_not_certified_and_says_why():
     """A bearing state of a bcc lattice that dilates, of rounded normals: nearly without slip, and not proven to be."""
     alike = (0.0, 0.0, 0.0, 0.2)

@@ -51,6 +51,11 @@ def check_touching(packing, length):
     assert len(packing.contact) == touch.sum()
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_spheres_of_a_lattice_touch_and_overlap_nowhere(kind):
+    check_touching(tb.Packing.lattice(kind, (3, 2, 2)[: len(KINDS[kind].size)], radius=0.7), 1e3)
+
+
 @pytest.mark.parametrize(("spheres", "dimension", "seed"), [(150, 2, 1), (160, 3, 2)])
 def test_random_packings_touch_overlap_nowhere_and_are_isostatic(spheres, dimension, seed):
     width = 10.0 if dimension == 2 else 6.0
@@ -171,6 +176,9 @@ def test_lattices_and_distributions_are_named_wherever_users_look_for_them():
         assert f'"{kind}"' in tb.Packing.lattice.__doc__, kind
         assert f"`{kind}`" in page, kind
     options, known = options_of(RunSettings)["distribution"].help, tb.Scene.random.__doc__
+    scenes = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
     for form in Distribution.forms():
         assert form in options, form
         assert f'"{form}"' in known, form
+        assert f"`{form}`" in scenes, form
+        assert f"``{form.split(':')[0]}:" in Distribution.__doc__, form

@@ -11,7 +11,7 @@ from taichi_bearings.solvers import packing_paths
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.packings import least_power
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import GradientDescent, InteriorPoint, OperatorSplitting
+from taichi_bearings.solvers.table import METHODS, GradientDescent, InteriorPoint, OperatorSplitting
 from tests.scenes import make_scene
 
 CASES = [
@@ -135,3 +135,10 @@ def test_a_checkpoint_of_another_scene_is_refused():
     arrays["best/objective"] = np.ones(2)
     with pytest.raises(FileError, match=r"`objective` of the best state has the shape \(2,\); this scene has \(1,\)"):
         stopped(make_scene((8, 7, 9), seeds=(5,)), OperatorSplitting(), stop, 2, arrays)
+
+
+def test_every_method_that_keeps_checkpoints_resumes_and_is_tried():
+    """Two places say it: the row of options, for those who ask, and the class, for the loop."""
+    for name, row in METHODS.items():
+        assert row.keeps_checkpoints == type(row().build()).resumes, name
+        assert not row.keeps_checkpoints or row.is_dynamics or row in {type(case[0]) for case in CASES}, name
