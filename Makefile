@@ -34,7 +34,8 @@ lint: $(VENV)/installed-dev
 	$(BIN)/mypy
 
 check: lint
-	$(BIN)/python -m pytest -m "not slow" --ignore tests/cli
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow" $(addprefix tests/,agreement analysis conic kernels \
+		laws numerics plots properties scene solvers test_floors.py test_names.py test_shape.py test_words.py)
 
 format: $(VENV)/installed-dev
 	$(BIN)/ruff format .
