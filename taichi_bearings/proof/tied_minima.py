@@ -391,11 +391,13 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     """Prove the states of all E contacts of one sample that may have many minima.
 
     motion : the stored spins of the sample and which contacts rest. Each component of a slip depends on one component
-        of the spins, of which two matter; no loop of contacts is odd.
+        of the spins; no loop of contacts is odd. Nothing is proven unless two components matter.
     contacts : those that slip.
 
     Returns None if nothing is proven. Else the states (E,), SLIPLESS, SLIPPING (at every minimum), TIED (at some), or
     UNDECIDED; and True if there is only one minimum, False if there are more, None if that is not known."""
+    if len(motion.network.needed) != 2:  # three, where spheres are driven inside a packing
+        return None
     saturated, coefficient = Saturated.of(motion), motion.network.exact_limits
     if saturated is None or coefficient is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None

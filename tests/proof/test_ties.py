@@ -101,6 +101,17 @@ def test_packings_on_a_cubic_lattice_have_the_ties_of_an_oracle(seed):
     assert (found.state == TIED).sum() == {3: 0, 124: 4}[seed]
 
 
+def test_nothing_is_said_of_ties_where_three_components_of_the_spins_matter():
+    """A sphere inside is driven about the axis across the planes, so that contacts slip along all three components."""
+    given = tb.Packing.lattice("cubic", (2, 3, 4), seed=0, distribution="constant:0.5").arrays()
+    driven, spin = given["driven"].copy(), given["spin"].copy()
+    inside = int(np.flatnonzero(driven < 0)[3])
+    driven[inside], spin[inside] = 2, (0.0, 0.0, 1.0)
+    found = tb.solve(tb.Packing(**given | {"driven": driven, "spin": spin}))
+    assert found.status == "certified"
+    assert not (found.state[found.proven] == TIED).any()
+
+
 def test_friction_that_differs_in_its_last_digit_ties_nothing():
     solution = minimum((3, 3, 4), 124)
     samples, tied = samples_of(solution), solution.scene.lattice.by_axis(solution.state[0] == TIED)
