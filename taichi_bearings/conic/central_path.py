@@ -23,10 +23,15 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
-MOST_CORRECTORS = 3  # most of Gondzio's correctors; each costs a solve and saves part of a factorisation
+# most of Gondzio's correctors; each costs a solve and saves part of a factorisation. The second number is for matrices
+# whose factorisation takes ten solves or more
+MOST_CORRECTORS = (3, 6)
 # The next three and PRODUCT_SPREAD are usual values of such methods; they change the number of steps, not the result.
 FULL_STEP = 0.9  # step length beyond which no further corrector is tried
-LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
+# gain in step length below which a corrector is dropped and none is tried after it; again for both kinds of matrices
+LEAST_GAIN = (0.02, 0.01)
+# where a factorisation takes long, a corrector is taken by that of these shares with which the step goes furthest
+SHARES = (0.25, 0.5, 0.75)
 STEP_SHARE = 0.95  # share of the way to the boundary of the cones that a step goes
 TINY = np.finfo(np.float64).tiny
 # stiffness along a slip, times the slip squared (or over the stiffness across), that keeps matrices regular; it slows
@@ -276,19 +281,7 @@ class Path:
         target = self._target(step)
         # Mehrotra's corrector: the product that the predictor makes credible, and its second-order terms.
         rows.run(kernels.correct, (0, 1), target)
-        # Gondzio's correctors, sample by sample, as long as each makes the step longer.
-        step, rejected = self._solved(1), np.zeros_like(going)
-        for _ in range(MOST_CORRECTORS):
-            going &= ~(step.shorter > FULL_STEP)
-            if not going.any():
-                break
-            further = self._recentred(step, target, going, rejected)
-            rejected = going & (further.reach < step.reach + LEAST_GAIN)
-            step = further.but(rejected, step) if rejected.any() else further
-            going &= ~rejected
-        # Of rejected samples the better step is in the rows of the other one of the two steps in memory.
-        for sample in np.flatnonzero(rejected).tolist():
-            rows.copy_step(1 - step.slot, step.slot, sample)
+        step = self._with_correctors(self._furthest(step, self._solved(1)), target, going)
         # Refine the last solve, and go STEP_SHARE of the way to the boundary.
         step = self._refined(step)
         along, dual_along = step.within(STEP_SHARE)
@@ -297,6 +290,49 @@ class Path:
         self._spins_before, self._spins = self._spins, self._spins + along * step.spins
         result: np.ndarray = taken
         return result
+
+    def _with_correctors(self, step: _Step, target: np.ndarray, going: np.ndarray) -> _Step:
+        """Return the step of all samples after Gondzio's correctors, sample by sample, as long as each makes the step
+        longer.
+
+        step : the step of S samples before.
+        target : (S,), product of slip bound and friction margin to aim at.
+        going : (S,) mask of the samples to correct.
+        """
+        rejected, kind = np.zeros_like(going), int(self._matrix.is_costly)
+        for _ in range(MOST_CORRECTORS[kind]):
+            going = going & ~(step.shorter > FULL_STEP)
+            if not going.any():
+                break
+            further = self._furthest(step, self._recentred(step, target, going, rejected))
+            rejected = going & (further.reach < step.reach + LEAST_GAIN[kind])
+            step = further.but(rejected, step) if rejected.any() else further
+            going = going & ~rejected
+        # Of rejected samples the better step is in the rows of the other one of the two steps in memory.
+        for sample in np.flatnonzero(rejected).tolist():
+            self._rows.copy_step(1 - step.slot, step.slot, sample)
+        return step
+
+    def _furthest(self, step: _Step, further: _Step) -> _Step:
+        """Return the step that goes furthest among those between two steps: step + share * (further - step), for a few
+        shares (Colombo & Gondzio, Comput. Optim. Appl. 41, 2008). It stands in memory in place of `further`. Where a
+        factorisation takes so little that this does not pay, return `further`.
+
+        step, further : two steps from one point that stand in the two places in memory. All steps between them leave
+            the torques balanced, too.
+        """
+        best, taken = further, 1.0
+        for share in SHARES if self._matrix.is_costly else ():
+            lengths = self._rows.run(kernels.between_steps, (step.slot, further.slot), share)[: kernels.LEAST_FOUND]
+            found = further.found.copy()
+            found[: kernels.LEAST_FOUND] = lengths.min(axis=0) if self._together else lengths
+            trial = replace(further, found=found)
+            if trial.reach[0] > best.reach[0]:
+                best, taken = trial, share
+        if taken < 1:
+            self._rows.mix(step.slot, further.slot, taken)
+            best = replace(best, spins=step.spins + taken * (further.spins - step.spins))
+        return best
 
     def _target(self, step: _Step) -> np.ndarray:
         """Return the product friction * bound - slip . force (S,) that the next step of each of S samples aims at.

@@ -85,6 +85,11 @@ class NewtonMatrix:
         self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
         self._kept = dict[int, ContactRows]()  # by number of samples side by side, the memory of their Newton steps
 
+    @property
+    def is_costly(self) -> bool:
+        """True if a factorisation takes as long as ten solutions or more, as those of large lattices do."""
+        return self._choleskys[0].engine is Engine.CALLS
+
     def compile(self, samples: int = 1) -> None:
         """Compile the kernels for factorising one sample, here and in smaller systems, or those for several side by
         side, so that the measured time of a run does not include it.

@@ -186,6 +186,22 @@ class ContactRows:
         for row in (kernels.PULL + 1, kernels.CHANGE + 1, kernels.DUAL_STEP + 1):
             end[row, self._second :] = begin[row, self._second :]
 
+    def mix(self, slot: int, to: int, share: float) -> None:
+        """Replace the Newton step of all samples in one of the two places in memory by one between both: step + share *
+        (other - step).
+
+        slot : 0 or 1, the place of `step`, which stays.
+        to : the place of `other`, which is overwritten.
+        share : from 0 to 1.
+        """
+        step, other = (
+            self.values[kernels.STATE_ROWS + n * kernels.STEP_ROWS :][: kernels.STEP_ROWS] for n in (slot, to)
+        )
+        for begin, end in zip(step, other, strict=True):  # row by row, which takes less memory
+            end -= begin
+            end *= share
+            end += begin
+
     def add(self, row: int, other: int, to: int) -> None:
         """Add two vectors on each contact, and write the sums. The two components of a vector stand in two rows of
         memory, one after the other; a row has one number of every contact and sample.
@@ -242,7 +258,8 @@ def compile_passes(samples: int = 1) -> None:
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
     spins = aligned_zeros(samples, kernels.BLOCK).reshape(1, samples)
     rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), spins)
-    for kernel in (kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take):
+    passes = kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take
+    for kernel in passes if samples > 1 else (*passes, kernels.between_steps):
         rows.run(kernel)
     rows.torques(kernels.FORCE)
 

@@ -195,6 +195,30 @@ def step_to_boundary(head, tail: ti.template(), head_step, tail_step: ti.templat
 
 
 @ti.func
+def reaches(values: ti.template(), at: ti.template(), bound_step, change: ti.template(), dual_step: ti.template(), m):
+    """Return for one contact a list of two numbers: the largest factors of a step that keep its primal point (bound of
+    the slip, slip) and its dual point (friction limit, dual) in their cones. For a contact in no cone (its number in
+    row INVERSE is 0) the slip may change by half, and the dual step has no end (ENDLESS_STEP).
+
+    values : numbers of all contacts, flat, row by row; a row has one number of each contact.
+    at : for each row of the iterate the index in `values` of the number that the block's first contact has there.
+    bound_step : step of the bound of the slip.
+    change : step of the slip, a list with one number for each slipping component, 1 or 2.
+    dual_step : step of the dual, which is minus the force, such a list.
+    m : number of the contact within its block, 0 to BLOCK - 1."""
+    smooth = values[at[INVERSE] + m] == 0.0
+    friction, bound = values[at[FRICTION_ROW] + m], values[at[BOUND] + m]
+    slip = vector(values, at, SLIP, change, m)
+    dual = vector(values, at, DUAL, change, m)
+    # a law is far from linear once a slip changes by as much as itself
+    moved, never = size(change), ti.cast(ENDLESS_STEP, ti.f64)
+    half = ti.select(moved > 0.0, 0.5 * size(slip) / moved, never)
+    along = ti.select(smooth, half, step_to_boundary(bound, slip, bound_step, change))
+    dual_along = ti.select(smooth, never, step_to_boundary(friction, dual, ti.cast(0.0, ti.f64), dual_step))
+    return [along, dual_along]
+
+
+@ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     """Return for one contact a list of what all Newton steps from an iterate share, and of the aim of the first step.
 
@@ -301,11 +325,7 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     dual_step = [pull[k] - resisted[k] - dual[k] for k in axes]
     off = dot(vector(values, state, OFF, like, m), change)
     bound_step = (values[step[RIGHT_HEAD] + m] - off) * inverse
-    # a law is far from linear once a slip changes by as much as itself
-    moved, never = size(change), ti.cast(ENDLESS_STEP, ti.f64)
-    half = ti.select(moved > 0.0, 0.5 * size(slip) / moved, never)
-    along = ti.select(smooth, half, step_to_boundary(bound, slip, bound_step, change))
-    dual_along = ti.select(smooth, never, step_to_boundary(friction, dual, ti.cast(0.0, ti.f64), dual_step))
+    along, dual_along = reaches(values, state, bound_step, change, dual_step, m)
     # PRODUCT, its derivatives by the primal and by the dual length, and the mixed one
     products = [
         friction * bound + dot(slip, dual),
@@ -315,6 +335,30 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     ]
     counted = [ti.select(smooth, 0.0, x) for x in ti.static([bound_step] + products)]
     return [counted[0]] + dual_step + [along, dual_along] + counted[1:]
+
+
+@ti.func
+def between(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
+    """Return for one contact, as a list of two numbers, how far a step between two steps may go: the largest factors of
+    it that keep the contact's primal and dual points in their cones (see `reaches`). The step is read + share *
+    (written - read).
+
+    values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
+    at : four lists. at[0] has, for each row of the iterate, the index in `values` of the number of the block's first
+        contact; so have at[1] for the rows of the step that is read, and at[3] for those of the step that is written,
+        which is only read here. at[2] has one entry for each slipping component, 1 or 2.
+    numbers : numbers[m] is the share.
+    m : number of the contact within its block, 0 to BLOCK - 1."""
+    state, step, like, other = at[0], at[1], at[2], at[3]
+    axes = ti.static(range(len(like)))
+    share = numbers[m]
+    change, dual_step = vector(values, step, CHANGE, like, m), vector(values, step, DUAL_STEP, like, m)
+    to, dual_to = vector(values, other, CHANGE, like, m), vector(values, other, DUAL_STEP, like, m)
+    bound_step = values[step[BOUND_STEP] + m]
+    bound_mixed = bound_step + share * (values[other[BOUND_STEP] + m] - bound_step)
+    mixed = [change[k] + share * (to[k] - change[k]) for k in axes]
+    dual_mixed = [dual_step[k] + share * (dual_to[k] - dual_step[k]) for k in axes]
+    return reaches(values, state, bound_mixed, mixed, dual_mixed, m)
 
 
 @ti.func
@@ -585,10 +629,11 @@ prepare = _kernels_over_contacts(prepared, MADE, AIM)
 expand = _kernels_over_contacts(
     expanded, step=EXTENT, finds=(REACH, DUAL_REACH, PRODUCT, BY_REACH, BY_DUAL_REACH, BY_BOTH)
 )
+between_steps = _kernels_over_contacts(between, finds=(REACH, DUAL_REACH))
 correct = _kernels_over_contacts(corrected, step=AIM)
 recentre = _kernels_over_contacts(recentred, step=AIM)
 take = _kernels_over_contacts(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
-FINDING = (expand, take)  # the passes that find sums or least numbers over the contacts
+FINDING = (expand, between_steps, take)  # the passes that find sums or least numbers over the contacts
 
 
 @ti.func

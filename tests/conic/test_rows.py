@@ -144,6 +144,29 @@ def test_the_contact_that_is_first_on_its_cone_ends_the_step(contacts):
         assert min(found[kernels.DUAL_REACH], 1e20) == pytest.approx(min(dual_reach, 1e20), rel=1e-6)
 
 
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_a_step_between_two_steps_goes_as_far_as_is_said(contacts, share):
+    (change, bound_step, dual_step), _ = contacts.expand(0)
+    contacts.run(kernels.correct, (0, 1), 0.03)
+    contacts.spins = np.random.default_rng(6).standard_normal(contacts.spins.shape)
+    (to, bound_to, dual_to), _ = contacts.expand(1)
+    found, cones = contacts.run(kernels.between_steps, (0, 1), share), ~contacts.smooth
+    change, bound_step, dual_step = (
+        step + share * (other - step) for step, other in ((change, to), (bound_step, bound_to), (dual_step, dual_to))
+    )
+    point = contacts.bound[cones], contacts.slip[:, cones]
+    half = 0.5 * length(contacts.slip) / length(change)
+    reach = longest_step(point, (bound_step[cones], change[:, cones])), *half[~cones]
+    dual_point = contacts.friction[cones], contacts.dual[:, cones]
+    dual_reach = longest_step(dual_point, (np.zeros(cones.sum()), dual_step[:, cones]))
+    assert min(found[kernels.REACH], 1e20) == pytest.approx(min(*reach, 1e20), rel=1e-6)
+    assert min(found[kernels.DUAL_REACH], 1e20) == pytest.approx(min(dual_reach, 1e20), rel=1e-6)
+    # in memory it takes the place of the second step
+    contacts.rows.mix(0, 1, share)
+    for row, expected in ((kernels.CHANGE, change), (kernels.BOUND_STEP, bound_step), (kernels.DUAL_STEP, dual_step)):
+        assert contacts.step(1, row, row != kernels.BOUND_STEP) == pytest.approx(expected, rel=1e-12, abs=1e-300)
+
+
 def test_corrector_and_recentring_are_those_of_the_cones(contacts):
     (db, dz, dy), scaling = (contacts.expand(0)[0][n] for n in (1, 0, 2)), contacts.scaling
 
