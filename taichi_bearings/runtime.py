@@ -7,6 +7,7 @@ again with the same choice and refuses a different one.
 import contextlib
 import io
 import os
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -179,6 +180,25 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         walks.keep(ti, kept.parent / "walks", writes=compiled_before)
     _current, _owner, _program = wanted, os.getpid(), running_program()
     return wanted
+
+
+_computing = threading.RLock()
+
+
+@contextlib.contextmanager
+def computing_in(kind: str) -> Iterator[None]:
+    """Have kernels that are compiled inside the block compute with numbers of the type `kind`, "float32" or "float64",
+    whatever the precision of the runtime. Other threads that compile in such a block wait.
+    """
+    from taichi_bearings.compiler import ti
+
+    with _computing:
+        state, precise = _language().get_runtime(), {"float32": ti.f32, "float64": ti.f64}[kind]
+        before, state.default_fp = state.default_fp, precise
+        try:
+            yield
+        finally:
+            state.default_fp = before
 
 
 def end() -> None:

@@ -7,6 +7,7 @@ from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError
@@ -33,18 +34,18 @@ def number_type() -> np.dtype:
     return np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
 
 
-def on_device(values: np.ndarray, kind: str = "") -> Any:
+def on_device(values: np.ndarray, kind: DTypeLike = None) -> Any:
     """Copy numbers, flat, to where kernels read them: an array of NumPy on a CPU, of Taichi on a GPU.
 
-    kind : "i32" for whole numbers; if empty the precision of the runtime.
+    kind : type of the numbers there, such as np.int32; by default the precision of the runtime.
     """
     running = runtime.current()
-    flat = values.ravel().astype(kind.replace("i", "int") or number_type())
+    flat = values.ravel().astype(number_type() if kind is None else kind)
     if not running.is_gpu:
         return flat
     from taichi_bearings.compiler import ti
 
-    array = ti.ndarray(getattr(ti, kind or running.precision), flat.size)
+    array = ti.ndarray(getattr(ti, running.precision if kind is None else np.dtype(kind).name), flat.size)
     array.from_numpy(flat)
     return array
 
@@ -81,16 +82,17 @@ class Fields:
     layout, dtype : where numbers lie, and their type.
     """
 
-    def __init__(self, layout: "Layout | Lists", spec: Any) -> None:
+    def __init__(self, layout: "Layout | Lists", spec: Any, kind: DTypeLike = None) -> None:
         """Allocate the fields.
 
         layout : a `Layout` of lattices, or `Lists` of spheres and contacts.
         spec : names and components, as `layout.parts` takes them.
+        kind : type of the numbers, on a CPU alone; by default that of the precision of the runtime.
 
         Raises DeviceError if they are too many to be indexed, or do not fit.
         """
         self.layout: Any = layout  # users of strides ask it for other things than users of lists
-        self.dtype, count = number_type(), 0
+        self.dtype, count = number_type() if kind is None else np.dtype(kind), 0
         self._place: dict[str, tuple[int, int, Rows]] = {}  # first number and rows of a field, and where they lie
         for names, rows in self.layout.parts(spec):
             for name, components in names:
@@ -108,7 +110,7 @@ class Fields:
             size = count * self.dtype.itemsize
             raise DeviceError(f"arrays of {size} bytes do not fit into the memory of this device: {error}") from error
         self.blocks = one_block() if self._host is None else self._host.reshape(-1, layout.block)
-        self.tables = on_device(np.array(layout.measures), "i32")
+        self.tables = on_device(np.array(layout.measures), np.int32)
 
     @property
     def names(self) -> list[str]:

@@ -11,7 +11,7 @@ the height (all but the driven bottom and top). A *mode* is the amplitude of one
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
-from taichi_bearings.kernels.memory import VALUES, in_range, load, load_each, zero
+from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, load_each, reversed_block, store, zero
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import LEAST_CHUNK
 from taichi_bearings.lattice.layout import Layout
@@ -25,36 +25,46 @@ class BalanceKernels:
     """Kernels that solve a Poisson problem: which change of the spins cancels given torques on the spheres of a
     lattice, if all contacts are springs of the same stiffness.
 
-    A solve has three steps: transform the torques, field `pull`, by sines along the height into `modes`, the amplitude
-    of each sine; solve in each mode a chain of spheres along one side; transform back and add the result to the field
-    `potential`. Driven spheres stay as they are.
+    A solve transforms the torques, field `pull`, by sines along the height into `modes`, the amplitude of each sine;
+    solves in each mode a chain of spheres along one side; transforms back; and adds the result to the field
+    `potential`. Driven spheres stay as they are. On a GPU one kernel does all this. On a CPU the BLAS library
+    multiplies by the sines, and a kernel solves the chains. On large lattices kernels also *fold* each column of
+    spheres along the height before the products, which halves their work, and *unfold* them after it.
+
+    A column z_0, z_1, ... is folded into its half sums z_k + z_-1-k, followed by its half differences z_k - z_-1-k. A
+    sine is even or odd under reflection of the height, so that half of them act on the sums, the others on the
+    differences.
 
     The kernels share these arguments (C spin components, R samples, N the shape of the lattice, m free spheres along
     the height):
 
-    modes : (C, R, *N) numbers, flat, and a block more; scratch of the solve.
-    sines : (m, m), the matrix of the sines along the height, flat.
-    chains : (C, longest side, height + block), flat: the factors by which the elimination of a chain multiplies, for
-        each component, place along the chain, and mode. With periodic axes as many numbers follow that close chains to
-        rings. Each row is repeated at its end for the length of a block, so that a block may begin at any of its
-        places.
+    modes : (C, R, *N) numbers, flat; scratch of the solve. On a CPU each column along the height is filled up to whole
+        blocks by numbers that stay 0. Where columns are folded, those of a chain stand one after the other.
+    sines : (m, m), the matrix of the sines along the height, flat; on a GPU alone.
+    chains : (C, longest side, height), flat: the factors by which the elimination of a chain multiplies, for each
+        component, place along the chain, and mode. With periodic axes as many numbers follow that close chains to
+        rings.
     count : spheres of all samples.
     stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
     sites : spheres of one sample.
     longest : spheres of the longest chain.
     weight : relative stiffness of the springs along the chains."""
 
-    def __init__(self, spec: FieldSpec, stencil: Stencil):
+    def __init__(self, spec: FieldSpec, stencil: Stencil, folds: bool, kinds: tuple[str, str]):
         """Set the constants for which the kernels are compiled: rows of the fields `pull` and `potential`, spheres of a
         block (worked on together), and which spin components have chains that close to rings.
 
         spec : names and numbers of components of the fields, in the order of their rows (a row is one number of every
             sphere).
-        stencil : spin components, dimension and periodic axes of the lattice."""
+        stencil : spin components, dimension and periodic axes of the lattice.
+        folds : True if columns are folded, so that those of a chain stand one after the other in `modes`.
+        kinds : types of the numbers of the fields and of `modes`, such as "float64"; kernels of others are others."""
         slot = first_slots(spec)  # first row of each field by name
         self.pull, self.potential = slot["pull"], slot["potential"]
+        # row of what the rounding of `potential` leaves out, where that is stored
+        self.rest = slot.get("potential_rest", -1)
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
-        self.ahead = AHEAD if self.block == 1 else 1
+        self.ahead, self.folds, self.kinds = AHEAD if self.block == 1 else 1, folds, kinds
         # for each spin component, whether its chains close to rings
         self.closed = tuple(side in stencil.periodic for side in stencil.coupled_sides)
 
@@ -148,7 +158,7 @@ class BalanceKernels:
         values : all fields, flat; `pull` is read and `potential` changed.
         modes : (C components, R samples, *N spheres) scratch for the amplitudes of the sines, flat.
         sines : (m, m) matrix of the sines along the height of m free spheres, flat.
-        chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies.
+        chains : (C, longest, height), flat: factors by which the elimination of the chains multiplies.
         row : length of a row of the fields, which has one number of every sphere.
         margin : numbers of a row before the first sphere.
         count : spheres of all replicas (samples solved side by side).
@@ -168,7 +178,7 @@ class BalanceKernels:
                 side, stride = self.chain(slot, stride_x, stride_y, sites)
                 if 0 <= line < count // side:
                     height = self.height(stride_x, stride_y)
-                    self.chains_of_group(modes, chains, slot, line, count, stride, side, height, longest, weight)
+                    self.chains_of_group(modes, modes, chains, slot, line, count, stride, side, height, longest, weight)
                 line -= count // side
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
             tiles, height = self.tiles(count, stride_x, stride_y), self.height(stride_x, stride_y)
@@ -201,53 +211,37 @@ class BalanceKernels:
         return total
 
     @ti.func
-    def write(self, modes: ti.template(), place, row: ti.template(), rest):
-        """Write the first `rest` numbers of a block of neighbouring chains, one number of each, to `modes`; in one go
-        if all belong to chains, which is faster.
-
-        modes : flat array, which is changed from the index `place` on.
-        row : the numbers of the block: a vector, or one number if a block is one sphere.
-        rest : how many of them belong to chains; if it is larger than the block, all do."""
-        if ti.static(self.block == 1):
-            modes[place] = row
-        elif rest >= self.block:
-            for m in ti.static(range(self.block)):
-                modes[place + m] = row[m]
-        else:
-            for m in range(rest):
-                modes[place + m] = row[m]
-
-    @ti.func
     def chains_of_group(
-        self, modes: ti.template(), chains: ti.template(), slot: ti.template(), group, count, stride, side, height,
-        longest, weight,
+        self, modes: ti.template(), blocks: ti.template(), chains: ti.template(), slot: ti.template(), group, count,
+        stride, side, height, longest, weight,
     ):  # fmt: skip
-        """Solve a block of neighbouring chains in place: as many as a block has sites, fewer at the end of a row. A
-        chain has the spheres along one side of the lattice, for one sine along the height.
+        """Solve a block of neighbouring chains in place: as many as a block has sites. A chain has the spheres along
+        one side of the lattice, for one sine along the height.
 
         A chain is solved by Gaussian elimination from its first sphere to its last, and by substitution back. The
         factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`. A ring is a chain with one more
         spring between its ends: the scalar product of the pulls with a vector z (`ring_closures` there) is summed up on
         the way, and z times this sum is subtracted on the way back.
 
-        modes : (C components, R samples, *N spheres) pulls, flat, replaced by the solutions.
-        chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies; with
-            periodic axes followed by as many numbers, the vectors z.
+        modes : (C components, R samples, *N spheres) pulls, flat, replaced by the solutions; columns fill whole blocks.
+        blocks : the same memory as vectors, one for each block.
+        chains : (C, longest, height), flat: factors by which the elimination of the chains multiplies; with periodic
+            axes followed by as many numbers, the vectors z.
         slot : number of the spin component.
         group : number of the block of chains, among those of this component in all samples.
-        count : spheres of all samples.
+        count : numbers of a component in `modes`.
         stride : distance in memory from one sphere of a chain to the next.
         side : number of spheres of a chain.
-        height : spheres along the height.
+        height : numbers of a column in `modes`.
         longest : spheres of the longest chain.
         weight : relative stiffness of the springs along the chains.
         """
         # where the block begins among the modes and in the tables of factors
-        across, pitch = (stride + self.block - 1) // self.block, height + self.block
+        across = stride // self.block
         along = group % across * self.block
         first = slot * count + group // across * stride * side + along
-        factors, rest = slot * longest * pitch + along % height, stride - along
-        closures = factors + self.components * longest * pitch
+        factors = slot * longest * height + along % height
+        closures = factors + self.components * longest * height
         # forward: each sphere gets its pull and the weighted value of the sphere before, times its factor
         ahead = ti.static(range(self.ahead))
         carried, across_ends = zero(self.block), zero(self.block)
@@ -255,33 +249,165 @@ class BalanceKernels:
             s = [ti.min(begin * self.ahead + u, side - 1) for u in ahead]
             at = [in_range(first + s[u] * stride) for u in ahead]
             read = load_each(modes, at, self.block)
-            factor = [load(chains, in_range(factors + s[u] * pitch), self.block) for u in ahead]
+            factor = [load(chains, in_range(factors + s[u] * height), self.block) for u in ahead]
             for u in ti.static(ahead):
                 carried = (read[u] + weight * carried) * factor[u]
                 if begin * self.ahead + u < side:
-                    self.write(modes, at[u], carried, rest)
+                    store(modes, blocks, at[u], self.block, carried)
                     if ti.static(self.closed[slot]):
-                        across_ends += read[u] * load(chains, in_range(closures + s[u] * pitch), self.block)
+                        across_ends += read[u] * load(chains, in_range(closures + s[u] * height), self.block)
         # back: each value and the weighted value of the sphere after it, times the factor
         carried = zero(self.block)
         for begin in range((side + self.ahead - 1) // self.ahead):
             s = [ti.max(side - 1 - begin * self.ahead - u, 0) for u in ahead]
             at = [in_range(first + s[u] * stride) for u in ahead]
             read = load_each(modes, at, self.block)
-            factor = [load(chains, in_range(factors + s[u] * pitch), self.block) for u in ahead]
+            factor = [load(chains, in_range(factors + s[u] * height), self.block) for u in ahead]
             for u in ti.static(ahead):
                 carried = read[u] + weight * factor[u] * carried
                 if begin * self.ahead + u < side:
                     new = carried
                     if ti.static(self.closed[slot]):
-                        new = carried - across_ends * load(chains, in_range(closures + s[u] * pitch), self.block)
-                    self.write(modes, at[u], new, rest)
+                        new = carried - across_ends * load(chains, in_range(closures + s[u] * height), self.block)
+                    store(modes, blocks, at[u], self.block, new)
+
+    @ti.func
+    def place_of_column(self, slot: ti.template(), column, stride_x, stride_y, sites):
+        """Return the number of a column of spheres (along the height) in the order of `modes` on a CPU, where the
+        columns of a chain stand one after the other.
+
+        slot : number of the spin component, which decides whether its chains run along x or along y.
+        column : number of the column in the order of the fields.
+        stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
+        sites : spheres of one sample."""
+        place = column
+        if ti.static(self.stencil.dimension == 3 and self.stencil.coupled_sides[slot] == 0):
+            side_x, side_y = sites // stride_x, stride_x // stride_y
+            sample, inside = column // (side_x * side_y), column % (side_x * side_y)
+            place = (sample * side_y + inside % side_y) * side_x + inside // side_y
+        return place
+
+    @ti.kernel
+    def fold(
+        self, workers: int, values: VALUES, folded: VALUES, blocks: BLOCKS, row: int, margin: int, count: int,
+        stride_x: int, stride_y: int, sites: int, sums: int, pitch: int,
+    ):  # fmt: skip
+        """Write the pulls on all spheres into `folded`, column by column: first the sums of the two spheres that are
+        equally far from bottom and top, from the driven ones to the middle, then their differences. A sphere in the
+        middle is added to itself. Numbers that fill up the last block are other ones of the column.
+
+        workers : number of threads; each takes an equal share of the columns.
+        values : all fields, flat; `pull` is read.
+        folded : (C components, R samples, columns, pitch) numbers, flat, which are written; columns stand in the order
+            of the chains.
+        blocks : the same memory as vectors, one for each block.
+        row : length of a row of the fields, which has one number of every sphere.
+        margin : numbers of a row before the first sphere.
+        count : spheres of all samples.
+        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        sites : spheres of one sample.
+        sums, pitch : numbers of a folded column that are sums, and all, both whole blocks.
+        """
+        for item in range(workers * LEAST_CHUNK):
+            if item % LEAST_CHUNK == 0:
+                worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)
+                columns = count // height
+                for slot in ti.static(range(self.components)):
+                    for column in range(columns * worker // workers, columns * (worker + 1) // workers):
+                        low = (self.pull + slot) * row + margin + column * height
+                        place = self.place_of_column(slot, column, stride_x, stride_y, sites)
+                        to = (slot * columns + place) * pitch
+                        for b in range(sums // self.block):
+                            at = b * self.block
+                            lower = load(values, in_range(low + at), self.block)
+                            upper = load(values, in_range(low + height - self.block - at), self.block)
+                            upper = reversed_block(upper, self.block)
+                            store(folded, blocks, to + at, self.block, self.rounded(lower + upper))
+                            if sums + at < pitch:
+                                store(folded, blocks, to + sums + at, self.block, self.rounded(lower - upper))
+
+    @ti.func
+    def rounded(self, numbers):
+        """Return numbers (a vector), which are computed with the precision of the fields, with that of the modes: the
+        same or single precision."""
+        if ti.static(self.kinds[0] == self.kinds[1]):
+            return numbers
+        return ti.Vector([ti.cast(numbers[m], ti.f32) for m in ti.static(range(self.block))])
+
+    @ti.kernel
+    def unfold(
+        self, workers: int, folded: VALUES, values: VALUES, blocks: BLOCKS, row: int, margin: int, count: int,
+        stride_x: int, stride_y: int, sites: int, sums: int, pitch: int,
+    ):  # fmt: skip
+        """Add the solution of the Poisson problem to the field `potential` of all spheres. It is given column by column
+        in two parts, the even one of the lower half of the column and the odd one: the solution is their sum in the
+        lower half, and their difference at the sphere as far from the top as that is from the bottom.
+
+        workers : number of threads; each takes an equal share of the columns.
+        folded : (C components, R samples, columns, pitch) numbers, flat: of each column the even part, then the odd
+            part; columns stand in the order of the chains.
+        values : all fields, flat; `potential` is changed.
+        blocks : the same memory as vectors, one for each block.
+        row : length of a row of the fields, which has one number of every sphere.
+        margin : numbers of a row before the first sphere.
+        count : spheres of all samples.
+        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        sites : spheres of one sample.
+        sums, pitch : numbers of a folded column that belong to the even part, and all, both whole blocks.
+        """
+        for item in range(workers * LEAST_CHUNK):
+            if item % LEAST_CHUNK == 0:
+                worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)
+                columns, half = count // height, height // 2
+                whole = half // self.block * self.block * (height % self.block == 0)  # in blocks that lie as in memory
+                for slot in ti.static(range(self.components)):
+                    rest = (self.rest - self.potential) * row  # from a potential to what its rounding leaves out
+                    for column in range(columns * worker // workers, columns * (worker + 1) // workers):
+                        low = (self.potential + slot) * row + margin + column * height
+                        place = self.place_of_column(slot, column, stride_x, stride_y, sites)
+                        even = (slot * columns + place) * pitch
+                        odd = even + sums
+                        for b in range(whole // self.block):
+                            at = b * self.block
+                            first = load(folded, in_range(even + at), self.block)
+                            second = load(folded, in_range(odd + at), self.block)
+                            self.add(values, blocks, in_range(low + at), rest, first + second, self.block)
+                            upper, end = reversed_block(first - second, self.block), low + height - self.block
+                            self.add(values, blocks, in_range(end - at), rest, upper, self.block)
+                        for z in range(whole, half):
+                            first_one, second_one = folded[even + z], folded[odd + z]
+                            self.add(values, values, low + z, rest, first_one + second_one, 1)
+                            self.add(values, values, low + height - 1 - z, rest, first_one - second_one, 1)
+                        if height % 2 == 1:
+                            self.add(values, values, low + half, rest, folded[even + half], 1)
+
+    @ti.func
+    def add(self, values: ti.template(), blocks: ti.template(), place, rest, change, block: ti.template()):
+        """Add numbers to the potentials of neighbouring spheres, in place; where what the rounding of a potential
+        leaves out is stored, the sum keeps it (two-sum of Knuth, then of Dekker).
+
+        values : all fields, flat.
+        blocks : the same memory as vectors, one for each block; not used if `block` is 1.
+        place : index of the first potential, a multiple of `block`.
+        rest : distance from there to what its rounding leaves out; not used where that is not stored.
+        change : the numbers, a vector; one number if `block` is 1.
+        block : how many spheres."""
+        old = load(values, place, block)
+        total = old + change
+        if ti.static(self.rest >= 0):
+            part = total - old
+            lost = (old - (total - part)) + (change - part) + load(values, in_range(place + rest), block)
+            new = total + lost
+            store(values, blocks, in_range(place + rest), block, lost - (new - total))
+            total = new
+        store(values, blocks, place, block, total)
 
     @ti.kernel
     def chains_on_cpu(
         self,
         workers: int,
         modes: VALUES,
+        blocks: BLOCKS,
         chains: VALUES,
         count: int,
         stride_x: int,
@@ -291,14 +417,18 @@ class BalanceKernels:
         weight: float,
     ):
         """Solve all chains on a CPU, in place; each worker takes an equal share of the blocks of chains. A chain has
-        the spheres in a row along one side of the lattice, for one sine along the height.
+        the spheres in a row along one side of the lattice, for one sine along the height. Where columns are folded,
+        those of a chain stand one after the other, so that all chains of a plane fit a processor's second-level cache.
 
         workers : number of threads.
-        modes : (C components, R samples, *N spheres) pulls in each mode, flat, replaced by the solutions.
-        chains : (C, longest, height + block), flat: factors by which the elimination of the chains multiplies.
-        count : spheres of all replicas (samples solved side by side).
-        sites : spheres of one replica.
-        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        modes : (C components, R samples, columns, numbers of a column) pulls in each mode, flat, replaced by the
+            solutions; a column is filled up to whole blocks.
+        blocks : the same memory as vectors, one for each block.
+        chains : (C, longest, height), flat: factors by which the elimination of the chains multiplies.
+        count : numbers of a component in `modes`.
+        sites : numbers of a component of one replica (one of the samples that are solved side by side).
+        stride_x, stride_y : distance in `modes` from a sphere to its neighbour along x and along y, if columns are not
+            folded; the second, in 2D the first, is the length of a column.
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.
         """
@@ -307,6 +437,10 @@ class BalanceKernels:
                 worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)
                 for slot in ti.static(range(self.components)):
                     side, stride = self.chain(slot, stride_x, stride_y, sites)
-                    groups = count // side // stride * ((stride + self.block - 1) // self.block)
+                    if ti.static(self.folds):
+                        stride = height
+                    groups = count // side // self.block
                     for group in range(groups * worker // workers, groups * (worker + 1) // workers):
-                        self.chains_of_group(modes, chains, slot, group, count, stride, side, height, longest, weight)
+                        self.chains_of_group(
+                            modes, blocks, chains, slot, group, count, stride, side, height, longest, weight
+                        )

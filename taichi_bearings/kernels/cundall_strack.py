@@ -15,6 +15,7 @@ from taichi_bearings.kernels.contact import length, viscous_force
 from taichi_bearings.kernels.memory import (
     in_range,
     load,
+    load_differences,
     load_each,
     load_neighbour,
     load_neighbours,
@@ -197,21 +198,6 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         self.pulling = tuple(zip(*by_component, strict=True))
 
     @ti.func
-    def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
-        """Return, for some rows, the value at the upper neighbour along an axis minus the value at the site itself: a
-        list with an entry for each row, which is a vector over the sites of a block.
-
-        values : all fields, flat.
-        rows : numbers of the rows that are read; a row has one number of every site.
-        row : length of a row.
-        first : index in a row of the first site of the block.
-        side : list with the distance in memory to the upper neighbour. On lattices with periodic axes two entries
-            follow: the length in memory of a ring along the axis, and the place of the first site in its ring.
-        """
-        up = load_neighbours(values, rows, row, first, side, 1, self.block)
-        return minus(up, load_each(values, places(rows, row, first), self.block))
-
-    @ti.func
     def predicted_difference(self, values: ti.template(), axis: ti.template(), row, first, side: ti.template()):
         """Return the difference across contacts along an axis, upper less lower sphere, of the spins that are predicted
         for the end of the next step, 1/time: a list with a vector over the sites of a block for each spin component
@@ -266,7 +252,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
             speed = self.predicted_difference(values, axis, row, first, side)
             if ti.static(self.holds):  # friction, by springs; else viscosity alone
                 elongation = places(self.elongation[axis], row, first)
-                moved = self.difference(values, self.integral[axis], row, first, side)
+                moved = load_differences(values, self.integral[axis], row, first, side, self.block)
                 before = load_each(values, elongation, self.block)
                 new = self.spring(moved, speed, before, coefficients, numbers)
                 store_each(values, blocks, elongation + force, self.block, new)
@@ -293,7 +279,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):
             force = load_each(values, places(self.force[axis], row, first), self.block)
-            speed = self.difference(values, self.spin[axis], row, first, strides[axis::3])
+            speed = load_differences(values, self.spin[axis], row, first, strides[axis::3], self.block)
             for t in ti.static(range(len(force))):
                 total += force[t] * speed[t]
         store(values, blocks, work, self.block, total)

@@ -144,6 +144,25 @@ def load_neighbours(
 
 
 @ti.func
+def load_differences(
+    values: ti.template(), rows: ti.template(), row, first, side: ti.template(), block: ti.template()
+):  # fmt: skip
+    """Return the numbers of the upper neighbours of a block of sites along an axis, less those of the sites themselves:
+    a list of vectors, one for each row.
+
+    values : the flat array.
+    rows : numbers of the rows that are read.
+    row : length of a row, which has one number of every site.
+    first : index of the first site of the block within a row.
+    side : list with the distance in memory to the upper neighbour. On lattices with periodic axes two entries follow:
+        the length in memory of a ring along the axis, and the position of `first` in its ring.
+    block : number of sites of a block.
+    """
+    up = load_neighbours(values, rows, row, first, side, 1, block)
+    return minus(up, load_each(values, places(rows, row, first), block))
+
+
+@ti.func
 def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.template(), block: ti.template()):
     """Return one number of the neighbour along an axis of each site of a block: a vector, one number if block is 1.
 
@@ -199,6 +218,17 @@ def zero(block: ti.template()):
     if ti.static(block == 1):
         return 0.0
     return ti.Vector.zero(float, block)
+
+
+@ti.func
+def reversed_block(vector, block: ti.template()):
+    """Return the numbers of a block of sites in the opposite order.
+
+    vector : the numbers of the block; one number if block is 1.
+    block : number of sites of a block."""
+    if ti.static(block == 1):
+        return vector
+    return ti.Vector([vector[block - 1 - m] for m in ti.static(range(block))])
 
 
 @ti.func

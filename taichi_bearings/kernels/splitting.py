@@ -3,7 +3,16 @@
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import clamp, length
-from taichi_bearings.kernels.memory import in_range, load, load_each, load_neighbours, minus, places, store_each, zero
+from taichi_bearings.kernels.memory import (
+    in_range,
+    load,
+    load_differences,
+    load_each,
+    load_neighbours,
+    places,
+    store_each,
+    zero,
+)
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
 
@@ -25,6 +34,8 @@ class ContactStep(Sweeps):
         cut off at the friction limit).
     potential : at each site, for each spin component, stiffness of the springs * spin, a force; so kernels need not
         know the stiffness.
+    potential_rest : what the rounding of `potential` leaves out, where that is stored: in single precision, as the
+        differences of potentials are far smaller than these.
     pull : at each site, for each spin component, the sum of the spring forces on the sphere.
 
     Its constants, `numbers`: weight (relative stiffness) of the springs sideways, weight along the height, relaxation.
@@ -32,18 +43,20 @@ class ContactStep(Sweeps):
 
     parts, numbers, looks_up = 2, 3, True
 
-    def __init__(self, spec: FieldSpec, stencil: Stencil):
+    def __init__(self, spec: FieldSpec, stencil: Stencil, kind: str):
         """Set the constants for which the kernel is compiled: in which rows of memory (a row is one number of every
         site) each field stands, by axis or by spin component.
 
         spec : names and numbers of components of the fields, in the order of their rows.
-        stencil : spin components, dimension and periodic axes of the lattice."""
+        stencil : spin components, dimension and periodic axes of the lattice.
+        kind : type of the numbers of the fields, such as "float64"; kernels of another type are others."""
         super().__init__(stencil.block, stencil.periodic)
         self.together = 1  # solving for the spins comes between two of these steps
         # slot: first row of each field by name. Then the rows that belong together: for each axis those of the spin
         # components that make its contacts slip, and those of its contact forces; `pull` has one for each component.
-        self.slot, self.stencil = first_slots(spec), stencil
-        self.potential = stencil.spin_rows(self.slot["potential"])
+        self.slot, self.stencil, self.kind = first_slots(spec), stencil, kind
+        self.potential, self.has_rest = stencil.spin_rows(self.slot["potential"]), "potential_rest" in self.slot
+        self.rest = stencil.spin_rows(self.slot.get("potential_rest", 0))
         self.trial, self.spring = stencil.force_rows(self.slot["trial"]), stencil.force_rows(self.slot["spring"])
         self.pull = tuple(self.slot["pull"] + c for c in range(stencil.components))
 
@@ -104,13 +117,17 @@ class ContactStep(Sweeps):
             `first` in its ring. strides[axis::3] is what belongs to one axis.
         numbers : relative stiffness of springs sideways and along the height, and the relaxation alpha."""
         for axis in ti.static(self.stencil.slipping_axes):
-            here = load_each(values, places(self.potential[axis], row, first), self.block)
-            up = load_neighbours(values, self.potential[axis], row, first, strides[axis::3], 1, self.block)
+            side = strides[axis::3]
+            difference = load_differences(values, self.potential[axis], row, first, side, self.block)
+            if ti.static(self.has_rest):
+                rest = load_differences(values, self.rest[axis], row, first, side, self.block)
+                for t in ti.static(range(len(rest))):
+                    difference[t] += rest[t]
             trial, spring = places(self.trial[axis], row, first), places(self.spring[axis], row, first)
             own = load(values, in_range((self.slot["friction"] + axis) * row + first), self.block)
             weight = numbers[ti.static(1 if axis == self.stencil.height else 0)]
             old = load_each(values, trial, self.block)
-            new = self.limit(minus(up, here), old, own, weight, numbers[2])
+            new = self.limit(difference, old, own, weight, numbers[2])
             store_each(values, blocks, trial + spring, self.block, new)
 
     @ti.func

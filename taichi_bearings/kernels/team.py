@@ -154,10 +154,10 @@ def made_once(kind: Callable[..., Made], *configuration: Any) -> Made:
 
 
 @lru_cache(maxsize=16)
-def _constants(numbers: tuple[float, ...]) -> Any:
+def _constants(numbers: tuple[float, ...], kind: np.dtype) -> Any:
     """Return an array on the device (the CPU or GPU on which kernels run) that holds `numbers`, the constants of a
-    kernel. The last 16 arrays are kept, and returned again for equal numbers."""
-    return on_device(np.array(numbers, dtype=np.float64))
+    kernel, as numbers of the type `kind`. The last 16 arrays are kept, and returned again for equal numbers."""
+    return on_device(np.array(numbers, dtype=np.float64), kind)
 
 
 @ti.data_oriented
@@ -220,16 +220,18 @@ class Sweeps:
         numbers : constants of the kernel, as many as `Sweeps.numbers` says.
         first : number of the first turn, for kernels in which turns differ.
         """
-        arguments = fields.values, fields.blocks, fields.tables, _constants(tuple(map(float, numbers)))
+        arguments = fields.values, fields.blocks, fields.tables, _constants(tuple(map(float, numbers)), fields.dtype)
         team.launch(self.turns, turns, *arguments, first=first, together=self.together)
 
     def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel for some fields, without making a step.
 
-        fields : arrays that the kernel will read and change; they stay as they are.
+        fields : arrays that the kernel will read and change; they stay as they are. The kernel computes with numbers of
+            their type.
         team : threads that will run it.
         """
-        self.run(fields, team, 0, (0.0,) * self.numbers)
+        with runtime.computing_in(fields.dtype.name):
+            self.run(fields, team, 0, (0.0,) * self.numbers)
 
     @ti.func
     def initial_carry(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):

@@ -7,7 +7,7 @@ of the lattice), E contacts, C carried spin components.
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from taichi_bearings.fields import Fields, FieldSpec, block_size, team_size
 from taichi_bearings.kernels.stencil import Stencil
@@ -117,13 +117,14 @@ class OnStrides(Stepped, WithMinima):
         """
         return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
 
-    def on_device(self, spec: FieldSpec) -> Fields:
+    def on_device(self, spec: FieldSpec, kind: DTypeLike = None) -> Fields:
         """Return new fields on the device, all 0.
 
         spec : names of the fields, with the numbers that each sphere has in them.
+        kind : type of the numbers, on a CPU alone; by default that of the precision of the runtime.
         """
         lattice = self.scene.lattice
-        return Fields(Layout(self.scene.replicas, lattice.shape, block_size(), lattice.periodic), spec)
+        return Fields(Layout(self.scene.replicas, lattice.shape, block_size(), lattice.periodic), spec, kind)
 
     def allocate(self, spec: Any, viscosity: np.ndarray | None) -> None:
         """Allocate the fields, and load the coefficients of the law into them.

@@ -24,24 +24,16 @@ shapes is the number of samples; in formulas it is the radius. A *look* is when 
 Spins are *staggered*: with signs by which neighbours differ, measured from the bottom plane.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
-from itertools import repeat
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.fields import Fields, FieldSpec, on_device, team_size
+from taichi_bearings.fields import number_type, team_size
 from taichi_bearings.interrupts import look_up
-from taichi_bearings.kernels.balance import BalanceKernels
 from taichi_bearings.kernels.splitting import ABSENT_FRICTION, ContactStep
-from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Team, made_once
-from taichi_bearings.lattice.laplacian import chain_eigenvalues, chain_factors, chain_modes, ring_closures
 from taichi_bearings.memory import refuse_beyond
-from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import (
     Forces,
     balance,
@@ -54,6 +46,7 @@ from taichi_bearings.scene.initial_spins import linear_spin
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.on_strides import OnStrides
 from taichi_bearings.solvers.splitting_look import Look
+from taichi_bearings.solvers.torque_balance import TorqueBalance
 
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
@@ -65,13 +58,10 @@ FIRST_CHECK, CHECKS_A_RUN = 50, 6  # looks are 50 iterations or 1/6 of the run a
 # bytes: 136 for the fields in double precision, 220 for a look, the rest for the answer and its proof
 BYTES_A_SPHERE = 1000.0
 GAP_FALLS_AS = 2.0  # the gap falls about as iteration^-2, measured from 24^3 to 48^3
+# Lattices with more spheres than the caches of a core hold begin in single precision, which halves what passes through
+# memory: iterations in which the gap falls to about 1e-4, the same as in double precision to a few per cent.
+LARGE_LATTICE, SINGLE_ITERATIONS = 60_000, 1_000
 RESOLVED_SLIP = 0.01  # of the imposed jump: faster contacts count as slipping at any stage
-
-SHARED_BY_BLAS = 32  # spheres along the height from which the BLAS library would use threads of its own
-PRODUCT_TYPE = np.float32  # precision of the products with sines on a CPU
-CACHED_NUMBERS = 65_536  # numbers that are still in the second-level cache when they are added to others
-
-Planes = list[tuple[np.ndarray, np.ndarray]]  # some planes of a field, and the same planes of its modes
 
 
 class OperatorSplittingMethod(Method):
@@ -87,14 +77,16 @@ class OperatorSplittingMethod(Method):
     friction : mu F_n of the contact above a site, by axis.
     trial : (V), v.
     spring : (V), rho D Omega - (v - 2 f), the forces of the springs.
-    potential : (C), rho Omega.
+    potential : (C), rho Omega. Where it is in single precision, `potential_rest` has what rounding leaves out of it.
     pull : (C), the sum of the spring forces on each sphere before the Poisson step.
 
     Attributes:
 
     stiffness : (R samples,), rho of each sample.
     weights, weight : stiffness of the springs over rho, by lattice axis, and by contact (E contacts,).
-    changing : names of the fields that iterations change.
+    changing : names of the fields on which further iterations depend.
+    is_large : True on a CPU for a lattice whose fields are larger than the caches of a core.
+    is_single : True while the fields are in single precision although the runtime is in double precision.
     layout, stencil : where the numbers of a site stand in the fields, and constants for which kernels are compiled.
     balance : the solver of the Poisson problem, which adds the change of the spins to `potential`.
     contact_step, team : the kernel of the pass over the contacts, and the threads that run it.
@@ -103,7 +95,7 @@ class OperatorSplittingMethod(Method):
     scene: Scene
     contacts: OnStrides
     resumes = True
-    changing = ("trial", "spring", "potential", "pull")
+    changing = ("trial", "potential")
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare the iteration: allocate the fields, build the Poisson solver, compile the kernels, and load the
@@ -117,41 +109,52 @@ class OperatorSplittingMethod(Method):
         """
         super().begin(scene, spin)
         scene = self.scene
-        dimension, components = scene.lattice.dimension, len(self.spin_axes)
         spheres = scene.lattice.sites * scene.replicas
         refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
-        # fields and kernels
-        forces = self.contacts.stencil_of(1).force_components
-        of_contacts = ("friction", dimension), ("trial", forces), ("spring", forces)
-        spec = (*of_contacts, ("potential", components), ("pull", components))
-        self.fields = self.contacts.on_device(spec)
-        self.layout = self.fields.layout
-        self.stencil = self.contacts.stencil_of(self.layout.block)
-        # the two halves of an iteration: the Poisson solve, and the pass over the contacts
         self.weights = (1.0,) * scene.lattice.height_axis + (HEIGHT_WEIGHT,)
         self.weight = np.array(self.weights)[scene.lattice.axis]
-        self.balance = TorqueBalance(spec, self.stencil, self.weights, self.fields)
-        self.contact_step = made_once(ContactStep, spec, self.stencil)
-        self.team = Team(team_size(self.layout, sum(components for _, components in spec)))
-        self.contact_step.compile(self.fields, self.team)
+        running = runtime.current()
+        self.is_large = not running.is_gpu and scene.lattice.sites >= LARGE_LATTICE
+        self._allocate(np.dtype(np.float32) if self.is_large else number_type())
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
+    def _allocate(self, kind: np.dtype) -> None:
+        """Allocate the fields, all 0, and compile the kernels that work on them: the two halves of an iteration, the
+        Poisson solve and the pass over the contacts.
+
+        kind : type of the numbers of the fields.
+        """
+        scene, components = self.scene, len(self.spin_axes)
+        self.is_single = kind != number_type()
+        forces = self.contacts.stencil_of(1).force_components
+        of_contacts = ("friction", scene.lattice.dimension), ("trial", forces), ("spring", forces)
+        spec = (*of_contacts, ("potential", components), ("pull", components))
+        if self.is_single:
+            spec += (("potential_rest", components),)
+        self.fields = self.contacts.on_device(spec, kind)
+        self.layout = self.fields.layout
+        self.stencil = self.contacts.stencil_of(self.layout.block)
+        self.balance = TorqueBalance(spec, self.stencil, self.weights, self.fields, self.is_large)
+        self.contact_step = made_once(ContactStep, spec, self.stencil, kind.name)
+        self.team = Team(team_size(self.layout, sum(components for _, components in spec)))
+        self.contact_step.compile(self.fields, self.team)
+        friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), ABSENT_FRICTION, kind)
+        for axis, coefficient in enumerate(scene.lattice.by_axis(scene.acting_coefficient)):
+            np.multiply(scene.strength, coefficient, out=self.layout.from_lower_sphere(friction[axis], axis))
+        self.fields.load("friction", friction)
+
     def _load(self, staggered: np.ndarray) -> None:
-        """Load the first iterate: the friction limits, the spins, and the forces that the springs bear at these spins.
-        The first stiffness follows from the power of spins that change linearly with the height.
+        """Load the first iterate: the spins, and the forces that the springs bear at these spins. The first stiffness
+        follows from the power of spins that change linearly with the height.
 
         staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time.
         """
         scene = self.scene
-        friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), ABSENT_FRICTION)
-        for axis, coefficient in enumerate(scene.lattice.by_axis(scene.acting_coefficient)):
-            self.layout.from_lower_sphere(friction[axis], axis)[...] = scene.strength * coefficient
-        self.fields.load("friction", friction)
         linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
         self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
         self.iteration = 0
         stiffness = self._along_lattice(self.stiffness)
-        self.fields.load("potential", stiffness * staggered)
+        self._load_potential(stiffness * staggered)
         self._load_trial_forces(self.weight * self.stiffness[:, None] * self.differences(staggered))
 
     def _load_trial_forces(self, trial: Forces) -> None:
@@ -160,14 +163,27 @@ class OperatorSplittingMethod(Method):
         """
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
+    def _load_potential(self, potential: np.ndarray) -> None:
+        """Write potentials (stiffness times spins), (C components, R samples, *N spheres), into their field; and what
+        rounding leaves out of them into another one, where that is stored.
+        """
+        self.fields.load("potential", potential)
+        if self.is_single:
+            self.fields.load("potential_rest", potential - potential.astype(self.fields.dtype))
+
     def state(self) -> dict[str, np.ndarray]:
-        """Return by name the fields and numbers that the further iterations depend on, for a checkpoint."""
-        fields = {name: self.fields.read(name) for name in self.changing}
+        """Return by name the fields and numbers that the further iterations depend on, for a checkpoint. The type of
+        the fields says whether iterations are in single precision.
+        """
+        names = self.changing + ("potential_rest",) * self.is_single
+        fields = {name: self.fields.read(name).astype(self.fields.dtype) for name in names}
         return fields | {"iteration": np.array(self.iteration), "stiffness": self.stiffness}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Continue from the fields and numbers by name that `state` returned in an earlier call."""
-        for name in self.changing:
+        if self.is_single and state["trial"].dtype != self.fields.dtype:
+            self._allocate(number_type())
+        for name in self.changing + ("potential_rest",) * self.is_single:
             self.fields.load(name, state[name])
         self.iteration, self.stiffness = int(state["iteration"]), np.array(state["stiffness"])
 
@@ -187,9 +203,18 @@ class OperatorSplittingMethod(Method):
         with self.balance.begin():
             for _ in range(steps):
                 look_up()
+                if self.is_single and self.iteration >= SINGLE_ITERATIONS:
+                    self._continue_in_double()
                 self._step_contacts(RELAXATION)
                 self.balance.solve()
                 self.iteration += 1
+
+    def _continue_in_double(self) -> None:
+        """Replace the fields, which are in single precision, by fields with the precision of the runtime."""
+        potential, trial = self._potential(), self.fields.read("trial")
+        self._allocate(number_type())
+        self._load_potential(potential)
+        self.fields.load("trial", trial)
 
     def _step_contacts(self, relaxation: float) -> None:
         """Make the pass over the contacts: cut off trial forces at friction, update them, and sum the spring forces on
@@ -213,12 +238,14 @@ class OperatorSplittingMethod(Method):
             with self.balance.begin():
                 self._step_contacts(0.0)
                 self.balance.solve()
-        stiffness, (potential, trial) = self._along_lattice(self.stiffness), self._seen("potential", "trial")
-        staggered = scene.impose_driving(potential / stiffness, axes)
+        staggered = self._potential()
+        staggered /= self._along_lattice(self.stiffness)
+        scene.impose_driving(staggered, axes)
+        trial = self._seen("trial")[0]
         look = Look(scene, self.stencil, self.layout, axes, staggered, trial, (self.stiffness, self.weights))
         found = look.look(self.balance.each)
         balanced, bound = found.balanced, found.bound
-        if self.fields.dtype != np.float64:  # in single precision they are balanced once more
+        if number_type() != np.float64:  # in single precision they are balanced once more
             balanced = balance(scene, balanced, axes)
             _, bound = work_and_bound(scene, balanced, axes)
         self._change_stiffness(self._stiffness_factors(found.power, found.work, bound))
@@ -234,6 +261,13 @@ class OperatorSplittingMethod(Method):
             proof=balanced,
             falls_as=GAP_FALLS_AS,
         )
+
+    def _potential(self) -> np.ndarray:
+        """Return the potentials (stiffness times spins), (C components, R samples, *N spheres), in double precision."""
+        found = self.fields.read("potential")
+        if self.is_single:
+            found += self.fields.view("potential_rest")
+        return found
 
     def _seen(self, *names: str) -> list[np.ndarray]:
         """Return fields by name: on a CPU the arrays themselves, so that they can be changed in place; of a GPU
@@ -255,8 +289,8 @@ class OperatorSplittingMethod(Method):
         self.stiffness = change * self.stiffness
         # the fields, in pieces that fit into the cache and that the threads share
         of_sites = self._along_lattice(change)
-        potential, trial, friction = self._seen("potential", "trial", "friction")
-        potential *= of_sites
+        trial, friction = self._seen("trial", "friction")
+        self._load_potential(of_sites * self._potential())
         pieces = [
             ([trial[row][part] for row in rows], friction[axis][part], of_sites[part[0]])
             for axis, rows in enumerate(self.stencil.force_rows(0))
@@ -265,7 +299,6 @@ class OperatorSplittingMethod(Method):
         ]
         list(self.balance.each(lambda piece: _rescale(*piece), pieces))
         if runtime.current().is_gpu:
-            self.fields.load("potential", potential)
             self.fields.load("trial", trial)
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
@@ -307,149 +340,6 @@ class OperatorSplittingMethod(Method):
         wanted = (self.stiffness * factor).clip(usual / ratio, usual * ratio)
         factor = wanted / self.stiffness
         return np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
-
-
-class TorqueBalance:
-    """Solves the Poisson problem of an iteration, and adds its solution u to the field `potential`.
-
-    The problem is: sum over axes a of weight_a (-Laplace_a) u = `pull`, with u = 0 on the driven planes. A spin
-    component is coupled along the height and one other axis only. A sine transform along the height separates the
-    *modes*, one for each sine. A mode is a *chain* of spheres along the other axis (a ring if that is periodic), whose
-    tridiagonal equations are solved by elimination, with factors that are computed once. On a GPU the solve is one
-    launch. On a CPU the BLAS library multiplies by the sines.
-
-    fields : the fields of the method.
-    kernels : the kernels of the solve.
-    weight : stiffness of the springs sideways.
-    products : type of the numbers in the products with the sines on a CPU: single precision, or that of the fields if
-        that is less.
-    sines : matrix of the sine transform along a column of nz spheres: (nz, nz), 0 for driven ones; on a GPU (nz - 2, nz
-        - 2).
-    chains : flat, inverse pivots by which the chains, one for each mode, are solved.
-    modes : flat, the transformed field, where solutions replace pulls.
-    measures : whole numbers by which kernels find spheres: length of a row in memory, strides and the like.
-    workers : number of threads that share the planes (layers of spheres that the height and one side span); 0 on a GPU.
-    each : function like `map` that shares its calls among these threads.
-    pulls, potentials : for each thread a list of pairs: some planes of `pull`, or of `potential`, and the same planes
-        of the modes.
-    is_rough : True if the products are less precise than the fields.
-    is_small : True if a column is so short that the BLAS library would use no threads of its own.
-    """
-
-    def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
-        """Prepare the solution: the matrix `sines` of the transform along the height, and the factors `chains` of the
-        tridiagonal equations along the other axis, one chain of spheres for each sine (a *mode*). On a CPU share the
-        planes of the lattice among threads. The class says what each attribute is.
-
-        spec : pairs (name of a field, number of its components).
-        stencil : spin components, dimension and periodic axes of the lattice.
-        weights : relative stiffness of the springs along each axis of the lattice, one number each; all axes but the
-            height have the same.
-        fields : the numbers of the fields; `pull` will be read, and `potential` changed.
-        """
-        self.fields, self.kernels, self.weight = fields, made_once(BalanceKernels, spec, stencil), weights[0]
-        shape, layout = fields.layout.shape, fields.layout
-        self.products = min(np.dtype(PRODUCT_TYPE), fields.dtype, key=lambda kind: kind.itemsize)
-        # modes and eigenvalues of the chain of free spheres along the height; driven spheres have 0
-        modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])
-        held[1:-1] = weights[-1] * chain_eigenvalues(shape[-1] - 2, is_held=True)
-        sides = [shape[axis] for axis in stencil.coupled_sides]
-        numbers = (chain_factors, ring_closures)[: 2 if stencil.periodic else 1]
-        # factors of the chain along the other axis of each spin component, for each mode; rings have a second row
-        chains = np.zeros((len(numbers), len(sides), max(sides), shape[-1]))
-        for kind, number in enumerate(numbers):
-            for slot, side in enumerate(sides):
-                chains[kind, slot, :side, 1:-1] = number(side, held[1:-1], self.weight)
-        padded = np.arange(shape[-1] + layout.block)  # each row is continued by its beginning, for one block
-        self.chains = self._numbers(np.take(chains, padded, axis=-1, mode="wrap").ravel())
-        self.modes = self._numbers(np.zeros(len(sides) * layout.sites + layout.block))
-        self.measures = self.kernels.measures(layout, max(sides))
-        on_gpu = runtime.current().is_gpu
-        # on a CPU driven spheres have sines 0: products of whole rows are faster than shorter ones
-        self.sines = self._numbers(modes if on_gpu else np.pad(modes, 1))
-        self.workers = team_size(layout, stencil.components)
-        self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(self.workers).map if self.workers > 1 else map
-        self.is_rough = self.workers > 0 and self.products != fields.dtype
-        self.is_small = shape[-1] < SHARED_BY_BLAS
-        if self.workers:
-            self.pulls, self.potentials = self._shares("pull"), self._shares("potential")
-
-    def _numbers(self, values: np.ndarray) -> Any:
-        """Return an array of constants where the kernels read it: on a GPU on the device, with the precision of the
-        fields; on a CPU a NumPy array of the type in which planes are multiplied by the sine matrix (`products`).
-
-        values : the array, of any shape.
-        """
-        return on_device(values) if runtime.current().is_gpu else values.astype(self.products)
-
-    def begin(self) -> AbstractContextManager[None]:
-        """Return the context in which `solve` is called. It limits the BLAS library to one thread where the threads of
-        this object share the planes. It changes nothing on a GPU, or in lattices so low that BLAS uses one thread
-        anyway.
-        """
-        return nullcontext() if self.workers == 0 or self.is_small else one_thread()
-
-    def solve(self) -> None:
-        """Change the spins of the free spheres so that the springs balance.
-
-        On a CPU the sines of each plane are one product of the BLAS library. So no number depends on what else is
-        solved at the time, nor on how many threads share the planes. The products are in single precision, which is
-        twice as fast. That is enough: the solution is only a change of the spins, small in the end, and the next one
-        makes up for the rounding.
-        """
-        layout = self.fields.layout
-        if self.workers == 0:
-            values, places = self.fields.values, (layout.length, layout.margin)
-            self.kernels.on_gpu(values, self.modes, self.sines, self.chains, *places, *self.measures, self.weight)
-            return
-        list(self.each(_to_modes, self.pulls, repeat(self.sines)))
-        self.kernels.chains_on_cpu(self.workers, self.modes, self.chains, *self.measures, self.weight)
-        list(self.each(_from_modes, self.potentials, repeat(self.sines)))
-
-    def _shares(self, name: str) -> list[Planes]:
-        """Divide a field among the threads. Return for each thread a list of pairs (planes of the field, the same
-        planes of the array of modes).
-
-        A plane is spanned by the last side of the lattice and the height; a pair has so few planes that they fit into
-        the cache.
-
-        name : name of the field.
-        """
-        layout = self.fields.layout
-        planes, of_modes = (-1, *layout.shape[-2:]), self.modes[: -layout.block].reshape(-1, layout.sites)
-        shares: list[Planes] = [[] for _ in range(self.workers)]
-        for parts in zip(self.fields.view(name), of_modes, strict=True):
-            field, modes = (part.reshape(planes) for part in parts)
-            few = max(1, CACHED_NUMBERS // field[0].size)
-            for worker, share in enumerate(shares):
-                first, last = (len(field) * n // self.workers for n in (worker, worker + 1))
-                share += [
-                    (field[n : min(n + few, last)], modes[n : min(n + few, last)]) for n in range(first, last, few)
-                ]
-        return shares
-
-
-def _to_modes(planes: Planes, sines: np.ndarray) -> None:
-    """Write the sine transform along the height of some planes of the field `pull` (the spring forces summed on each
-    sphere) into an array of modes, in place.
-
-    planes : pairs (planes of `pull`, the same planes of the modes), arrays (..., nz) with nz spheres along the height.
-    sines : (nz, nz), matrix of the transform.
-    """
-    for pull, modes in planes:
-        np.matmul(pull.astype(sines.dtype, copy=False), sines, out=modes)
-
-
-def _from_modes(planes: Planes, sines: np.ndarray) -> None:
-    """Add the inverse sine transform of some planes of an array of modes to the field `potential` (stiffness times
-    spins), in place.
-
-    planes : pairs (planes of `potential`, the same planes of the modes), arrays (..., nz) with nz spheres along the
-        height.
-    sines : (nz, nz), matrix of the transform, which is its own inverse.
-    """
-    for potential, modes in planes:
-        potential += np.matmul(modes, sines)
 
 
 def _rescale(force: list[np.ndarray], friction: np.ndarray, change: np.ndarray) -> None:

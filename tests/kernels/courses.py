@@ -6,7 +6,7 @@ import numpy as np
 
 from taichi_bearings import Packing, runtime, solve
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting, operator_splitting
+from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting, torque_balance
 from tests.scenes import make_scene
 
 METHODS = {
@@ -31,7 +31,7 @@ def course(method: str, law: str, shape: tuple[int, ...], periodic: str = "") ->
         return [found.power, found.lower_bound]
     scene = make_scene(shape, law, seeds=(1, 2), periodic=tuple(periodic))
     spin, solver = initial_spin(scene, "random"), METHODS[method].build()
-    with patch.object(operator_splitting, "PRODUCT_TYPE", np.float64):  # as on a GPU
+    with patch.object(torque_balance, "PRODUCT_TYPE", np.float64):  # as on a GPU
         solver.begin(scene, spin)
     for _ in range(2):  # some change their course at a check
         solver.advance(ITERATIONS // 2)

@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from taichi_bearings import runtime
 from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.certificate import dual_value, work_and_bound
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers import OperatorSplitting
+from taichi_bearings.solvers import OperatorSplitting, operator_splitting
 from taichi_bearings.solvers.drive import _Best, solve
 from taichi_bearings.solvers.splitting_look import Look
 from taichi_bearings.solvers.stopping import StopRule
@@ -48,6 +49,48 @@ def test_spring_forces_are_balanced_and_friction_is_admissible():
         friction = np.sqrt((progress.force**2).sum(axis=0))
         assert (friction <= scene.normal_force * scene.coefficient * (1 + 1e-14)).all()
         assert (progress.lower_bound <= np.minimum(work, progress.objective)).all()
+
+
+@pytest.fixture
+def begins_single(monkeypatch):
+    """Has all lattices begin in single precision, as large ones do, and go on in double after 60 iterations."""
+    if runtime.current().is_gpu:
+        pytest.skip("a GPU works in the precision of the runtime alone")
+    monkeypatch.setattr(operator_splitting, "LARGE_LATTICE", 1)
+    monkeypatch.setattr(operator_splitting, "SINGLE_ITERATIONS", 60)
+
+
+@pytest.mark.usefixtures("needs_f64", "begins_single")
+@pytest.mark.parametrize("number", [1, 4])
+def test_minima_are_enclosed_where_iterations_begin_in_single_precision(number):
+    entry = minima((3, 3, 3), (5, 5, 5), (10, 10, 10))[number]
+    solution, exact = split(scene_of(entry), 1e-6), entry["power_minimum"]
+    assert solution.status is Status.CERTIFIED
+    assert solution.lower_bound[0] <= exact * (1 + 1e-12)
+    assert exact * (1 - 1e-12) <= solution.power[0] <= exact * (1 + 1e-6)
+
+
+@pytest.mark.usefixtures("needs_f64", "begins_single")
+@pytest.mark.parametrize("stops_at", [25, 80])
+def test_single_precision_has_the_same_bits_alone_beside_others_and_resumed(stops_at):
+    """A checkpoint knows by the type of its arrays whether iterations are in single precision still."""
+    scene = make_scene((5, 4, 7), direction=(1, 2, 0), seeds=(3, 4))
+    spin, ways = initial_spin(scene, "random"), []
+    for sample in (scene, scene.sample(1)):
+        for resumes in (False, True):
+            method = OperatorSplitting().build()
+            method.begin(sample, spin[-sample.replicas :])
+            method.advance(stops_at)
+            if resumes:
+                state, method = method.state(), OperatorSplitting().build()
+                assert (state["trial"].dtype == np.float32) == (stops_at < 60)
+                method.begin(sample, spin[-sample.replicas :])
+                method.restore(state)
+            method.advance(100 - stops_at)
+            ways.append(method.progress())
+    for other in ways[1:]:
+        np.testing.assert_array_equal(ways[0].staggered[:, -1], other.staggered[:, -1])
+        np.testing.assert_array_equal(ways[0].force[:, -1], other.force[:, -1])
 
 
 def by_contact(scene, axes):
