@@ -34,7 +34,7 @@ def number_type() -> np.dtype:
     return np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
 
 
-def on_device(values: np.ndarray, kind: DTypeLike = None) -> Any:
+def on_device(values: np.ndarray, kind: DTypeLike | None = None) -> Any:
     """Copy numbers, flat, to where kernels read them: an array of NumPy on a CPU, of Taichi on a GPU.
 
     kind : type of the numbers there, such as np.int32; by default the precision of the runtime.
@@ -82,7 +82,7 @@ class Fields:
     layout, dtype : where numbers lie, and their type.
     """
 
-    def __init__(self, layout: "Layout | Lists", spec: Any, kind: DTypeLike = None) -> None:
+    def __init__(self, layout: "Layout | Lists", spec: Any, kind: DTypeLike | None = None) -> None:
         """Allocate the fields.
 
         layout : a `Layout` of lattices, or `Lists` of spheres and contacts.

@@ -117,7 +117,7 @@ class OnStrides(Stepped, WithMinima):
         """
         return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
 
-    def on_device(self, spec: FieldSpec, kind: DTypeLike = None) -> Fields:
+    def on_device(self, spec: FieldSpec, kind: DTypeLike | None = None) -> Fields:
         """Return new fields on the device, all 0.
 
         spec : names of the fields, with the numbers that each sphere has in them.

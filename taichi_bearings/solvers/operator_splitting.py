@@ -128,9 +128,8 @@ class OperatorSplittingMethod(Method):
         self.is_single = kind != number_type()
         forces = self.contacts.stencil_of(1).force_components
         of_contacts = ("friction", scene.lattice.dimension), ("trial", forces), ("spring", forces)
-        spec = (*of_contacts, ("potential", components), ("pull", components))
-        if self.is_single:
-            spec += (("potential_rest", components),)
+        of_spheres = ["potential", "pull", *["potential_rest"] * self.is_single]
+        spec = (*of_contacts, *((name, components) for name in of_spheres))
         self.fields = self.contacts.on_device(spec, kind)
         self.layout = self.fields.layout
         self.stencil = self.contacts.stencil_of(self.layout.block)
