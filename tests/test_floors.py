@@ -102,7 +102,7 @@ FILES_OF_RUNS = {
 DOORS = {"runs.lattice_run", "runs.run", "runs.settings"}
 """Modules that read settings, and choose the front door by them."""
 LATTICES_ASKED_FOR = SLICES | FILES_OF_RUNS | DOORS | {
-    "analysis.domains", "analysis.slipless_network", "analysis.structure", "runs.caveats", "runs.result", "runs.verify",
+    "analysis.domains", "analysis.slipless_network", "analysis.structure", "runs.result",
     "scans.histogram", "solvers.cundall_strack", "solvers.method", "solvers.on_lists", "solvers.on_strides",
 }  # fmt: skip
 """Modules that ask whether what is solved is a lattice, or take it for one."""

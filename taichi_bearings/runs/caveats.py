@@ -17,7 +17,6 @@ from taichi_bearings.proof.contact_state import (
 )
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
-from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
@@ -38,8 +37,7 @@ def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     solution : the answer to all samples of a lattice or a packing.
     settings : settings of the run.
     """
-    of_kind = CAVEATS if solution.scene.network.lattice is not None else CAVEATS_OF_PACKINGS
-    return [sentence for of in of_kind for sentence in of(solution, settings)]
+    return [sentence for of in CAVEATS for sentence in of(solution, settings)]
 
 
 def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
@@ -66,11 +64,11 @@ def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence for each sample of a packing whose lower bound on the least power is not proven, or only in
     part, with the reason.
 
-    solution : the answer for the packing, with all samples.
+    solution : the answer to all samples.
     settings : not used.
     """
-    several = solution.scene.replicas > 1
-    for seed, proof in zip(solution.scene.seeds, solution.findings["proof"], strict=True):
+    several, said = solution.scene.replicas > 1, solution.findings.get("proof", ())
+    for seed, proof in zip(solution.scene.seeds, said, strict=False):
         if proof != "proven":
             yield f"what is proven of the least power{f' of seed {seed}' * several}: {proof}"
 
@@ -93,41 +91,6 @@ def _contacts_found_and_idle(solution: Solution, settings: RunSettings) -> Itera
     if idle:
         do = "bears no normal force and does not act" if idle == 1 else "bear no normal force and do not act"
         yield f"{idle:,} of {counted(network.contacts, 'contact')} {do}"
-
-
-def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence if the least power of a packing is 0: because no sphere is driven, or because there are spins
-    without any slip.
-
-    solution : the answer for the packing, with all samples.
-    settings : not used.
-    """
-    idle = np.full(solution.scene.replicas, not len(solution.scene.network.bodies))
-    still = (solution.objective == 0) & (solution.gap == 0) & ~idle
-    if idle.any():
-        yield f"the least power is 0{_in_samples(idle)}: no sphere is driven"
-    elif still.any():
-        yield f"the least power is 0{_in_samples(still)}: the spins can be such that no contact slips"
-
-
-def _packing_unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence if a run of a packing ended early. Where the method stalled, power and slips may be so small
-    that they are rounding alone; otherwise the sentence is that of `_unfinished`.
-
-    solution : the answer for the packing, with all samples.
-    settings : settings of the run, with the tolerance and the duration that were asked for.
-    """
-    short = ~(solution.gap <= settings.tolerance) & (solution.status is Status.STALLED)
-    fastest = float(np.abs(solution.scene.driven_speed).max(initial=0.0))
-    slip = np.where(solution.state == ContactState.DRIVEN, 0.0, solution.slip).max(axis=1, initial=0.0)
-    if (faint := short & (slip <= ROUNDED_SLIP * fastest)).any():
-        largest = float(solution.power[faint].max())
-        yield (
-            f"the power of {largest:.1e} may be that of rounding alone{_in_samples(faint)}: contacts hardly slip, but "
-            "no state without slip is proven to exist for normals and spins as they are stored"
-        )
-    else:
-        yield from _unfinished(solution, settings)
 
 
 def _in_samples(which: np.ndarray) -> str:
@@ -153,29 +116,28 @@ def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]
 
 
 def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence if it is known beforehand that the least power on a lattice is 0, with the reason.
+    """Yield a sentence if the least power is 0, with the reason.
 
     solution : the answer to all samples.
     settings : not used.
     """
-    scene = of_lattice(solution.scene)
-    if scene.jump == 0:
-        yield "the least power is 0: top and bottom are driven alike, so that all spheres turn in one bearing state"
-    elif not scene.top_spin(scene.minimum_spin_axes).any():
-        yield (
-            "the least power is 0: the imposed spins point along the height, contacts along the height do not feel "
-            "such spins, and every layer turns in a bearing state of its own"
-        )
+    scene = solution.scene
+    still = (solution.objective == 0) & (solution.gap == 0)
+    if reason := scene.driving.why_without_power:
+        yield f"the least power is 0: {reason}"
     elif scene.is_cut_off.any():
         yield (
             f"the least power is 0{_in_samples(scene.is_cut_off)}: contacts are absent, and no chain of those that are "
             "left and feel the imposed spins joins bottom and top"
         )
+    elif still.any():
+        yield f"the least power is 0{_in_samples(still)}: the spins can be such that no contact slips"
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence if a run ended early: why, and what it had reached, which is the proven gap of a minimisation,
-    or the simulated time of a dynamics and the torques that were left over if its motion was not at rest.
+    or the simulated time of a dynamics and the torques that were left over if its motion was not at rest. If power and
+    slips of a minimisation that got no closer are so small that they may be rounding alone, that is said instead.
 
     solution : the answer to all samples.
     settings : settings of the run, with the tolerance and the duration that were asked for.
@@ -184,7 +146,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
     if reason is None:
         return
     if "time" in history:
-        reached = float(history["time"][-1])
+        reached = float(np.min(history["time"][-1]))  # by the sample that came least far
         if settings.duration is not None:
             if reached < settings.duration * (1 - 1e-9):
                 yield f"{reason} at the simulated time {reached:.6g} of {settings.duration:.6g}"
@@ -192,20 +154,36 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
         left = float(solution.largest_balance_residual.max())
         yield f"{reason} before the motion was at rest: at the time {reached:.3g} torques of {left:.1e} were left over"
         return
-    short = ~(solution.gap <= settings.tolerance)
-    if short.any():
+    short, stalled = ~(solution.gap <= settings.tolerance), solution.status is Status.STALLED
+    if stalled and (faint := short & _hardly_slip(solution)).any():
+        largest = float(solution.power[faint].max())
+        yield (
+            f"the power of {largest:.1e} may be that of rounding alone{_in_samples(faint)}: contacts hardly slip, but "
+            "no state without slip is proven to exist for normals and spins as they are stored"
+        )
+    elif short.any():
         worst = float(np.max(np.where(np.isfinite(solution.gap), solution.gap, np.inf)))
         words = f"{reason} with a proven gap of {worst:.1e}{_in_samples(short)}; "
         words += f"the tolerance is {settings.tolerance:g}"
-        if solution.status is Status.STALLED and solution.running.precision == "f32":
+        if stalled and solution.running.precision == "f32":
             words += f", which single precision cannot reach here: --precision f64, or a tolerance of {1.5 * worst:.0e}"
         yield words
+
+
+def _hardly_slip(solution: Solution) -> np.ndarray:
+    """Return a mask (R samples,): True where no contact slips faster than rounding could make it.
+
+    solution : the answer to all samples.
+    """
+    fastest = float(np.abs(solution.scene.driven_speed).max(initial=0.0))
+    slip = np.where(solution.state == ContactState.DRIVEN, 0.0, solution.slip).max(axis=1, initial=0.0)
+    return np.asarray(slip <= ROUNDED_SLIP * fastest)
 
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence on how many contact states are undecided, by reason; none if all are decided.
 
-    solution : the answer to all samples of a lattice.
+    solution : the answer to all samples.
     settings : not used.
     """
     number = int(solution.counts[:, ContactState.UNDECIDED].sum())
@@ -222,9 +200,9 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         held = int((fast & ~bears_all).sum())
         passing = int((fast & bears_all & ~unresolved(solution)).sum())
         all_contacts = int((solution.state != ContactState.DRIVEN).sum())
-        faster = f"{solution.slip_threshold:.1e} (slip_threshold)"
+        faster = f" faster than {solution.slip_threshold:.1e} (slip_threshold)" if solution.slip_threshold else ""
         kinds = {
-            f"slip faster than {faster}, although their friction is below its limit": held,
+            f"slip{faster}, although their friction is below its limit": held,
             "are at their friction limit, and slip too slowly to be told from rest": number - held - passing,
             "slip, but perhaps not in every state of least power": passing,
         }
@@ -233,7 +211,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield sentences if slipping contacts are hard to tell from slipless ones on a lattice. There are two cases: some
+    """Yield sentences if slipping contacts are hard to tell from slipless ones. There are two cases: some
     dissipate less than ten times the power that the gap leaves open, or the slowest one slips less than ten times
     faster than the fastest slipless one.
 
@@ -286,7 +264,7 @@ def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence if the springs of a dynamics are stretched by more than STRETCHED_SHARE of the distance by which
-    the planes have slid past each other.
+    the driven spheres have slid past each other.
 
     solution : the answer to all samples.
     settings : not used.
@@ -294,18 +272,16 @@ def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
     share = solution.findings.get("elastic_share", np.zeros(1))
     largest = float(np.nanmax(share, initial=0.0))
     if largest > STRETCHED_SHARE:
+        stiffer = largest / STRETCHED_SHARE
         yield (
-            f"springs are stretched by up to {largest:.1e} of the distance that the planes have slid past each other; "
-            f"a stiffness {largest / STRETCHED_SHARE:.2g} times as large, or as much more time, keeps that below "
+            f"springs are stretched by up to {largest:.1e} of the distance that driven spheres have slid past each "
+            f"other; a stiffness {stiffer:.2g} times as large, or as much more time, keeps that below "
             f"{STRETCHED_SHARE:g}"
         )
 
 
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _torque_between, _law_of_ones_own, _powerless, _unfinished, _undecided, _mingled, _tied, _step, _springs,
+    _torque_between, _law_of_ones_own, _powerless, _unfinished, _not_proven, _contacts_found_and_idle, _undecided,
+    _mingled, _tied, _step, _springs,
 )  # fmt: skip
-"""The warnings about answers on lattices, in their order."""
-CAVEATS_OF_PACKINGS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _torque_between, _without_power, _packing_unfinished, _not_proven, _contacts_found_and_idle, _tied,
-)  # fmt: skip
-"""The warnings about answers on packings, in their order."""
+"""The warnings, in their order."""

@@ -146,7 +146,7 @@ class NewProof:
         proven = stored.proven & are_proven(stored.state, self.known)
         # the power of contacts between driven spheres is stored beside the rest
         said = {"proof": new.proof, "driven_power": new.driven_power}
-        follows_motion = scene.network.lattice is not None and "time" in stored.history
+        follows_motion = "time" in stored.history
         found = replace(
             stored,
             slip=new.slip,

@@ -199,6 +199,11 @@ class Driving:
         spin = self.spin.reshape(self.network.spheres, -1)[~self.network.free]
         return float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
 
+    @property
+    def why_without_power(self) -> str:
+        """Why no contact has to slip, in words that end a sentence; empty if some may have to."""
+        return "" if len(self.network.bodies) else "no sphere is driven"
+
     @cached_read_only
     def heights(self) -> np.ndarray:
         """(spheres N,) height of each sphere: 0 on the driven body with the smallest number, 1 on that with the
@@ -524,6 +529,18 @@ class Planes(Driving):
         component : number of the spin component.
         """
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
+
+    @property
+    def why_without_power(self) -> str:
+        """Why no contact has to slip, in words that end a sentence; empty if some may have to."""
+        if self.jump == 0:
+            return "top and bottom are driven alike, so that all spheres turn in one bearing state"
+        if self.imposed_on_top(self.minimum_spin_axes)[0].any():
+            return ""
+        return (
+            "the imposed spins point along the height, contacts along the height do not feel such spins, and every "
+            "layer turns in a bearing state of its own"
+        )
 
     @cached_read_only
     def heights(self) -> np.ndarray:

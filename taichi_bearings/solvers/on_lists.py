@@ -302,10 +302,12 @@ class OnLists(Stepped):
 class StepsReached(PackingReached):
     """What a method that makes steps has reached in the one sample of a packing: the best forces, with the best spins.
 
-    What is reported is proven of the minima, as for other methods, but for three things, which are those of the last
-    state: the contact forces; the states (slipping or not) of a dynamics; and the states of contacts in parts of the
-    packing that nothing drives.
+    What is reported is proven of the minima, as for other methods, but for four things, which are those of the last
+    state: the contact forces; the states (slipping or not) of a dynamics, and the torques that it leaves over; and the
+    states of contacts in parts of the packing that nothing drives.
 
+    moves : True for a dynamics.
+    spin_axes : numbers of the axes of the spin components.
     acting : (E contacts,), numbers of the contacts that can dissipate, for which the method has forces.
     of_acting : the packing with these contacts alone.
     last : the last state.
@@ -326,6 +328,18 @@ class StepsReached(PackingReached):
         super().__init__(system, [bounds.packing], [found], moves)
         self.of_acting = of_acting
         self.acting, self.last, self.iterations = bounds.acting, last, ended.iterations
+        self.moves, self.spin_axes = moves, bounds.packing.minimum_spin_axes
+
+    def numbers(self) -> dict[str, np.ndarray]:
+        """Return the numbers of the answer by name, as they are proven; but the torques of a dynamics, force * length,
+        are always those of its motion.
+        """
+        if not self.moves:
+            return super().numbers()
+        network = self.of_acting.network
+        torque = np.abs(self.of_acting.pulls(self.last.force, self.spin_axes)) * network.radius
+        left = torque[..., network.free].max(initial=0.0)
+        return super().numbers() | {"largest_balance_residual": np.array([left])}
 
     def force(self, slip: np.ndarray) -> np.ndarray:
         """Return the sizes (1, E contacts) of the contact forces of the last state.

@@ -41,6 +41,10 @@ def test_a_lattice_given_as_packing_follows_its_scene(options, start, shape, law
         for name in names:
             scale = np.abs(twin.history["power" if name == "power" else "kinetic_energy"]).max()
             assert found.history[name] == pytest.approx(twin.history[name][:, 0], abs=steps * rounding * scale), name
+        if options.is_dynamics:  # of the motion, force * length
+            largest = twin.force.max() * scene.lattice.radius
+            left = pytest.approx(twin.largest_balance_residual[0], abs=steps * rounding * largest)
+            assert found.largest_balance_residual == left
         if options.is_dynamics and law == "coulomb" and precision == "f64":
             assert (found.state == twin.state[0]).all()  # of its own motion
             assert (found.state == 1).any()

@@ -105,3 +105,11 @@ def test_answers_in_python_have_their_warnings_too():
     answer = tb.solve(scene, threads=1)
     assert any("tie exactly" in sentence for sentence in answer.warnings)
     assert tb.solve(tb.Scene.random((4, 5)), threads=1).warnings == []
+
+
+def test_packings_have_the_warnings_that_lattices_have(solved):
+    found = solved(shape=(4, 4, 4), driven="walls", method="cundall-strack", iterations=3)
+    assert f"torques of {found.summary['largest_balance_residual']:.1e} were" in words_of(found, "the limit of")[0]
+    found = solved(shape=(4, 4, 4), driven="walls", method="gradient-descent", iterations=3)
+    assert f"with a proven gap of {found.summary['gap']:.1e}" in words_of(found, "the limit of")[0]
+    assert solved(shape=(4, 4, 4), driven="walls").summary["warnings"] == []
