@@ -1,6 +1,7 @@
 """`bearings` and scripts of users within this process: imports cost nothing, and no kernel is compiled twice.
 
-They compute on one thread. With keywords of `subprocess.run` (an environment, limits) `bearings` is started anew.
+They compute on one thread, and a scan of one worker is solved here. With keywords of `subprocess.run` (an environment,
+limits) `bearings` is started anew.
 """
 
 import contextlib
@@ -20,6 +21,7 @@ from unittest import mock
 from taichi_bearings_cli.main import main
 
 from taichi_bearings import interrupts, runtime
+from tests.here import one_worker_is_here
 
 LONGEST = 300  # seconds
 MEMORY = 300_000_000  # bytes that reading a small file may take beyond what the process has before
@@ -92,7 +94,7 @@ def _answer(call, words, cwd):
     """Of a call that takes its words from `sys.argv` and may end the process."""
     handlers, place = {number: signal.getsignal(number) for number in interrupts.SIGNALS}, os.getcwd()
     alone = mock.patch.object(runtime, "available_threads", return_value=1)
-    with _caught(1) as out, _caught(2) as err, alone, mock.patch.object(sys, "argv", list(words)):
+    with _caught(1) as out, _caught(2) as err, alone, one_worker_is_here(), mock.patch.object(sys, "argv", list(words)):
         start, code, log = _start_of_memory(), 0, logging.StreamHandler(err)
         log.setLevel(logging.WARNING)  # as Python tells warnings where nobody keeps a log
         logging.getLogger().addHandler(log)
