@@ -113,22 +113,22 @@ def test_bad_input_is_one_sentence_and_exit_code_2(scan_file, tmp_path):
 
 def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
     """Killed without its worker and with it, resumed by its folder alone, extended: no empty column, every state."""
-    file, folder = scan_file("shape = [3, 4, 4]\n[scan]\nseed = { start = 0, stop = 40 }\n"), tmp_path / "s"
+    file, folder = scan_file("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 25 }\n"), tmp_path / "s"
     words = [*COMMAND, file, "--out", folder, "--analyse", "--keep-states", "--workers", "1"]
-    for kill, least in ((os.kill, 1), (os.killpg, 14)):
+    for kill, least in ((os.kill, 1), (os.killpg, 7)):
         process = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
         wait_for(lambda least=least: journalled(folder) >= least)
         kill(process.pid, signal.SIGKILL)
         process.wait()
-    assert 14 <= journalled(folder) < 40
-    for more, samples in ((folder,), 40), ((file, "--out", folder, "--set", "scan.seed={start=0, stop=43}"), 43):
+    assert 7 <= journalled(folder) < 25
+    for more, samples in ((folder,), 25), ((file, "--out", folder, "--set", "scan.seed={start=0, stop=27}"), 27):
         done = bearings("scan", *more, "--json")
         assert done.returncode == 0, done.stderr
-        assert 0 < json.loads(done.stdout)["solved_now"] <= 26
+        assert 0 < json.loads(done.stdout)["solved_now"] <= 18
         table = rows(folder)
         assert len(table) == samples == len(list((folder / "states").glob("*.h5")))
         assert all(row["power_minimum_cut"] and row["domains"] and row["spans"] for row in table)
-    whole = read_plan(file, ["scan.seed={start=0, stop=43}"])
+    whole = read_plan(file, ["scan.seed={start=0, stop=27}"])
     scan(asking(whole, analyse=True), tmp_path / "undisturbed", engine=Here(analyse=True))
     assert_same_but_for_the_clock(folder, tmp_path / "undisturbed")
 
@@ -155,7 +155,7 @@ def test_a_full_disk_is_told_and_loses_nothing(scan_file, tmp_path):
 
     def fill():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
 
     words = [*COMMAND, file, "--out", folder, "--workers", "1"]
     done = subprocess.run(words, capture_output=True, text=True, preexec_fn=fill)

@@ -90,9 +90,16 @@ def test_example_scans_find_the_same(tmp_path):
 
 
 def test_the_study_in_a_small_form(tmp_path, monkeypatch):
-    monkeypatch.setattr(yield_surface, "SHARES", dict.fromkeys((3, 4, 6), 1.0))
-    monkeypatch.setattr(yield_surface, "QUICK_SIDES", (3, 4, 6))
+    sides, plane = (
+        (3, 4, 5),
+        [(1.0, slope, 0.0) for slope in (0.0, BESIDE, 1.0)] + [(BESIDE, 1.0, 0.0), (0.0, 1.0, 0.0)],
+    )
+    monkeypatch.setattr(yield_surface, "SHARES", dict.fromkeys(sides, 1.0))
+    monkeypatch.setattr(yield_surface, "QUICK_SIDES", sides)
     monkeypatch.setattr(yield_surface, "FEWEST", 3)
+    monkeypatch.setattr(yield_surface, "PLANE", plane)
+    dilating = [(1.0, 0.0, 1.0), (BESIDE, 0.0, 1.0), (0.0, 0.0, 1.0)]
+    monkeypatch.setattr(yield_surface, "DIRECTIONS", plane + dilating)
     claims = reproduce.FIGURES["yield"].reproduce(tmp_path, Effort(samples=2, quick=True))
     few = "too few samples"
     assert [claim.verdict for claim in claims] == ["confirmed", few, few, "confirmed", few]
