@@ -4,7 +4,7 @@ import taichi_bearings as tb
 from tests.api.forbidden import no_writing
 
 with no_writing():
-    scene = tb.Scene.random((10, 10, 10), seed=3, spin_bottom=0.1)
+    scene = tb.Scene.random((5, 5, 6), seed=3, spin_bottom=0.1)
     best = tb.solve(scene, tolerance=1e-9)
     course = tb.solve(scene, tb.CundallStrack(stiffness=1e6), start="random", duration=0.01)
     net = tb.analyse(best)

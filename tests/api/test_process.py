@@ -35,7 +35,7 @@ def test_the_ten_lines_need_no_file(tmp_path, home):
     done = script(lines, tmp_path, **({} if home == "own" else nowhere | kept))
     assert done.returncode == 0, done.stderr
     first, second = done.stdout.splitlines()
-    assert re.fullmatch(r"certified True \(10, 10, 10, 3\) finished (True|False) 2", first)
+    assert re.fullmatch(r"certified True \(5, 5, 6, 3\) finished (True|False) 2", first)
     assert second == "True True True"
     assert done.stderr == ""
 

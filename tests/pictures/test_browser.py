@@ -35,19 +35,34 @@ def browser():
         started.close()
 
 
-class Page:
-    """A page in the browser, what it complained of and what it asked for."""
+@pytest.fixture(scope="module")
+def tab(browser):
+    """The only tab of the browser: in one that is there already a page needs no process of its own."""
+    return browser.new_page(viewport={"width": 1100, "height": 390})
 
-    def __init__(self, browser, path, part="", viewport=(1100, 390)):
-        self.complaints, self.requests = [], []
-        self.tab = browser.new_page(viewport=dict(zip(("width", "height"), viewport, strict=True)))
-        self.tab.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
-        self.tab.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.tab.on("request", lambda request: self.requests.append(request.url))
+
+class Page:
+    """A page in the tab of the browser, what it complained of and what it asked for."""
+
+    def __init__(self, tab, path, part=""):
+        self.complaints, self.requests, self.tab = [], [], tab
+        self.heard = {
+            "console": lambda said: self.complaints.append(f"{said.type}: {said.text}"),
+            "pageerror": lambda error: self.complaints.append(str(error)),
+            "request": lambda request: self.requests.append(request.url),
+        }
+        for event, heard in self.heard.items():
+            self.tab.on(event, heard)
         began = time.perf_counter()
         self.tab.goto(path.as_uri() + part)
         self.tab.wait_for_function("window.bearings || document.getElementById('message').textContent[0] === 'N'")
         self.seconds = time.perf_counter() - began
+
+    def leave(self):
+        """Leave the tab empty, for another page."""
+        for event, heard in self.heard.items():
+            self.tab.remove_listener(event, heard)
+        self.tab.goto("about:blank")
 
     def ask(self, words):
         return self.tab.evaluate(words)
@@ -79,18 +94,21 @@ class Page:
 
 
 @pytest.fixture
-def opened(browser, tmp_path):
-    """A function that makes the page of a run and opens it."""
+def opened(tab, tmp_path):
+    """A function that makes the page of a run and opens it in place of the one before."""
     pages = []
 
     def show(run, *look):
-        view(run, tmp_path / "page.html", force=True, analyse=True)
-        pages.append(Page(browser, tmp_path / "page.html", *look))
+        if pages:
+            pages[-1].leave()
+        path = tmp_path / f"page-{len(pages)}.html"
+        view(run, path, analyse=True)
+        pages.append(Page(tab, path, *look))
         return pages[-1]
 
     yield show
-    for page in pages:
-        page.tab.close()
+    for page in pages[-1:]:
+        page.leave()
 
 
 def coloured(pixels):
@@ -285,10 +303,11 @@ def test_the_address_keeps_the_view_and_a_wrong_one_does_no_harm(minimum, opened
     page.tab.wait_for_function("location.hash.includes('low=0,2,0') && location.hash.includes('threshold=114')")
     page.tab.wait_for_timeout(400)  # of the last key
     chosen = "(({ preset, ...others }) => JSON.stringify(others, Object.keys(others).sort()))(bearings.choices)"
-    kept, again = page.ask("location.hash"), opened(minimum, page.ask("location.hash"))
-    assert again.ask(chosen) == page.ask(chosen)
-    assert (np.abs(again.pixels().astype(int) - page.pixels()) > 8).any(axis=2).mean() < 0.01
+    kept, choices, shown = page.ask("location.hash"), page.ask(chosen), page.pixels()
     assert page.is_quiet(), (page.complaints, page.requests)
+    again = opened(minimum, kept)
+    assert again.ask(chosen) == choices
+    assert (np.abs(again.pixels().astype(int) - shown) > 8).any(axis=2).mean() < 0.01
     wrong = "#camera=0,NaN,1&low=9,-4,x&high=99,1,1&layers=none,cut&colour=constructor&power=1e9&time=4e9&kinds=2"
     page = opened(minimum, wrong)
     assert page.ask("[bearings.choices.power, bearings.choices.time, bearings.choices.colour]") == [100, 0, "spin"]
