@@ -2,10 +2,12 @@
 
 import itertools
 import json
+from functools import partial
 
 import pytest
-from taichi_bearings_studies.paper import reproduce
+from taichi_bearings_studies.paper import figure_2, reproduce
 from taichi_bearings_studies.paper.claims import Claim, Effort
+from taichi_bearings_studies.paper.samples import TIMES, relax
 
 from tests.cli.commands import bearings, refused
 from tests.tables import rows_of
@@ -15,8 +17,13 @@ ALL = ["fig1", "fig2", "fig3", "fig4", "supplement", "network", "distributions",
 
 @pytest.fixture(scope="module")
 def reproduced(tmp_path_factory):
+    """Figure 2 of one sample, its courses recorded at fewer times and followed for fewer steps with more damping."""
     folder = tmp_path_factory.mktemp("paper") / "fig2"
-    return folder, bearings("reproduce", "fig2", "--samples", "1", "--out", folder, "--json")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figure_2, "relax", partial(relax, times=TIMES[::6]))
+        patch.setattr(figure_2, "STIFFER_STEPS", 3_000)
+        patch.setattr(figure_2, "LARGER", (4, 4, 4))
+        return folder, bearings("reproduce", "fig2", "--samples", "1", "--out", folder, "--json")
 
 
 def test_json_is_one_object_and_the_files_are_there(reproduced):
