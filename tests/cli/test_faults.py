@@ -20,6 +20,7 @@ LONG = ("--shape", "3,3,4", "--method", "rigid-limit", "--initial", "random", "-
 
 
 SHORT = ("--shape", "4,5")
+PLAIN = (*SHORT, "--figures", "none")
 
 
 def start(*words, until, **kwargs):
@@ -44,7 +45,7 @@ def test_of_two_runs_into_one_directory_the_second_is_refused_and_a_kill_leaves_
     first.kill()
     first.communicate()
     assert len(hidden(tmp_path)) == 2
-    assert bearings("run", *SHORT, "--out", tmp_path / "b").returncode == 0
+    assert bearings("run", *PLAIN, "--out", tmp_path / "b").returncode == 0
     assert [file.name for file in tmp_path.iterdir()] == ["b"]
 
 
@@ -67,12 +68,13 @@ def test_a_directory_with_checkpoints_is_one_run_s(tmp_path):
     assert "in use" in refused("run", *SHORT, "--out", tmp_path / "a", "--force")
     resumed.kill()
     resumed.communicate()
-    assert bearings("run", *SHORT, "--out", tmp_path / "a", "--force").returncode == 0
+    assert bearings("run", *PLAIN, "--out", tmp_path / "a", "--force").returncode == 0
     assert hidden(tmp_path) == hidden(tmp_path / "a") == []
 
 
 def test_what_appears_meanwhile_is_not_replaced(tmp_path):
-    words = ("--shape", "3,3,4", "--method", "rigid-limit", "--duration", "1e9", "--time-limit", "2")
+    words = ("--shape", "3,3,4", "--method", "rigid-limit", "--duration", "1e9", "--time-limit", "1")
+    words = (*words, "--figures", "none")
     run = start(*words, "--out", tmp_path / "a", until=tmp_path / ".a.partial-*")
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "mine").touch()
@@ -120,7 +122,7 @@ def test_a_result_that_no_disk_takes_is_one_sentence(tmp_path):
     def small_files():
         resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
 
-    assert "the result is lost" in refused("run", *SHORT, "--out", tmp_path / "a", preexec_fn=small_files)
+    assert "the result is lost" in refused("run", *PLAIN, "--out", tmp_path / "a", preexec_fn=small_files)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -139,7 +141,7 @@ def test_locales_lose_nothing(tmp_path, locale):
     if locale is NO_UTF_8:
         assert "UTF-8" in refused("run", *SHORT, "--out", "café", cwd=tmp_path, env=environment)
     name = "plain" if locale is NO_UTF_8 else "café €"
-    done = bearings("run", *SHORT, "--figures", "none", "--out", name, cwd=tmp_path, env=environment)
+    done = bearings("run", *PLAIN, "--out", name, cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stderr
     assert read_run(tmp_path / name).attributes["run"] == name
 

@@ -81,17 +81,16 @@ def test_a_module_that_swallows_exceptions_while_it_is_loaded_does_not_swallow_a
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
-@pytest.mark.parametrize("what", interrupts.SIGNALS)
-@pytest.mark.parametrize("words", [("verify",), ("export",)], ids=" ".join)
-def test_a_file_that_is_never_read_to_its_end_can_be_left(tmp_path, words, what):
+@pytest.mark.parametrize(("command", "what"), list(zip(("verify", "export"), interrupts.SIGNALS, strict=True)))
+def test_a_file_that_is_never_read_to_its_end_can_be_left(tmp_path, command, what):
     """HDF5 2.0 reads an entry of no length in its list of texts over and over."""
     assert runs.run(RunSettings(shape=(4, 5), figures="none"), tmp_path / "run").path is not None
     file = tmp_path / "run" / "run.h5"
     content = file.read_bytes()
     heap = content.index(b"GCOL\x01\0\0\0")
     file.write_bytes(content[: heap + 16] + bytes(64) + content[heap + 80 :])
-    command = [sys.executable, "-m", "taichi_bearings_cli", *words, tmp_path / "run"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    words = [sys.executable, "-m", "taichi_bearings_cli", command, tmp_path / "run"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     for wanted in (True, False):  # loading, then in HDF5
         while hears(process.pid) is not wanted and process.poll() is None:
             time.sleep(0.01)

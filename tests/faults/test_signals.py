@@ -88,7 +88,7 @@ def struck(words, folder, what, moment):
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in OFTEN else pytest.mark.thorough) for n in COMMANDS])
 def test_a_signal_at_any_moment_ends_a_command_soon_and_leaves_whole_files(stored, tmp_path, name, thorough):
     draw, ended = random.Random(f"signals to {name}"), []
-    for number in range(300 if thorough else 3):
+    for number in range(300 if thorough else 2):
         folder = tmp_path / f"{number}"
         shutil.copytree(stored, folder)
         what = draw.choice([signal.SIGINT, signal.SIGTERM])

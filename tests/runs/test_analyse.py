@@ -233,7 +233,7 @@ def test_figures_and_files_beside_the_run(solved, tmp_path):
     assert {Path(file).name for file in report["files"]} == names
     with pytest.raises(FileError, match="already exists"):
         analyse(folder, out=tmp_path / "beside")
-    analyse(folder, out=tmp_path / "beside", force=True)
+    analyse(folder, out=tmp_path / "beside", force=True, figures=False)
 
 
 @pytest.mark.parametrize("settings", [{"shape": (4, 5)}, {"shape": (4, 4, 3), "driven": "shaft:1"}], ids=str)

@@ -101,6 +101,7 @@ def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(plan, tmp_path):
             distributed.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0", silence_logs=50)
         )
         there = stack.enter_context(connected(cluster.scheduler_address))
+        there._timeout = 0.5  # seconds for which it tries to find the scheduler again
         engine = DaskEngine(there, partial(scan_faults.dawdle, seconds=0.3))
 
         def leave(progress):

@@ -22,8 +22,9 @@ SCAN = "shape = [4, 4]\n[scan]\nseed = [0]\n"
         ),
     ],
 )
-def test_a_scheduler_file_names_the_scheduler(content, words, tmp_path):
+def test_a_scheduler_file_names_the_scheduler(content, words, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
+    monkeypatch.setattr("taichi_bearings.scans.cluster.CONNECT", 0.5)
     (tmp_path / "scan.toml").write_text(SCAN)
     if content is not None:
         (tmp_path / "file.json").write_text(content)
