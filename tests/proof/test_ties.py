@@ -102,11 +102,15 @@ def test_packings_on_a_cubic_lattice_have_the_ties_of_an_oracle(seed):
 
 
 def test_nothing_is_said_of_ties_where_three_components_of_the_spins_matter():
-    """A sphere inside is driven about the axis across the planes, so that contacts slip along all three components."""
-    given = tb.Packing.lattice("cubic", (2, 3, 4), seed=0, distribution="constant:0.5").arrays()
+    """Two spheres in the middle are driven, too, so that contacts slip along all three components."""
+    given = tb.Packing.lattice("cubic", (2, 3, 3), distribution="constant:0.5").arrays()
     driven, spin = given["driven"].copy(), given["spin"].copy()
-    inside = int(np.flatnonzero(driven < 0)[3])
-    driven[inside], spin[inside] = 2, (0.0, 0.0, 1.0)
+    place = np.round(given["center"] - given["center"].min(axis=0)).astype(int)
+    sign = np.where(place.sum(axis=1) % 2, -1.0, 1.0)[:, None]
+    spin[driven == 0], spin[driven == 1] = (sign * (2, 0, -2))[driven == 0], (sign * (2, -2, 2))[driven == 1]
+    for body, (at, of) in enumerate({(1, 2, 1): (-2, -2, 2), (1, 0, 1): (2, 1, -1)}.items(), 2):
+        own = (place == at).all(axis=1)
+        driven[own], spin[own] = body, of
     found = tb.solve(tb.Packing(**given | {"driven": driven, "spin": spin}))
     assert found.status == "certified"
     assert not (found.state[found.proven] == TIED).any()
