@@ -107,6 +107,7 @@ class ExactMotions:
         number : (N, 3), the index of each spin component among the unknowns, -1 for those that are none.
         rests : (E,) mask of the contacts that shall roll."""
         spheres, (first, second) = network.reached, network.graph.contact
+        following: np.ndarray | None = None  # (N, 3) mask: unknowns that follow from others, once it is known
         for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES * network.count else 0):
             whole = spheres | ~network.free
             contacts = rests & whole[first] & whole[second]
@@ -115,11 +116,18 @@ class ExactMotions:
             spheres = spheres & touched
             if not spheres.any():
                 break
+            parts = _Parts.of(network, spheres[:, None] & (number >= 0), contacts)
+            follows = parts.following() if following is None else following[parts.free]
+            idle = parts.with_nothing_to_prove(follows)
+            if idle.any():  # whole parts, so that unknowns of the others follow as before
+                following, spheres = np.zeros(parts.free.shape, dtype=bool), spheres & ~idle
+                following[parts.free] = follows
+                continue
             # Either all of them can roll exactly, or some spheres are left out and the rest is tried again.
-            found = _Parts.of(network, spheres[:, None] & (number >= 0), contacts).floor_and_motions()
+            found = parts.floor_and_motions(follows)
             if isinstance(found, tuple):
                 return cls(spheres, contacts, *found)
-            spheres = spheres & ~found
+            following, spheres = None, spheres & ~found
         return cls.none(network)
 
     @classmethod
@@ -178,27 +186,37 @@ class _Parts:
         of_contact = np.searchsorted(parts, label[np.where(network.free[ends[0]], *ends)])
         return cls(network, free, ends, network.graph.normal[contacts], rows, of_unknown, of_contact, len(parts))
 
-    def floor_and_motions(self) -> tuple[np.ndarray, np.ndarray, _Motions] | np.ndarray:
+    def following(self) -> np.ndarray:
+        """Choose some unknowns such that no pivot of the others is nearly 0, and return the mask (n,) of these others,
+        which follow from the chosen ones. Nothing about it is proven."""
+        sphere = np.nonzero(self.free)[0]
+        place, parts = self.network.graph.place[sphere].T, self.network.parts_of(sphere)
+        matrix, samples = (self.rows.T @ self.rows).tocsc(), self.network.samples_of(sphere)
+        return ~Elimination.of(matrix, place, parts, samples).dependent(NULL_PIVOT)
+
+    def with_nothing_to_prove(self, follows: np.ndarray) -> np.ndarray:
+        """Return the mask (N,) of the spheres of parts that need no proof in exact arithmetic. A slip has two
+        components: these are parts with no more of them than unknowns that follow, and samples in which none follows.
+
+        follows : (n,) mask of the unknowns that follow from others."""
+        samples = self.network.samples_of(np.nonzero(self.free)[0])
+        conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
+        enough = conditions <= np.bincount(self.of_unknown, follows, self.count)
+        none = np.bincount(samples.of, follows, samples.count) == 0
+        return self._spheres(enough[self.of_unknown] | none[samples.of])
+
+    def floor_and_motions(self, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray, _Motions] | np.ndarray:
         """Try to prove that all A contacts can roll exactly at once.
 
         Returns, if that is proven, three things: `floor` and `unit` as in :class:`ExactMotions`, and the motions. Else
-        a mask (N,) of at least one sphere that is to be left out before the next try."""
+        a mask (N,) of at least one sphere that is to be left out before the next try.
+
+        follows : (n,) mask of the unknowns that follow from others, as a guess."""
         everything, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
         network, place = self.network, self.network.graph.place[sphere].T
         samples = network.samples_of(sphere)
-        # Choose some unknowns such that no pivot of the others is nearly 0. All others follow from them.
-        elimination = Elimination.of((self.rows.T @ self.rows).tocsc(), place, network.parts_of(sphere), samples)
-        follows = ~elimination.dependent(NULL_PIVOT)
         in_order = np.empty(len(follows), dtype=np.intp)
-        in_order[elimination.order] = np.arange(len(follows))
-        # A slip has two components. Parts without more of these conditions than unknowns outside J have nothing to
-        # prove: leave them out.
-        conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
-        enough = conditions <= np.bincount(self.of_unknown, follows, self.count)
-        # So are samples in which no unknown follows.
-        enough = enough[self.of_unknown] | (np.bincount(samples.of, follows, samples.count) == 0)[samples.of]
-        if enough.any():
-            return self._spheres(enough)
+        in_order[np.concatenate([part.nodes for part in network.parts_of(sphere)])] = np.arange(len(follows))
         # The motions that follow from chosen and imposed numbers, and, if no contact slips, a floor for the others.
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
         parts, followers = network.parts_of(sphere[follows]), network.samples_of(sphere[follows])

@@ -70,6 +70,7 @@ MOVING = 1e-10
 TINY = 1e-290  # added to bounds that might underflow
 # The numbers below belong to Newton's method, of which nothing has to be proven.
 FIRM, STIFFER, NEARBY = 1e4, 1e4, 3  # how stiff the springs at resting contacts are, see `_stiffness_of_springs`
+NEGLIGIBLE = 1e-20  # leftover torque, in units of the largest friction, that no proof notices
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -292,7 +293,7 @@ class Centre:
         step solves once, with one factorised matrix: the curvature at slipping contacts, and the springs. What a spring
         bears after a step is added to the friction of its contact. So slips of resting contacts, and torques, become
         smaller in each step by the ratio of the stiffness of slipping contacts to that of springs. Steps are made while
-        each of them more than halves the norm of the leftover torques."""
+        each of them more than halves the norm of the leftover torques, and these are not yet negligible."""
         stiffness = self._stiffness_of_springs()
         curvature = self.curvature(stiffness)
         factor = None if curvature is None else curvature.elimination.factorised()
@@ -302,12 +303,14 @@ class Centre:
         fixed, root = curvature.rows[rest], np.tile(np.sqrt(stiffness), 3)
         best, least, found = self, np.inf, self
         while True:
-            torque = curvature.scale * np.stack([part.value for part in found.torques], axis=1)[there]
-            if not (left := float(np.linalg.norm(torque))) < least / 2:
+            torque = np.stack([part.value for part in found.torques], axis=1)[there]
+            if not (left := float(np.linalg.norm(curvature.scale * torque))) < least / 2:
                 return best
             best, least = found, left
+            if np.abs(torque).max() < NEGLIGIBLE:
+                return best
             stretch = root * np.concatenate([part.value[self.resting] for part in best.slips])
-            step = -factor.solve(torque + fixed.T @ stretch)
+            step = -factor.solve(curvature.scale * torque + fixed.T @ stretch)
             borne = root * (stretch + fixed @ step)
             found = best.moved(curvature.scale * step, -borne.reshape(3, -1))
 
