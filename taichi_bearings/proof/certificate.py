@@ -22,7 +22,7 @@ paid for as well: torques are summed in twice the precision, so what is paid is 
 the power, not to the much larger sum of all forces times the imposed jump.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -57,20 +57,23 @@ def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.n
     return found
 
 
-def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list[Forces]:
-    """Return a list of forces made from the given ones, (C, R, E) each, that the contact law allows; any of them may
-    prove the most. They are the forces as given, balanced, capped at the friction limit, or scaled to be within it, as
-    the law needs.
+def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Iterator[Forces]:
+    """Yield forces made from the given ones, (C, R, E) each, that the contact law allows; any of them may prove the
+    most. They are the forces as given, balanced, capped at the friction limit, or scaled to be within it, as the law
+    needs. Each is made only when it is asked for.
 
     scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts), finite.
     spin_axes : the axes of the C components."""
-    balanced = balance(scene, force, spin_axes)
-    found = [force, balanced] if scene.law.flows else []  # every force is admissible
+    balanced = None
+    if scene.law.flows:  # every force is admissible
+        yield force
+        yield (balanced := balance(scene, force, spin_axes))
     if scene.law.holds:
-        found += [capped(force, saturation(scene, force)), scaled(scene, balanced)]
-        found.append(capped(balanced, saturation(scene, balanced)))
-    return found
+        yield capped(force, saturation(scene, force))
+        balanced = balance(scene, force, spin_axes) if balanced is None else balanced
+        yield scaled(scene, balanced)
+        yield capped(balanced, saturation(scene, balanced))
 
 
 def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
@@ -189,9 +192,8 @@ def _most_proving(
         proves more.
     spin_axes : the axes of the C components.
     bound : (R,), what the forces should prove, energy/time."""
-    if (reached >= bound * (1 - CERTIFIED_ERROR)).all():
-        return best
-    for candidate in _candidates(scene, force, spin_axes):
+    candidates = _candidates(scene, force, spin_axes)
+    while not (reached >= bound * (1 - CERTIFIED_ERROR)).all() and (candidate := next(candidates, None)) is not None:
         value = dual_value(scene, candidate, spin_axes)
         better = (reached < bound * (1 - CERTIFIED_ERROR)) & (value > reached)
         best, reached = _where(better, candidate, best), np.where(better, value, reached)

@@ -471,6 +471,7 @@ class Course:
             can resolve.
         """
         last, best, method = self.last, self.best, self.method
+        method.give_back()
         final = replace(best.progress, ended=last.ended, findings=self.findings)
         ended = Ended(
             self.status, final, best.bound, best.proof, last.iteration, self.stop, method.options, threshold,

@@ -83,6 +83,11 @@ class Method(ABC):
         only if the method can be resumed (`resumes`).
         """
 
+    def give_back(self) -> None:  # noqa: B027
+        """Free the memory that only further iterations would need. Nothing is asked of the method afterwards but what
+        it has found.
+        """
+
     def found(self) -> list[Found]:
         """Return the spins and forces that each sample of a packing has reached, for a method that finds minima; empty
         for other methods.

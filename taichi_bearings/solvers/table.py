@@ -62,6 +62,7 @@ def _steps(law: Law) -> bool:
 # bytes for each sphere of a lattice of 2 or 3 dimensions while its answer is judged: the answer, and enclosures (16 or
 # 24 bytes a number) of the slips, forces and moments of 2 or 3 contacts a sphere; the peak that tracemalloc shows
 JUDGED_BYTES = {2: 1180.0, 3: 1750.0}
+SPLITTING_BYTES = 1400.0  # the same in 3D after operator splitting, which has given back its fields by then
 # seconds for each sphere of a lattice to judge its answer, write it, and seal it with checksums
 JUDGED_SECONDS = {2: 5e-6, 3: 1.5e-5}
 # bytes for each sphere in a method that factorises, in addition to the numbers of the factor: some 20 rows of the
@@ -363,6 +364,15 @@ class OperatorSplitting(MethodOptions):
         iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(prod(shape) / 4096, 1) ** 0.25
         found: float | None = 0.02 + iterations * (2e-4 + 3.6e-8 * prod(shape))
         return found
+
+    @classmethod
+    def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
+        """Return the most memory, bytes, that one sample takes until its answer is written.
+
+        shape : shape of the lattice.
+        periodic : numbers of the periodic axes.
+        """
+        return SPLITTING_BYTES * prod(shape) if len(shape) == 3 else super().bytes(shape, periodic)
 
 
 @register
