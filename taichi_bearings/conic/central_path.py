@@ -25,11 +25,10 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
 # most of Gondzio's correctors; each costs a solve and saves part of a factorisation. The second number is for matrices
 # whose factorisation takes ten solves or more
-MOST_CORRECTORS = (3, 6)
+MOST_CORRECTORS = (3, 4)
 # The next three and PRODUCT_SPREAD are usual values of such methods; they change the number of steps, not the result.
 FULL_STEP = 0.9  # step length beyond which no further corrector is tried
-# gain in step length below which a corrector is dropped and none is tried after it; again for both kinds of matrices
-LEAST_GAIN = (0.02, 0.01)
+LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
 # where a factorisation takes long, a corrector is taken by that of these shares with which the step goes furthest
 SHARES = (0.25, 0.5, 0.75)
 STEP_SHARE = 0.95  # share of the way to the boundary of the cones that a step goes
@@ -299,13 +298,13 @@ class Path:
         target : (S,), product of slip bound and friction margin to aim at.
         going : (S,) mask of the samples to correct.
         """
-        rejected, kind = np.zeros_like(going), int(self._matrix.is_costly)
-        for _ in range(MOST_CORRECTORS[kind]):
+        rejected = np.zeros_like(going)
+        for _ in range(MOST_CORRECTORS[self._matrix.is_costly]):
             going = going & ~(step.shorter > FULL_STEP)
             if not going.any():
                 break
             further = self._furthest(step, self._recentred(step, target, going, rejected))
-            rejected = going & (further.reach < step.reach + LEAST_GAIN[kind])
+            rejected = going & (further.reach < step.reach + LEAST_GAIN)
             step = further.but(rejected, step) if rejected.any() else further
             going = going & ~rejected
         # Of rejected samples the better step is in the rows of the other one of the two steps in memory.
