@@ -97,7 +97,7 @@ class RestWatch:
 
         found : the progress now.
         time : simulated time now.
-        radius : radius of spheres, length.
+        radius : radius of the largest sphere, length.
         tolerance : largest relative change of the objective.
         believed : True if a state without change may be rest; False while springs may still be loading, which changes
             as little.
@@ -336,5 +336,6 @@ class SpringDynamics(Dynamics):
             slipping=slipping,
             halted=self.halted,
         )
-        self.rest.look(found, self.time, scene.slip_radius, self.options.rest_tolerance, self.may_be_at_rest(found))
+        radius = float(np.max(scene.network.radius))
+        self.rest.look(found, self.time, radius, self.options.rest_tolerance, self.may_be_at_rest(found))
         return replace(found, at_rest=self.rest.at_rest)

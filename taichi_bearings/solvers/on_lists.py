@@ -266,7 +266,7 @@ class OnLists(Stepped):
             bound, proof = bounds.of(force if proof is None else proof, staggered, whole)
         bound = min(bound, float(objective[0]))
         bounds.take(bound, staggered)
-        left = np.abs(scene.pulls(force, axes))[..., ~scene.is_driven].max(initial=0.0)
+        left = (np.abs(scene.pulls(force, axes)) * scene.network.radius)[..., ~scene.is_driven].max(initial=0.0)
         return Progress(
             staggered=staggered, spin_axes=axes, force=force, objective=objective, proof=proof,
             lower_bound=np.array([bound]), largest_balance_residual=np.array([left]), **more,

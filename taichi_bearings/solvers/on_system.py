@@ -118,7 +118,8 @@ class OnSystem(WithMinima):
         iteration : number of iterations that were made.
         """
         staggered, force = self._stacked(ends)
-        left = np.abs(self.scene.pulls(force, self.spin_axes))[..., ~self.scene.is_driven]
+        torque = np.abs(self.scene.pulls(force, self.spin_axes)) * self.scene.network.radius
+        left = torque[..., ~self.scene.is_driven]
         return Progress(
             iteration=iteration, staggered=staggered, spin_axes=self.spin_axes, force=force, resolution=0.0,
             objective=self.scene.objective(staggered, self.spin_axes), lower_bound=np.zeros(len(ends)),

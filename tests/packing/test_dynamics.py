@@ -231,6 +231,16 @@ def test_snapshots_of_a_lattice_given_as_packing_are_those_of_its_scene(needs_f6
     assert found.spin == pytest.approx(twin.spin.reshape(found.spin.shape), abs=60 * 1e-13)
 
 
+@pytest.mark.parametrize("method", ["cundall-strack", "gradient-descent"])
+def test_torques_in_the_history_are_those_of_the_lattice(method, needs_f64):
+    """They are force * length, also where spheres have another radius than 1."""
+    scene, packing = pair((4, 5), 3, radius=0.25)
+    asked = {"start": "zero", "iterations": 60, "tolerance": 1e-12, "threads": 1}
+    found, twin = (tb.solve(of, method, **asked).history["largest_balance_residual"] for of in (packing, scene))
+    assert len(twin) > 1
+    assert found[: len(twin)] == pytest.approx(np.ravel(twin)[: len(found)], rel=1e-6)
+
+
 def test_times_asked_for_are_rows_of_the_history():
     packing = tb.Packing.lattice("cubic", (3, 3, 4), seed=1)
     found = tb.solve(packing, "cundall-strack", start="random", duration=0.01, record="linear:0.002,0.01,5")
