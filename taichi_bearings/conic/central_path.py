@@ -29,8 +29,8 @@ MOST_CORRECTORS = (3, 4)
 # The next three and PRODUCT_SPREAD are usual values of such methods; they change the number of steps, not the result.
 FULL_STEP = 0.9  # step length beyond which no further corrector is tried
 LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
-# where a factorisation takes long, a corrector is taken by that of these shares with which the step goes furthest
-SHARES = (0.25, 0.5, 0.75)
+# where a factorisation takes long, a corrector is taken by 1 or one of these shares: the last that makes a step longer
+SHARES = (0.75, 0.5, 0.25)
 STEP_SHARE = 0.95  # share of the way to the boundary of the cones that a step goes
 TINY = np.finfo(np.float64).tiny
 # stiffness along a slip, times the slip squared (or over the stiffness across), that keeps matrices regular; it slows
@@ -313,9 +313,9 @@ class Path:
         return step
 
     def _furthest(self, step: _Step, further: _Step) -> _Step:
-        """Return the step that goes furthest among those between two steps: step + share * (further - step), for a few
-        shares (Colombo & Gondzio, Comput. Optim. Appl. 41, 2008). It stands in memory in place of `further`. Where a
-        factorisation takes so little that this does not pay, return `further`.
+        """Return a step between two steps, step + share * (further - step), that goes further than both: the share is
+        made smaller as long as that helps (Colombo & Gondzio, Comput. Optim. Appl. 41, 2008). It stands in memory in
+        place of `further`. Where a factorisation takes so little that this does not pay, return `further`.
 
         step, further : two steps from one point that stand in the two places in memory. All steps between them leave
             the torques balanced, too.
@@ -326,8 +326,9 @@ class Path:
             found = further.found.copy()
             found[: kernels.LEAST_FOUND] = lengths.min(axis=0) if self._together else lengths
             trial = replace(further, found=found)
-            if trial.reach[0] > best.reach[0]:
-                best, taken = trial, share
+            if not trial.reach[0] > best.reach[0]:
+                break
+            best, taken = trial, share
         if taken < 1:
             self._rows.mix(step.slot, further.slot, taken)
             best = replace(best, spins=step.spins + taken * (further.spins - step.spins))
