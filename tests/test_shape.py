@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -17,19 +18,29 @@ MODULES = {
     for package, folder in FOLDERS.items()
     for path in sorted(folder.rglob("*.py"))
 }
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
-FUNCTIONS = [
-    (f"{name}.{node.name}", node)
-    for name, tree in TREES.items()
-    for node in ast.walk(tree)
-    if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
-]
 MOST_LINES, MOST_ARGUMENTS = 60, 8
 ABSENT = "PHYS" + "ICS"
 
 
+@cache
+def trees():
+    """Syntax tree of every module."""
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+
+@cache
+def functions():
+    """Full name and syntax tree of every function."""
+    return [
+        (f"{name}.{node.name}", node)
+        for name, tree in trees().items()
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+    ]
+
+
 def test_functions_are_short():
-    lengths = {name: node.end_lineno - node.lineno + 1 for name, node in FUNCTIONS}
+    lengths = {name: node.end_lineno - node.lineno + 1 for name, node in functions()}
     assert {name: length for name, length in lengths.items() if length >= MOST_LINES} == {}
 
 
@@ -41,7 +52,7 @@ def arguments(node):
 
 def test_functions_take_few_arguments():
     """But kernels, which take numbers one by one."""
-    numbers = {name: len(arguments(node)) for name, node in FUNCTIONS if not re.search(r"\.kernels\.", name)}
+    numbers = {name: len(arguments(node)) for name, node in functions() if not re.search(r"\.kernels\.", name)}
     assert {name: number for name, number in numbers.items() if number > MOST_ARGUMENTS} == {}
 
 
@@ -66,7 +77,7 @@ def imported(name, tree):
 
 
 def test_no_imports_go_in_circles():
-    graph = {name: {there for there in imported(name, tree) if there != name} for name, tree in TREES.items()}
+    graph = {name: {there for there in imported(name, tree) if there != name} for name, tree in trees().items()}
     try:
         list(TopologicalSorter(graph).static_order())
     except CycleError as error:

@@ -147,7 +147,7 @@ def sweep(folder, name, what, stride, strike, expected):
 
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="forks")
-SHARE = 61  # every so many-th step; all of them if a thorough look is wanted
+SHARE = 101  # every so many-th step; all of them if a thorough look is wanted
 
 
 def test_a_command_ended_at_any_step_leaves_whole_files_and_the_next_call_recovers(tmp_path, thorough):

@@ -35,12 +35,12 @@ def scan_file(tmp_path):
 
 
 def test_a_worker_that_is_stopped_is_ended_and_costs_its_sample_alone(scan_file, tmp_path):
-    engine = LocalEngine(scan_faults.halt, 1, partial(scan_faults.allowed, seconds=1.0))
+    engine = LocalEngine(scan_faults.halt, 1, partial(scan_faults.allowed, seconds=0.3))
     report = scan(read_plan(scan_file), tmp_path / "scan", engine=engine)
     assert (report["done"], report["failed"]) == (2, 1)
     stored = read_scan(tmp_path / "scan")
     assert stored.table["seed"][stored.failed].tolist() == [scan_faults.HANGS]
-    assert "no result within 1 s" in report["failures"][0]["error"]
+    assert "no result within 0.3 s" in report["failures"][0]["error"]
     assert multiprocessing.active_children() == []
 
 

@@ -163,14 +163,14 @@ def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
 def test_samples_that_fail_cost_nothing_but_themselves(plan_of, tmp_path, caplog):
     """One lacks memory, one ends its process, one hangs, one crashes, one fails but once."""
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 12 }\n")
-    engine = LocalEngine(partial(scan_faults.solve, marks=tmp_path), 2, partial(scan_faults.allowed, seconds=1.0))
+    engine = LocalEngine(partial(scan_faults.solve, marks=tmp_path), 2, partial(scan_faults.allowed, seconds=0.3))
     report = scan(plan, tmp_path / "scan", engine=engine)
     assert (report["done"], report["failed"], report["missing"]) == (8, 4, 0)
     stored = read_scan(tmp_path / "scan")
     bad = [3, 5, 7, 8]
     assert stored.table["seed"][stored.failed].tolist() == bad
     reasons = dict(zip(stored.table["seed"].tolist(), stored.table["error"], strict=True))
-    expected = ("MemoryError: no room", "exit code 42", "no result within 1 s", "SIGABRT")
+    expected = ("MemoryError: no room", "exit code 42", "no result within 0.3 s", "SIGABRT")
     for seed, words in zip(bad, expected, strict=True):
         assert words in reasons[seed]
         assert f"sample seed = {seed} (" in caplog.text
