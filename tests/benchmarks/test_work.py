@@ -18,7 +18,7 @@ from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, 
 from taichi_bearings.proof import judged_network, listed
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import METHODS, grid_bundles, grid_cuts, operator_splitting
+from taichi_bearings.solvers import METHODS, grid_bundles, grid_cuts, torque_balance
 from tests.scenes import make_scene
 
 
@@ -61,8 +61,8 @@ def counting(monkeypatch):
             watch(kind, "substitute", "solves")
         watch(grid_bundles, "factorised", "factorisations")
         watch(grid_cuts, "minimum_cuts", "cuts")
-        watch(operator_splitting, "_to_modes", "products with sines")
-        watch(operator_splitting, "_from_modes", "products with sines")
+        watch(torque_balance.TorqueBalance, "_to_modes", "products with sines")
+        watch(torque_balance.TorqueBalance, "_from_modes", "products with sines")
         watch(central_path.Path, "step", "Newton steps")
         yield seen
 
