@@ -129,4 +129,5 @@ def test_nothing_is_suggested_where_nothing_is_near():
 
 def test_the_page_of_methods_has_a_row_for_each():
     page = (Path(__file__).parents[1] / "docs" / "methods.md").read_text(encoding="utf-8")
-    assert [name for name in METHODS if f"\n| `{name}` |" not in page] == []
+    ours = [name for name, row in METHODS.items() if row.implementation.startswith("taichi_bearings.")]
+    assert [name for name in ours if f"\n| `{name}` |" not in page] == []

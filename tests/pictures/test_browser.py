@@ -282,7 +282,7 @@ def test_snapshots_play_in_time(dynamics, opened):
     drawn = points_and_lines(read_run(dynamics))
     rows, shape = drawn.moments, drawn.structure.spin.shape
     page.move("time", 1)
-    shown = drawn.structure.shown_spin(rows.spin[1].reshape(shape))
+    shown = drawn.structure.scene.driving.shown(rows.spin[1].reshape(shape))
     assert np.array(page.ask("Array.from(bearings.sample.spinNow)")) == pytest.approx(shown.ravel(), rel=1e-6)
     assert page.ask("bearings.sample.counts.slipping") == (rows.state[1] == 1).sum()
     page.move("time", 0)

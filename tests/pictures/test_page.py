@@ -36,7 +36,7 @@ def test_a_page_holds_the_rows_to_the_digits_that_it_shows(name, request, tmp_pa
     rows = points_and_lines(read_run(run), analyse=True)
     for key in ("slip", "power", "force", "coefficient", "betweenness"):
         assert arrays[key] == pytest.approx(rows.contacts[key].values, rel=1e-7, abs=1e-37)
-    shown = rows.structure.shown_spin(rows.structure.spin)
+    shown = rows.structure.scene.driving.shown(rows.structure.spin)
     spin = arrays["spin"].reshape(-1, 3)[:, 2 if shown.ndim == 2 else 0 :]
     assert spin.ravel() == pytest.approx(shown.ravel(), rel=1e-7, abs=1e-37)
     assert arrays["state"].tolist() == rows.contacts["state"].values.tolist()

@@ -140,5 +140,7 @@ def test_a_checkpoint_of_another_scene_is_refused():
 def test_every_method_that_keeps_checkpoints_resumes_and_is_tried():
     """Two places say it: the row of options, for those who ask, and the class, for the loop."""
     for name, row in METHODS.items():
+        if not row.implementation.startswith("taichi_bearings."):  # another test may have registered it
+            continue
         assert row.keeps_checkpoints == type(row().build()).resumes, name
         assert not row.keeps_checkpoints or row.is_dynamics or row in {type(case[0]) for case in CASES}, name
