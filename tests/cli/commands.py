@@ -21,6 +21,9 @@ from unittest import mock
 from taichi_bearings_cli.main import main
 
 from taichi_bearings import interrupts, runtime
+from taichi_bearings.kernels.contact import FORCES
+from taichi_bearings.scene.law import LAWS
+from taichi_bearings.solvers.table import METHODS
 from tests.here import one_worker_is_here
 
 LONGEST = 300  # seconds
@@ -77,10 +80,15 @@ def refused(*words, cwd=None, **settings):
 
 
 def script(path, *words, cwd=None, alone=False):
-    """What a script of a user makes of the words. alone : in a process of its own, as one that starts Taichi itself."""
+    """What a script of a user makes of the words. alone : in a process of its own, as one that starts Taichi itself.
+
+    Laws and methods that it adds are forgotten afterwards, as with its process."""
     if alone:
         return _anew((str(path), *words), cwd)
-    with mock.patch.object(sys, "path", [str(Path(path).parent), *sys.path]):
+    with contextlib.ExitStack() as patches:
+        for table in (METHODS, LAWS, FORCES):
+            patches.enter_context(mock.patch.dict(table))
+        patches.enter_context(mock.patch.object(sys, "path", [str(Path(path).parent), *sys.path]))
         return _answer(lambda: runpy.run_path(str(path), run_name="__main__"), (str(path), *words), cwd)
 
 
