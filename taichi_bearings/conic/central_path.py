@@ -276,7 +276,8 @@ class Path:
         # Scaling of all cones, factorisation, and the predictor: a step towards product 0.
         rows.run(kernels.prepare, (0, 0), LEAST_WORK)
         going = self._matrix.factorise_rows(rows, self.used, self._inertia, self._viscous, raised)
-        taken, step = going.copy(), self._solved(0)
+        taken: np.ndarray = going.copy()
+        step = self._solved(0)
         target = self._target(step)
         # Mehrotra's corrector: the product that the predictor makes credible, and its second-order terms.
         rows.run(kernels.correct, (0, 1), target)
@@ -287,8 +288,7 @@ class Path:
         found = rows.run(kernels.take, (step.slot, step.slot), along, dual_along)
         self._power, self._excess, self._price = found[kernels.POWER_FOUND], found[kernels.EXCESS], None
         self._spins_before, self._spins = self._spins, self._spins + along * step.spins
-        result: np.ndarray = taken
-        return result
+        return taken
 
     def _with_correctors(self, step: _Step, target: np.ndarray, going: np.ndarray) -> _Step:
         """Return the step of all samples after Gondzio's correctors, sample by sample, as long as each makes the step

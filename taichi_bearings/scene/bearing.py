@@ -338,6 +338,17 @@ class Bearing(ABC):
         """
         return self.network.pulls(force, spin_axes)
 
+    def torques_left(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Return the largest torque (samples R,), force * length, that contact forces leave on a free sphere of a
+        packing. (proof/certificate.py has a quicker way for lattices.)
+
+        force : (d, R, contacts E), contact forces along the d tangents.
+        spin_axes : numbers of the spin components.
+        """
+        torque = np.abs(self.pulls(force, spin_axes)) * self.network.radius
+        found: np.ndarray = torque[..., ~self.is_driven].max(axis=(0, 2), initial=0.0)
+        return found
+
     def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return the slip speed (samples R, contacts E) of every contact (paper, Eq. 2), length/time.
 

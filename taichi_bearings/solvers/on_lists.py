@@ -266,10 +266,9 @@ class OnLists(Stepped):
             bound, proof = bounds.of(force if proof is None else proof, staggered, whole)
         bound = min(bound, float(objective[0]))
         bounds.take(bound, staggered)
-        left = (np.abs(scene.pulls(force, axes)) * scene.network.radius)[..., ~scene.is_driven].max(initial=0.0)
         return Progress(
             staggered=staggered, spin_axes=axes, force=force, objective=objective, proof=proof,
-            lower_bound=np.array([bound]), largest_balance_residual=np.array([left]), **more,
+            lower_bound=np.array([bound]), largest_balance_residual=scene.torques_left(force, axes), **more,
         )  # fmt: skip
 
     def state(self) -> dict[str, np.ndarray]:
@@ -336,10 +335,8 @@ class StepsReached(PackingReached):
         """
         if not self.moves:
             return super().numbers()
-        network = self.of_acting.network
-        torque = np.abs(self.of_acting.pulls(self.last.force, self.spin_axes)) * network.radius
-        left = torque[..., network.free].max(initial=0.0)
-        return super().numbers() | {"largest_balance_residual": np.array([left])}
+        left = self.of_acting.torques_left(self.last.force, self.spin_axes)
+        return super().numbers() | {"largest_balance_residual": left}
 
     def force(self, slip: np.ndarray) -> np.ndarray:
         """Return the sizes (1, E contacts) of the contact forces of the last state.

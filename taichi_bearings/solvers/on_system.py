@@ -118,12 +118,10 @@ class OnSystem(WithMinima):
         iteration : number of iterations that were made.
         """
         staggered, force = self._stacked(ends)
-        torque = np.abs(self.scene.pulls(force, self.spin_axes)) * self.scene.network.radius
-        left = torque[..., ~self.scene.is_driven]
         return Progress(
             iteration=iteration, staggered=staggered, spin_axes=self.spin_axes, force=force, resolution=0.0,
             objective=self.scene.objective(staggered, self.spin_axes), lower_bound=np.zeros(len(ends)),
-            largest_balance_residual=left.max(axis=(0, 2), initial=0.0), settles_more=True,
+            largest_balance_residual=self.scene.torques_left(force, self.spin_axes), settles_more=True,
         )  # fmt: skip
 
     def at_the_end(self, ends: Sequence[Found], iteration: int) -> Progress:
