@@ -384,8 +384,11 @@ class _Record:
         return first - self._constants.setdefault((*described, repr(described)), len(self._constants))
 
     def _described(self, kind: Any) -> tuple[Any, ...] | None:
-        """Return how a type of numbers of the core, or of vectors or matrices of them, is stored: KIND, the name of the
-        number type, and the shape; None for other types."""
+        """Return what stands for a type in a stored walk: KIND, the name of its number type such as "f64", and its
+        shape: () of a number, (n,) of a vector, (n, m) of a matrix. None for other types.
+
+        kind : object of the compiler's core that stands for the type.
+        """
         name = kind.to_string()
         if hasattr(self._core, f"DataType_{name}"):
             return KIND, name, ()

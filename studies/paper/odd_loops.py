@@ -134,9 +134,10 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
 
 
 def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
-    """Return the spins at the minimum, 1/time: (N,) of discs, which are exact, or (N, 3) of spheres.
+    """Return the spins of least power, 1/time: (N, 3) of spheres, by `solve`; or (N,) of discs, exact.
 
-    lattice : name, by which the solver is chosen.
+    lattice : its name; "cubic" is a lattice of spheres, any other one of discs.
+    packing : the spheres or discs of this lattice, one sample.
     """
     if lattice == "cubic":
         return np.asarray(solve_packing(packing, SURE).spin[0])

@@ -479,11 +479,14 @@ def lattice_system(
     ends = np.where((sphere_at >= 0) & felt, sphere_at * len(spin_axes) + slot, -1)
     rises = is_top.ravel()[lattice.ends[1][contact]]
 
-    def of_rows(imposed: np.ndarray) -> np.ndarray:
-        """Return what spins of the top, `imposed` (C, *plane) or (C,), contribute to the slips: (d, n)."""
+    def slips_by_top(imposed: np.ndarray) -> np.ndarray:
+        """Return the slips of the n contacts while all free spheres rest: (d, n), d components of each.
+
+        imposed : (C, *plane) or (C,), spins of the top; the slips have their unit.
+        """
         of_columns = np.broadcast_to(imposed.reshape(len(jump), -1), (len(jump), lattice.sites // lattice.shape[-1]))
         return np.where(felt & rises, of_columns[slot, lattice.column[contact]], 0.0)
 
-    offset, rest = of_rows(jump), None if jump_rest is None else of_rows(jump_rest)
+    offset, rest = slips_by_top(jump), None if jump_rest is None else slips_by_top(jump_rest)
     place = np.repeat(np.indices(lattice.free_shape).reshape(lattice.dimension, -1), len(spin_axes), axis=1)
     return ContactSystem(unknowns, offset, felt, ends, contact=contact, slot=slot, place=place, offset_rest=rest)

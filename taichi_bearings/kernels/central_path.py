@@ -558,13 +558,13 @@ def apply_to_block(
 def _kernels_over_contacts(
     law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
 ) -> tuple[Callable, Callable, Callable]:
-    """Return three kernels that call `law` for many contacts: one for contacts with one slipping component, one for
-    those with two, and one for both kinds. Only those that are used are compiled; one kernel for both kinds takes less
-    time to compile than two.
+    """Return three kernels, made by `_kernel_over_contacts`, that call `law` for every contact: the first for contacts
+    with one slipping component, the second for those with two, the third for both kinds. Only those that are used are
+    compiled; the third takes less time to compile than the other two together.
 
-    law : function of one contact, such as `prepared`, that returns a list: first the new values of the rows that are
-        written (a row has one number of each contact), then numbers of which the sum or the least over all contacts is
-        found.
+    law : function of one contact, such as `prepared`. It returns a list of numbers: first those that are written into
+        rows (a row has one number for each contact), then those of which the sum or the least over all contacts is
+        wanted.
     iterate : rows of the iterate that the law writes, as two tuples: for contacts with one slipping component, and for
         contacts with two, whose vectors take more rows.
     step : rows of the step that the law writes, as two such tuples; their values follow those of `iterate` in the list.

@@ -522,9 +522,9 @@ class Domains(dict[int, np.ndarray]):
     resting contacts join. Each is computed when it is first asked for."""
 
     def __init__(self, motion: Motion) -> None:
-        """Begin without any component.
+        """Make an empty dictionary.
 
-        motion : says which contacts rest, and computes the domains."""
+        motion : the spins; they say which contacts do not slip, and find the spheres that these join (`domains`)."""
         self.motion = motion
 
     def __missing__(self, k: int) -> np.ndarray:

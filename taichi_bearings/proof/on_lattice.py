@@ -119,9 +119,9 @@ class OnLattice:
 
     @cached_property
     def jump(self) -> dict[int, Enclosure]:
-        """By spin component, the signed spin of the top less that of the bottom as they are imposed, in units of
-        `spin_unit`: enclosures (layers,), with a number for each coordinate along the component, or (1,) where all
-        layers have the same."""
+        """For each spin component k the difference of the imposed signed spins, top less bottom, in units of `spin_unit`
+        (signed: times +1 or -1, alternating between neighbours). It is an enclosure (1,) if all spheres of the top have
+        the same difference; else (layers,), a number for each layer of spheres across axis k."""
         return {k: Enclosure.of_decimals(values) for k, values in self.scene.exact_driving.jump.items()}
 
     @cached_property

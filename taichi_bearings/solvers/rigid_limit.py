@@ -93,8 +93,9 @@ class RigidLimitMethod(Dynamics):
     def _set_up_steps(self) -> None:
         """Make the solver of steps for the spin components that still move (`moving`).
 
-        Three attributes are set: slots, the place of each moving component among all components; rows, the places of
-        the force components that the solver returns; and steps, the solver, None if no sphere is free to move.
+        Three attributes are set: slots, the index of each moving component in `spin_axes`; rows, for each force
+        component that the solver returns its row in `force` (on lattices these are the same as `slots`); and steps, the
+        solver, None if no sphere is free to move.
         """
         self.slots = [self.spin_axes.index(component) for component in self.moving]
         self.steps: ProximalSteps | None = None

@@ -145,17 +145,17 @@ class Look:
         self, samples: slice, weight: float, spins: list[list[np.ndarray]], trial: list[np.ndarray],
         found: list[list[np.ndarray]], limit: tuple[np.ndarray, np.ndarray],
     ) -> Sums:  # fmt: skip
-        """Compute one piece of the contacts along one axis: write its forces, and return its sums.
+        """Compute forces of some contacts along one axis, write them into `found`, and return the sums of `Sums`.
 
         Arrays have the shape (r, n, ...) of the piece, for r of the R samples. Lists have an array for each component
         that makes these contacts slip.
 
         samples : slice of those of the R samples that the piece is of.
-        weight : stiffness of these springs over `stiffness`.
+        weight : factor by which the springs along this axis are stiffer than `stiffness`.
         spins : two lists, the spin components of the lower and of the upper spheres, 1/time.
-        trial : the components of the trial forces.
-        found : three lists, into which the components of friction, of spring forces, and of capped spring forces are
-            written.
+        trial : components of the trial forces, those of the method before they are cut off at the friction limits.
+        found : three lists of arrays that are written: friction, the trial forces cut off; the forces of the springs,
+            weight * stiffness * (upper less lower spin) - trial + 2 * friction; and the same cut off.
         limit : coefficient of each contact, 0 where it takes no part, and one over its friction limit, likewise.
         """
         scene, (friction, balanced, capped), (coefficient, inverse_limit) = self.scene, found, limit

@@ -114,7 +114,7 @@ class Layout:
         items, stages, self.batches = np.zeros((0, 3), dtype=np.int64), list[np.ndarray](), list[Batch]()
         if apart:
             stages = _stages(pattern, self.own * self.height)
-            items, branches, self.batches = self._work(batches, updates, branches, sum(map(len, stages)))
+            items, branches, self.batches = self._shared_work(batches, updates, branches, sum(map(len, stages)))
         ends_at = np.cumsum([len(stage) for stage in stages]).tolist()
         self.stages = list(zip([0, *ends_at[:-1]], ends_at, strict=True)) if apart else []
         parts = [table, place, rows, _runs(rows, self.border), slots, items, *stages, branches]
@@ -122,12 +122,13 @@ class Layout:
         header = np.array([len(self.own), *(HEADER + ends_at), tuning.SHEET_COLUMNS, 1])
         self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
 
-    def _work(
+    def _shared_work(
         self, batches: list[np.ndarray], updates: np.ndarray, branches: np.ndarray, begin_branches: int
     ) -> tuple[np.ndarray, np.ndarray, list[Batch]]:
-        """Split the assembly of the fronts into items of at least ASSEMBLY_NUMBERS doubles, which threads share.
+        """Divide the fronts of each batch among threads. A batch of branches is shared branch by branch; of any other
+        batch the assembly is split into items, each some columns of one front with at least ASSEMBLY_NUMBERS doubles.
         Returns the items, (n, 3): index of a front, first column and end of the columns; the branches, (n, 2), in the
-        order of the batches; and the batches with their items.
+        order of the batches; and the batches, each with its items or its branches.
 
         A front is a dense symmetric matrix; assembly fills it with matrix entries and what the fronts below it leave.
 

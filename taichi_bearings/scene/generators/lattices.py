@@ -124,7 +124,7 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
     shaft = np.linalg.norm(place[:, :2] - middle, axis=1) <= radius * (1 + 1e-12)
     if not shaft.any() or (body[shaft] == 0).any():
         fault = "reaches the walls; make it thinner" if shaft.any() else "holds no sphere; make it thicker"
-        raise InputError(f"driven is {driven!r}, but this shaft {fault}")
+        raise InputError(f"driven is {driven!r}, but a shaft of this radius {fault}")
     body[shaft] = 1
     return body
 
