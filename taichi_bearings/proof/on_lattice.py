@@ -119,8 +119,8 @@ class OnLattice:
 
     @cached_property
     def jump(self) -> dict[int, Enclosure]:
-        """For each spin component k the difference of the imposed signed spins, top less bottom, in units of `spin_unit`
-        (signed: times +1 or -1, alternating between neighbours). It is an enclosure (1,) if all spheres of the top have
+        """For each spin component k the difference of the imposed signed spins, top less bottom, in units of
+        `spin_unit` (signed: times +1 or -1, alternating between neighbours). It is (1,) if all spheres of the top have
         the same difference; else (layers,), a number for each layer of spheres across axis k."""
         return {k: Enclosure.of_decimals(values) for k, values in self.scene.exact_driving.jump.items()}
 
