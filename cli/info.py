@@ -75,7 +75,9 @@ def command(packing: Path | None, as_json: bool) -> None:
 
 
 def _word(value: Any) -> str:
-    """Return a value of the report as a text: yes or no, lists separated by commas, "-" for None."""
+    """Return a value of the report as a text: yes or no, lists separated by commas, "-" for None, a dictionary of
+    device names as "DEVICE: NAME, NAME; ...".
+    """
     if isinstance(value, dict):
         return "; ".join(f"{arch}: {', '.join(names)}" for arch, names in value.items()) or "none but the CPU"
     if isinstance(value, bool):

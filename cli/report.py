@@ -53,7 +53,7 @@ def _of_several(text: str, value: Any) -> list[str]:
 
 
 def _of_one(text: str, value: Any) -> list[str]:
-    """Return lines on a quantity of one sample; none if there is no value.
+    """Return a list of lines on a quantity of one sample: one line, several for a table, none if there is no value.
 
     text : what the quantity is.
     value : a number, a list, or a table (a list of dictionaries).

@@ -84,8 +84,13 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
 
 
 def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> int:
-    """Do what the command `bearings scan` does, and return its exit code. The arguments are those of the command;
-    `asked` has its other options by name."""
+    """Solve, merge or estimate a scan, print the report, and return the exit code of the command `bearings scan`.
+
+    scan : its file SCAN.toml, or the folder of a scan that is continued.
+    dry_run : True to print the time and memory to expect only.
+    as_json : True to print one JSON object.
+    asked : the other options of the command by name.
+    """
     from taichi_bearings.runs.run_directory import default_run_path
     from taichi_bearings.scans import scan as study
     from taichi_bearings.scans.cluster import connected

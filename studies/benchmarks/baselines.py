@@ -27,21 +27,21 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w", 
 
 
 class Arrays:
-    """Flat arrays of a scene of one sample, in the order in which the kernels store them: row after row, with zeros as
-    margins before and after.
+    """Spins and coefficients of a scene of one sample as flat arrays, in which spheres follow each other row after row,
+    as in the kernels, with zeros as margins before and after. `length` is the number of entries with both margins.
 
-    length : numbers in such an array, margins included.
-
-    kept : for each axis of the lattice, the places of the spin components that make its contacts slip.
-    spin : (components, length), spins with signs that alternate between neighbours.
+    kept : for each axis of the lattice, indices (into the first axis of `spin`) of the components that make its
+        contacts slip.
+    spin : (components, length), spins with signs that alternate between neighbours, 1/time.
     friction : (axes, length), friction coefficient of the contact of each sphere with its upper neighbour along an
         axis.
-    step : (components, length), for each sphere the factor from the sum of its friction to the change of its spin, 0
-        for driven ones.
+    step : (components, length), for each sphere the factor from the sum of the friction on it to the change of its
+        spin in a sweep; 0 for driven spheres.
     """
 
     def __init__(self, scene: Scene, precision: str) -> None:
         """Make the arrays of a scene of one sample: random spins, coefficients of friction, and steps of a sweep.
+
         precision : "f64" or "f32", the type of all numbers.
         """
         axes, dtype = scene.minimum_spin_axes, np.dtype(np.float64 if precision == "f64" else np.float32)

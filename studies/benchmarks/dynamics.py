@@ -97,12 +97,14 @@ def missing() -> dict[str, str]:
 
 
 def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up: int) -> dict[str, Any]:
-    """Return what a script needs to run our scene, by name.
+    """Return the request that the scripts of other codes read: lattice, contact law, time step and numbers of steps, by
+    name, and the path of a file with the initial spins, which is written here.
 
-    spin : (*N spheres, 3) initial spins, laboratory frame.
-    folder : where they are written.
+    scene : the lattice; its friction is replaced by FRICTION at all contacts, since other codes take one for all.
+    spin : (*N spheres, 3) initial spins, laboratory frame, 1/time.
+    folder : folder of the file with the spins.
     steps : time steps that are timed.
-    warm_up : steps before.
+    warm_up : time steps that are made before, and not timed.
     """
     options, file = CundallStrack(), folder / "spin.npy"
     np.save(file, spin)
@@ -157,7 +159,8 @@ def _theirs(code: Code, request: Mapping[str, Any], _: int) -> float:
     """Return the processor time of a time step of another code, seconds, as it reports it. Raises BearingsError if it
     does not see the same number of contacts. The last argument, the number of the round, is not used.
 
-    request : lattice and number of steps, as the other code takes them.
+    code : the other code.
+    request : lattice and number of steps, as :func:`request_of` returns them.
     """
     found, shape = code.measure(request), tuple(request["shape"])
     seen, ours = found["contacts"], Lattice(shape).contacts

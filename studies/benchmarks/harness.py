@@ -68,7 +68,9 @@ class Times:
         return {"seconds": self.seconds, **ends, **known, "rounds": len(self.wall)}
 
     def over(self, other: "Times") -> float:
-        """Return how many times as long as the other it takes: median over the rounds of the ratio of wall times."""
+        """Return how many times as long these take as the `other` ones, measured in the same rounds: the median over
+        the rounds of the ratio of wall times.
+        """
         return float(np.median(self.wall / other.wall))
 
 
@@ -91,7 +93,7 @@ def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds
     calls : functions that repeat something as often as their argument says, by name.
     slice_seconds : about how long one call should take; the number of repetitions is chosen so, at least one.
     """
-    measured = {name: partial(clocked, call, _enough(call, slice_seconds)) for name, call in calls.items()}
+    measured = {name: partial(clocked, call, _repetitions(call, slice_seconds)) for name, call in calls.items()}
     return {name: Times(*np.array(pairs).T) for name, pairs in in_turns(measured, rounds).items()}
 
 
@@ -105,7 +107,7 @@ def clocked(call: Callable[[int], None], number: int = 1, _: int = 0) -> tuple[f
     return (time.perf_counter() - began) / number, (time.process_time() - at) / number
 
 
-def _enough(call: Callable[[int], None], seconds: float) -> int:
+def _repetitions(call: Callable[[int], None], seconds: float) -> int:
     """Return how many repetitions take about so many seconds. This also warms up what is measured. The least of three
     times is used, since a single one could be lengthened by another program.
 
@@ -198,8 +200,9 @@ class Report:
 
 def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
     """Measure all chosen benchmarks, and return the report; Ctrl-C ends it and keeps what was measured until then.
-    plan : sizes and repetitions of the measurements.
+
     chosen : benchmarks by name.
+    plan : sizes and repetitions of the measurements.
     """
     report = Report(missing={name: why for one in chosen.values() for name, why in one.missing().items()})
     tasks = [(name, words, rows) for name, one in chosen.items() for words, rows in one.tasks(plan)]
@@ -208,9 +211,9 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
             with stage(f"{name} {words}"):
                 try:
                     for found in rows():
-                        _take(report, name, found)
+                        _add_to_report(report, name, found)
                 except BearingsError as error:
-                    _take(report, name, f"{name} {words} left out: {error}")
+                    _add_to_report(report, name, f"{name} {words} left out: {error}")
     except KeyboardInterrupt:
         report.interrupted = True
     report.notes = [said for name, found in report.rows.items() for said in chosen[name].findings(found)] + report.notes
@@ -218,9 +221,10 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
     return report
 
 
-def _take(report: Report, name: str, found: Row | str) -> None:
-    """Add to the report what a benchmark has found.
+def _add_to_report(report: Report, name: str, found: Row | str) -> None:
+    """Add to the report what a benchmark has found; a sentence that it has already is not added again.
 
+    report : the report, changed in place.
     name : name of the benchmark.
     found : a row (a dictionary of measured values), or a sentence on what was left out and why.
     """
@@ -318,7 +322,7 @@ def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: M
     write_text(written[0], text(chosen, report, here))
     notes = [f"{name}: {value}" for name, value in here.items()]
     for name, rows in report.rows.items():
-        lines = [line for row in rows for line in _lines(row)]
+        lines = [line for row in rows for line in _csv_lines(row)]
         columns = list(dict.fromkeys(key for line in lines for key in line))
         written.append(folder / f"{name}.csv")
         write_csv(written[-1], columns, [[line.get(key, "") for key in columns] for line in lines], notes)
@@ -329,9 +333,9 @@ def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: M
     return written
 
 
-def _lines(row: Row) -> Iterator[Row]:
-    """Yield the CSV lines of a row: one, or one for each checkpoint if the row has lists. Dictionaries in the row are
-    left out.
+def _csv_lines(row: Row) -> Iterator[Row]:
+    """Yield the lines of a CSV file that a row of measured values makes, each a dictionary by column: one line, or one
+    for each checkpoint of the run if the row has lists. Dictionaries in the row are left out.
     """
     plain = {key: "x".join(map(str, of)) if isinstance(of, tuple) else of for key, of in row.items()}
     lists = {key: of for key, of in plain.items() if isinstance(of, list)}
@@ -341,12 +345,12 @@ def _lines(row: Row) -> Iterator[Row]:
 
 
 def as_json(report: Report, here: Mapping[str, Any], files: Sequence[Path]) -> dict[str, Any]:
-    """Return the object of `--json`.
-
-    here : the machine, as :func:`machine` returns it.
-    files : paths that were written.
+    """Return the object that `bearings benchmark --json` prints: the machine, the rows of each benchmark by its name,
+    notes, contradictions between rows, programs that are not installed, and the files.
 
     report : all that was measured.
+    here : the machine, as :func:`machine` returns it.
+    files : paths that were written.
     """
     return {
         "machine": here, **report.rows, "left_out": report.notes,

@@ -140,9 +140,11 @@ def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int
 
 
 def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[float]:
-    """Return (power - bound) / power of each entry, at least the rounding of double precision.
+    """Return the relative gaps (power - bound) / power as a list with an entry for each power; none is below the
+    rounding of double precision.
 
-    bound : one number for all, or one for each.
+    power : powers, energy/time.
+    bound : lower bound in the same unit: one for all powers, or one for each.
     """
     high = np.array(power)
     found: list[float] = np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
@@ -151,6 +153,10 @@ def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[flo
 
 def judged(rows: Sequence[Row]) -> list[Row]:
     """Return the rows of one scene with further columns, for which all of these rows are compared with each other.
+
+    rows : a row for each run of a method, with the lists `seconds`, `power` and `lower_bound` at its checks.
+
+    Added are:
 
     * `gap`: list, proven relative distance of power and lower bound at each check;
     * `error`: list, relative distance of the power from the best lower bound of all rows; the true error is no larger;

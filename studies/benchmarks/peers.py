@@ -224,6 +224,8 @@ class Peer:
         """Return what the solver returns at a tolerance, without recomputing power and bound: unknowns x, multipliers
         z, iterations, status, and whether the tolerance was reached.
 
+        programme : what is solved.
+        tolerance : tolerance in the sense of the solver, not a relative gap.
         seconds : time limit.
         threads : number of threads, 0 for all.
         """
@@ -234,7 +236,9 @@ def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, s
     """Return what Clarabel returns: unknowns x, multipliers z, iterations, status, and whether the tolerance was
     reached.
 
+    programme : what is solved.
     linear_solver : name of its linear solver.
+    tolerance : of gap (absolute and relative) and residuals.
     seconds : time limit.
     threads : number of threads, 0 for all.
     """
@@ -260,7 +264,9 @@ def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, s
 def _scs(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
     """Return what SCS returns: unknowns x, multipliers z, iterations, status, and whether the tolerance was reached.
 
+    programme : what is solved.
     linear_solver : name of its linear solver.
+    tolerance : absolute and relative tolerance of its residuals and gap.
     seconds : time limit.
     threads : not used; SCS cannot be told.
     """

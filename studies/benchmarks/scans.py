@@ -61,8 +61,10 @@ def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]
 
 
 def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
-    """Return by name the functions that solve samples: ours and, if it is installed, Clarabel with the linear solver
-    that is quickest on this lattice.
+    """Return by name the functions that solve samples of a lattice: ours and, if it is installed, Clarabel with the
+    linear solver that is quickest on one of them.
+
+    shape : numbers of spheres along the axes of the lattice.
     """
 
     def seconds(peer: Peer) -> float:
@@ -82,6 +84,7 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> F
     """Yield a row for each program (this one and, if it is installed, Clarabel): the seconds that it takes for a sample
     of a scan, measured in rounds in which each solves the same `number` samples.
 
+    shape : numbers of spheres along the axes of the lattice.
     rounds : how often each solves such a set.
     workers : number of processes.
 

@@ -63,10 +63,11 @@ def share(value: float, digits: int = 1) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """Return a value and its error as a text, rounded to the first digit of the error, or to the second if the first
-    is 1.
+    """Return a value and its error as a text, both rounded to the first digit of the error, or to the second if the
+    first is 1.
 
-    error : standard error; not-a-number or 0 if there is none, then only the value is returned.
+    value : the number, in any unit.
+    error : its standard error in the same unit; not-a-number or 0 if there is none, then only the value is returned.
 
     >>> with_error(135.278, 41.2), with_error(0.51972, 0.0121), with_error(2.0, 0.577), with_error(1.0, math.nan)
     ('140 +- 40', '0.520 +- 0.012', '2.0 +- 0.6', '1')
@@ -122,7 +123,9 @@ class Claim:
         return "refined" if self.refined else "confirmed"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the claim and its verdict as reports have them; the finding says so if there were too few samples."""
+        """Return the attributes by name for a report, with the `verdict` in place of `confirmed` and `refined`. The
+        finding says so if there were too few samples for a verdict.
+        """
         found = {name: value for name, value in vars(self).items() if name not in ("confirmed", "refined")}
         if self.verdict == "too few samples":
             needed = counted(self.samples_needed, "such sample")
@@ -290,8 +293,9 @@ class _Sentences(string.Formatter):
         return self.vformat(text, (), {**self.named, **more})
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Return a value as a text.
+        """Return a value as a text; `string.Formatter` calls this for each {name:format_spec} of a sentence.
 
+        value : what the name stands for: a number, an array, a list, a dictionary or a table of samples.
         format_spec : how to write it: one of the ways that the class lists, and a format after it, such as "mean .2f",
             "count sample" or "by side interval"; or a format of Python alone.
         """

@@ -14,6 +14,7 @@ import numpy as np
 def draw_deviations(axes: Any, found: Mapping[int, np.ndarray], **look: Any) -> None:
     """Draw the standard deviation over the samples of each size, with its standard error, against the size.
 
+    axes : panel of matplotlib.
     found : for each size, the numbers (samples,).
     look : further arguments of matplotlib's errorbar.
     """
@@ -48,6 +49,7 @@ def mean_and_error(values: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray
 def draw_means(axes: Any, found: Mapping[Any, np.ndarray], x: Any = None, **look: Any) -> None:
     """Draw the mean over the samples of each size or other key, with its standard error.
 
+    axes : panel of matplotlib.
     found : for each key, the numbers (samples,).
     x : abscissae in the order of the keys; None for the keys themselves.
     look : further arguments of matplotlib's errorbar.
@@ -73,6 +75,8 @@ def draw_row(axes: Any, row: float, values: np.ndarray, color: str) -> None:
 def name_sizes(axes: Any, sizes: Sequence[int] | np.ndarray, label: str) -> None:
     """Make the x axis logarithmic, with one tick for each size, labelled by that number.
 
+    axes : panel of matplotlib.
+    sizes : (sizes,), the numbers.
     label : label of the axis.
     """
     axes.set(xscale="log", xlabel=label)

@@ -43,14 +43,13 @@ THETA = 1 / 3  # exponent of directed polymers; the next term of the variance go
 
 
 def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[str, Any]:
-    """Return numbers of the minimum cuts of some random lattices: lists with one entry for each sample.
+    """Return two lists with one entry for each of some random square lattices of discs, by name: `weight`, the friction
+    coefficients of the contacts of its minimum cut, summed; and `middle`, the height at which this cut crosses the
+    middle column, in discs.
 
-    kind : "held" if both ends of the cut are, else "free".
-    length, height : discs of the lattice along the cut and across it.
-    samples, seed : number of samples, and seed from which all of them are drawn.
-
-    `weight`: friction of the contacts of the cut, in units of the largest friction. `middle`: height at which the cut
-    crosses the middle column, in discs.
+    kind : "held" if the cut must begin and end in the middle of both sides, else "free".
+    length, height : numbers of discs along the cut and across it.
+    samples, seed : number of lattices, and seed from which the friction of all of them is drawn.
     """
     rng = np.random.default_rng([seed, length, height])
     found: dict[str, list[float]] = {"weight": [], "middle": []}

@@ -97,6 +97,7 @@ def study(folder: Path, effort: Effort) -> Found:
 def contacts_between(scene: Scene, above: np.ndarray) -> np.ndarray:
     """Return a mask (R samples, E contacts), True for contacts that join a disc above a cut with one below.
 
+    scene : the lattice with its R samples.
     above : mask (R, *N spheres) of the discs above the cut.
     """
     low, high = above.reshape(len(above), scene.lattice.sites)[:, scene.lattice.ends].swapaxes(0, 1)
@@ -139,6 +140,7 @@ def visible(scene: Scene, ended: Solution) -> np.ndarray:
     """Return a mask (R samples, E contacts), True for contacts that slip visibly at the end of a descent: by more than
     VISIBLE of the largest possible slip.
 
+    scene : the lattice with its R samples.
     ended : the solution at that end.
     """
     return np.asarray(ended.slip > VISIBLE * scene.lattice.radius * scene.jump)
@@ -161,7 +163,8 @@ def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
 
 
 def beside_cut(scene: Scene) -> Table:
-    """Return a table that compares minima by the interior-point method with the minimum cuts of the same samples.
+    """Return a table that compares minima by the interior-point method with the minimum cuts of the same samples; it
+    has a row for each sample of the scene.
 
     Columns: `spread`, largest relative difference between the power of the cut and the two proven bounds of the
     minimum; `differing`, number of contacts that slip at the minimum but are not of the cut, or the other way round;
@@ -180,9 +183,11 @@ def beside_cut(scene: Scene) -> Table:
 
 
 def spins_of(solution: Solution, shown: int) -> Table:
-    """Return a table with the place of each disc of one sample, and its spin over that of the top.
+    """Return a table with a row for each disc of one sample and the columns `seed`, of the sample; `x` and `y`, the
+    lattice indices of the disc; and `spin_over_top`, its spin where the top has 1.
 
-    shown : index of the sample.
+    solution : spins of some samples of a 2D lattice.
+    shown : index of the sample among them.
     """
     spin = solution.spin[shown]
     x, y = np.indices(spin.shape).reshape(2, -1)
@@ -190,12 +195,14 @@ def spins_of(solution: Solution, shown: int) -> Table:
 
 
 def viscous_numbers(solution: Solution) -> dict[str, Any]:
-    """Return numbers of viscous samples, by name:
+    """Return three numbers of viscous samples, by name:
 
     samples : how many there are.
     least_slip, largest_slip : least slip and largest slip of the contacts that can slip, in units of radius times the
         difference of the imposed spins.
-    least_rise : least rise of the spin from layer to layer (see :func:`least_rise`).
+    least_rise : smallest rise of the mean spin from one layer to the next (see :func:`least_rise`).
+
+    solution : the stationary states of the samples.
     """
     scene = of_lattice(solution.scene)
     slips = solution.slip[:, ~scene.lattice.between_driven] / (scene.lattice.radius * scene.jump)
@@ -204,9 +211,10 @@ def viscous_numbers(solution: Solution) -> dict[str, Any]:
 
 
 def least_rise(scene: Scene, spin: np.ndarray) -> float:
-    """Return the least change, from one layer to the next towards the top, of the mean spin of a layer; the least of
-    all samples, over the difference of the imposed spins. Spins are taken with opposite signs on neighbours, and along
-    the direction of that difference, so that 0 means no change and a negative number a step backwards.
+    """Return the smallest step that the mean spin of a layer makes to the next layer above, among all layers of all
+    samples, in units of the jump (the difference of the imposed spins of top and bottom). Spins are staggered (with
+    opposite signs on neighbours), and only their part along the jump is taken: the mean rises from 0 at the bottom to 1
+    at the top, and a negative step leads back towards the spin of the bottom.
 
     scene : the lattice with its R samples.
     spin : (R samples, *N, ...), laboratory frame, 1/time.
@@ -245,8 +253,8 @@ def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
 
 def apart_from_cut(scene: Scene) -> dict[str, float]:
     """Return how far the spins at the end of Cundall-Strack dynamics are from those of the two rigid domains of the
-    minimum cut: for each of STARTS, the name of the initial spins, the largest difference of any spin, over the
-    jump.
+    minimum cut: for each of STARTS, names of initial spins, the largest difference of any spin in any sample of the
+    scene, in units of the jump (top minus bottom of the imposed spins).
     """
     cut = np.where(cut_of(scene).above, scene.spin_top, scene.spin_bottom)
     return {start: float(np.abs(relax(scene, start).last[0] - cut).max() / scene.jump) for start in STARTS}

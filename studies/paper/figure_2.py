@@ -186,8 +186,9 @@ def draw_relaxation(of: Any) -> Figure:
 
 
 def _draw_curves(figure: Any, courses: Sequence[Any], least_power: float, cut_power: float) -> None:
-    """Draw panels (a) and (b), power and excess of all relaxations against time.
+    """Draw panels (a) and (b): power over the initial power P_0, and its excess over the least power, against time.
 
+    figure : matplotlib figure, or part of one, that gets both panels.
     courses : for each relaxation the T times (T,), the powers (T,), and arguments of matplotlib's plot. P_0 is the
         first power of the first one.
     least_power, cut_power : power of the minimum, and of the minimum cut.
@@ -223,7 +224,8 @@ def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
     """Draw one sample as shaded spheres, those behind first, with an arrow for each spin and the driven planes in
     boxes.
 
-    spin : (nx, ny, nz, 3), over the largest imposed one.
+    axes : panel of matplotlib.
+    spin : (nx, ny, nz, 3), spin vectors in units of the largest imposed spin.
     """
     shape, spins = spin.shape[:-1], spin.reshape(-1, 3)
     frame_block(axes, shape, SEEN)

@@ -126,10 +126,11 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
 
 
 def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
-    """Return where the path leaves a lattice plane: (m, 3), the two coordinates within the plane, and +1 if it goes
-    towards the reader of the figure or -1 if away.
+    """Return (m, 3) the m places where the shortest slipless path leaves a lattice plane: two lattice coordinates
+    within the plane, and +1 where it goes towards the reader of the figure or -1 where away.
 
-    axis, index : the plane: index along the axis across it.
+    network : the slipless contacts of a lattice, with the path.
+    axis, index : the plane: the axis across it, and its lattice index along this axis.
     """
     lattice = network.lattice
     ends = lattice.ends[:, network.on_path & (lattice.axis == axis)]
@@ -162,6 +163,7 @@ def _mark_leaves(axes: Any, leaves: np.ndarray, site: float) -> None:
     """Draw a circle at each place where the path leaves the plane: with a dot towards the reader, with a cross
     away.
 
+    axes : panel of matplotlib.
     leaves : (m, 3) place in the plane (two lattice coordinates), and +1 towards the reader or -1 away.
     site : distance of two discs in the figure, in points.
     """

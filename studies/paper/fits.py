@@ -96,7 +96,7 @@ def first_that_fits(goodness: Sequence[float]) -> int:
     return next((number for number, one in enumerate(goodness) if one >= LEAST_GOODNESS), len(goodness) - 1)
 
 
-def _changed(values: Sequence[float], chosen: int) -> float:
+def _largest_change(values: Sequence[float], chosen: int) -> float:
     """Return the largest difference of the chosen value from those of its neighbours: the fit with one size more, and
     those with one or two sizes less.
 
@@ -135,25 +135,25 @@ def exponent(
     # what grows, of the samples and of R resamples of each size; deviations of the latter made free of bias
     variance = np.array([square(samples[L]) for L in sizes])
     again = np.array([[square(rng.choice(samples[L], len(samples[L]))) for _ in range(RESAMPLES)] for L in sizes])
-    again = variance[:, None] + (again - variance[:, None]) * _unbiased(samples)[:, None]
+    again = variance[:, None] + (again - variance[:, None]) * _resampling_factors(samples)[:, None]
     spread, fits = again.std(axis=1, ddof=1), []
     columns = np.concatenate([variance[:, None], again], axis=1)
     # fits from each smallest size on: the first column gives the value, the scatter of the others its error
     for first in range(max(1, len(sizes) - LEAST_FREE - 1 - len(beside))):
-        values, misfit = _grown(sizes[first:], spread[first:], beside, columns[first:])
+        values, misfit = _best_exponents(sizes[first:], spread[first:], beside, columns[first:])
         goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - len(beside))))
         fits.append((int(sizes[first]), float(values[0]), float(values[1:].std(ddof=1)), goodness))
     chosen = first_that_fits([fit[-1] for fit in fits])
     smallest, value, error, goodness = fits[chosen]
     # amplitude and offset at the exponent found, by linear least squares
-    rows = _rows(sizes[chosen:], spread[chosen:], beside, np.array([value]))[0]
+    rows = _terms_over_errors(sizes[chosen:], spread[chosen:], beside, np.array([value]))[0]
     amplitude, offset = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
-    beyond = _changed([fit[1] for fit in fits], chosen)
+    beyond = _largest_change([fit[1] for fit in fits], chosen)
     by_smallest, errors = {fit[0]: fit[1] for fit in fits}, [fit[2] for fit in fits]
     return Exponent(value, error, beyond, smallest, by_smallest, goodness, float(amplitude), float(offset), errors)
 
 
-def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
+def _resampling_factors(samples: Mapping[int, np.ndarray]) -> np.ndarray:
     """Return factors (sizes,), from the smallest size on, by which errors from resampling are too small: sqrt(n / (n -
     1)) for n samples.
     """
@@ -162,7 +162,9 @@ def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
     return found
 
 
-def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values: np.ndarray) -> np.ndarray:
+def _terms_over_errors(
+    sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values: np.ndarray
+) -> np.ndarray:
     """Return (T, sizes, terms): for each trial exponent the value of the terms of the law at each size, over its
     error.
 
@@ -175,7 +177,7 @@ def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values
     return found
 
 
-def _grown(
+def _best_exponents(
     sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], columns: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return the exponents (R,) that fit several courses best, and the misfit of the first one.
@@ -189,7 +191,7 @@ def _grown(
     """
     trials = np.linspace(*POSSIBLE[bool(beside)], FINELY)
     target, every = columns / spread[:, None], np.arange(columns.shape[1])
-    basis = np.linalg.qr(_rows(sizes, spread, beside, trials))[0]
+    basis = np.linalg.qr(_terms_over_errors(sizes, spread, beside, trials))[0]
     misfit = (target**2).sum(axis=0) - ((basis.transpose(0, 2, 1) @ target) ** 2).sum(axis=1)
     at = np.clip(misfit.argmin(axis=0), 1, FINELY - 2)
     before, here, after = (misfit[at + step, every] for step in (-1, 0, 1))
@@ -224,7 +226,7 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
         return None
     rng, sizes = np.random.default_rng(0), np.array(list(known))
     drawn = np.array([rng.choice(of, (RESAMPLES, len(of))).mean(axis=1) for of in known.values()]) - mean[:, None]
-    again = mean[:, None] + drawn * _unbiased(known)[:, None]
+    again = mean[:, None] + drawn * _resampling_factors(known)[:, None]
     parts = [slice(first, None) for first in range(len(sizes) - LEAST_OF_LIMIT + 1)]
     fits = [line_through(sizes[part] ** -STATED, spread[part], mean[part]) for part in parts]
     chosen = first_that_fits([goodness for _, goodness in fits])
@@ -233,7 +235,10 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     beside = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
     others = [abs(found[0] - value) for found, fit in beside if fit >= LEAST_GOODNESS]
     by_smallest = {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)}
-    beyond, smallest = float(max([_changed([found[0] for found, _ in fits], chosen), *others])), int(sizes[chosen])
+    beyond, smallest = (
+        float(max([_largest_change([found[0] for found, _ in fits], chosen), *others])),
+        int(sizes[chosen]),
+    )
     return Limit(
         float(value), float(error), beyond, smallest, by_smallest, goodness, float(amplitude), len(sizes[part])
     )
@@ -284,7 +289,7 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
     found = list(fits.values())
     chosen = next((number for number, fit in enumerate(found) if fit[2] <= MOST_MISFIT), len(found) - 1)
     value, error, misfit = found[chosen]
-    beyond = _changed([fit[0] for fit in found], chosen)
+    beyond = _largest_change([fit[0] for fit in found], chosen)
     return Collapse(value, error, beyond, sizes[chosen], fits, misfit)
 
 
@@ -346,7 +351,7 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     chosen = first_that_fits([fit[1] for fit in fits])
     value, goodness, amplitude = fits[chosen]
     error = float(fitted(chosen, again)[0].std(ddof=1))
-    beyond = _changed([fit[0] for fit in fits], chosen)
+    beyond = _largest_change([fit[0] for fit in fits], chosen)
     by_smallest = {int(L): float(fit[0]) for L, fit in zip(sizes, fits, strict=False)}
     return Law(float(value), error, beyond, int(sizes[chosen]), by_smallest, goodness, float(amplitude))
 

@@ -164,7 +164,8 @@ def _draw_limit(axes: Any, limit: Limit | None, colour: str) -> None:
     limit or the samples do not follow the law.
 
     axes : panel of matplotlib.
-    limit : the fit, or None.
+    limit : the fit of value + amplitude / L to the sizes L, or None.
+    colour : colour of line and value.
     """
     if limit is not None and limit.follows:
         x = np.array([0, 1 / limit.smallest])

@@ -118,6 +118,7 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
     * a search tree of the centres of its discs or spheres;
     * the distance within which the discs around a place are found: those of its square or hexagon, and no others.
 
+    lattice : "square", "triangular" (which gives a honeycomb, the places being the middles of its hexagons) or "cubic".
     size : length of each side in diameters.
     bottom : spin of the bottom; that of the top is 1.
     """
@@ -183,7 +184,7 @@ def dilute(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
 Curves = Mapping[int, Mapping[int, np.ndarray]]  # by size L and number n of odd contacts: shares (samples,) that roll
 
 
-def well_known(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
+def well_sampled(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
     """Return the lattice sizes with at least ENOUGH samples for each number of odd contacts, as a dictionary like
     `curves`, without the entries for no odd contact.
 
@@ -215,7 +216,7 @@ def confined(curves: Curves) -> Collapse | None:
     curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares s
         (samples,) of discs that roll with the top.
     """
-    held = held_by_nothing_else(well_known(curves))
+    held = held_by_nothing_else(well_sampled(curves))
     scaled = {L: {n: of * n**0.5 for n, of in by.items()} for L, by in held.items() if len(by) > 2}
     return collapse(scaled) if len(scaled) > 1 else None
 
@@ -230,7 +231,7 @@ def crowded(curves: Curves) -> dict[str, Any] | None:
     returns : x (`value`), its standard error, the probability of a misfit as large (`goodness`), and the number of
         points; None for fewer than three points.
     """
-    held = held_by_nothing_else(well_known(curves))
+    held = held_by_nothing_else(well_sampled(curves))
     points = [(n, of) for L, by in held.items() for n, of in by.items() if n > CROWDED * L**WANDERING]
     if len(points) < 3 or len({n for n, _ in points}) < 2:
         return None
@@ -277,7 +278,7 @@ def study(folder: Path, effort: Effort) -> Found:
     resting = {
         lattice: {bottom: found[lattice, turned, most, bottom]["resting"] for bottom in BOTTOMS} for lattice in discs
     }
-    known = {lattice: well_known(curves) for lattice, curves in rolling.items()}
+    known = {lattice: well_sampled(curves) for lattice, curves in rolling.items()}
     ruled = {lattice: collapse(curves) for lattice, curves in known.items() if len(curves) > 1}
     count = {lattice: sum(n for point, n in wanted.items() if point[0] == lattice) for lattice in sizes}
     named = {

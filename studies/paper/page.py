@@ -80,6 +80,7 @@ def _verdict(claim: Mapping[str, Any]) -> str:
 def _row(cells: Iterable[str], kind: str = "td") -> str:
     """Return the HTML of a table row.
 
+    cells : HTML of its cells, from left to right.
     kind : tag of its cells, "td" or "th".
     """
     return f"<tr>{''.join(f'<{kind}>{cell}</{kind}>' for cell in cells)}</tr>"

@@ -115,9 +115,11 @@ def scene_of(seed: int) -> Scene:
 
 
 def descended(seed: int, iterations: int, seconds: float) -> dict[str, Any]:
-    """Return the end of the paper's method, gradient descent without momentum from random spins, as plain numbers.
+    """Return the state at which the paper's method ends, gradient descent without momentum from random spins: the
+    fields of an :class:`Ending`, as :func:`_ending` packs them.
 
-    iterations, seconds : it ends after so many iterations, or after so long.
+    seed : seed of the sample.
+    iterations, seconds : it ends after so many iterations, or after so many seconds.
     """
     rule = StopRule(1e-12, iterations, seconds)
     ended = solved(scene_of(seed), GradientDescent(momentum=False), rule, "random")
@@ -125,7 +127,9 @@ def descended(seed: int, iterations: int, seconds: float) -> dict[str, Any]:
 
 
 def minimum(seed: int) -> dict[str, Any]:
-    """Return the certified minimum of the sample with this seed, with the states of its contacts, as plain numbers."""
+    """Return the certified minimum of the sample with this seed: the fields of an :class:`Ending`, as :func:`_ending`
+    packs them.
+    """
     solution = solved(scene_of(seed), InteriorPoint(), StopRule(1e-9))
     return _ending(solution, lambda _, state: state == ContactState.SLIPPING, largest_slip_error(solution))
 
@@ -135,6 +139,7 @@ def _ending(
 ) -> dict[str, Any]:
     """Return the fields of an :class:`Ending` in a form that JSON can store; arrays are packed into texts.
 
+    solution : state at the end of a method, of one sample.
     slips : function that returns the mask (n,) of contacts that slip, from their powers (n,) and states (n,).
     slip_error : proven bound on the relative difference of any slip from that of the minimum, None where it is not
         known.
@@ -182,6 +187,8 @@ def largest_slip_error(solution: Solution) -> float | None:
 def by_decade(descent: Ending, minimum: Ending) -> Table:
     """Return how the contacts are distributed over the decades of power in a descent: a table with a row for each
     decade, from the lowest on.
+
+    descent, minimum : the end of a gradient descent of a sample, and the certified minimum of the same sample.
 
     Columns: `exponent`, of the decade [10^exponent, 10^(exponent + 1)) of power over F_n R omega_T; `contacts`, whose
     power in the descent is in the decade; `slipping`, those of them that slip at the minimum; `at_minimum`, contacts

@@ -66,28 +66,30 @@ def _sweep(found: WEIGHTS, inner: WEIGHTS, upward: WEIGHTS, unseen: CHANGES):
             for column in range(1, columns):
                 if unseen[grid, column - 1] & TO_THE_RIGHT:
                     unseen[grid, column - 1] -= TO_THE_RIGHT
-                    more |= _arrive(grid, column, column - 1, column - 1, found, inner, upward, unseen)
+                    more |= _lower_column(grid, column, column - 1, column - 1, found, inner, upward, unseen)
             for back in range(1, columns - 1):
                 column = columns - 1 - back
                 if unseen[grid, column + 1] & TO_THE_LEFT:
                     unseen[grid, column + 1] -= TO_THE_LEFT
-                    more |= _arrive(grid, column, column + 1, column, found, inner, upward, unseen)
+                    more |= _lower_column(grid, column, column + 1, column, found, inner, upward, unseen)
 
 
 @ti.func
-def _arrive(
+def _lower_column(
     grid: int, column: int, beside: int, contact: int,
     found: ti.template(), inner: ti.template(), upward: ti.template(), unseen: ti.template(),
 ) -> int:  # fmt: skip
-    """Lower the distances of a column of faces by paths through the column beside it, then along the column, up
-    and down. Return 1 if any became shorter, else 0. All arrays are of B grids with w columns and h rows of
-    discs.
+    """Lower the distances of a column of faces (squares between four discs) by paths through the column beside it, then
+    along the column, up and down. Return 1 if a path through the neighbour was shorter, else 0. All arrays are of B
+    grids with w columns and h rows of discs.
 
-    grid, column : indices of the column.
-    beside : index of the neighbour.
-    contact : index of the column of upward contacts between both.
-    found : (B, w, h - 1) distance of each face from the outside on the left, changed in place.
-    inner, upward : weights of the sideways contacts (B, w - 1, h - 2) and of the upward ones (B, w, h - 1).
+    grid, column : indices of the grid and of the column.
+    beside : index of the neighbour column.
+    contact : index of the column of upward contacts that lie between both columns of faces.
+    found : (B, w, h - 1) distance of each face from the outside on the left: the least weight of the contacts that a
+        path to it crosses. Changed in place.
+    inner, upward : weights of the sideways contacts between free discs (B, w - 1, h - 2), which paths along a column
+        cross, and of the upward ones (B, w, h - 1).
     unseen : (B, w) bits that say which neighbours have not seen the last change of a column, changed in place.
     """
     rows, nearer = found.shape[2], 0

@@ -49,26 +49,31 @@ SHOWN = 3  # number of sizes whose surface is drawn
 
 
 def offsets(side: int) -> np.ndarray:
-    """Return (side,) the places of the lines of spheres of the square top plane, from its middle, over the root mean
-    square distance of its spheres from the middle.
+    """Return (side,) one coordinate of the spheres of a square plane of `side` x `side` spheres, measured from its
+    middle in units of rho, the root mean square distance of its spheres from the middle.
     """
     found: np.ndarray = (np.arange(side) - (side - 1) / 2) / ((side**2 - 1) / 6) ** 0.5
     return found
 
 
 def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> RunSettings:
-    """Return the settings of the cube with this side and seed, the bottom at rest and the top driven in this direction:
-    (a_x, a_y, c), spins about x and y in the middle of the top, and how much they change with the place: by c over the
-    root mean square distance of the spheres from the middle.
+    """Return the settings of one sample: a cube whose bottom is at rest and whose top is driven.
+
+    side, seed : spheres along each edge, and seed of the friction.
+    direction : (a_x, a_y, c), 1/time: spins about x and y in the middle of the top, and the amount by which they change
+        over rho, the root mean square distance of the top spheres from the middle.
     """
     a_x, a_y, c = direction
     first, rate = offsets(side)[0] * c, np.diff(offsets(side))[0] * c  # the spacing is 1
     return RunSettings(shape=(side,) * 3, seed=seed, top=(a_x + first, a_y + first, 0.0, rate), bottom=(0.0,) * 4)
 
 
-def held(settings: RunSettings) -> dict[str, Any]:
-    """Return numbers of one sample at its minimum: `power` and its proven `lower_bound`, energy/time, and `torque`,
-    the list (T_x, T_y, T_c) of the torque on the top by the contact forces that prove the bound.
+def power_and_torque(settings: RunSettings) -> dict[str, Any]:
+    """Return numbers of one sample at its minimum, by name: `power` and its proven `lower_bound`, energy/time; and
+    `torque`, the list (T_x, T_y, T_c) of the torque on the top by the contact forces that prove the bound: about x,
+    about y, and the one that does work on the change c of the spins with the place (:func:`settings_of`).
+
+    settings : settings of the sample.
     """
     scene = build_scene(settings)
     structure = structure_of(solved(scene, InteriorPoint(settle=False), PROVEN_GAP))
@@ -95,7 +100,7 @@ def study(folder: Path, effort: Effort) -> Found:
         for seed in effort.seeds(max(FEWEST, round(share * effort.samples)))
     ]
     chosen = [settings_of(*point, direction) for point in points for direction in DIRECTIONS]
-    parts = [Part(sample_key(settings), held, (settings,), settings) for settings in chosen]
+    parts = [Part(sample_key(settings), power_and_torque, (settings,), settings) for settings in chosen]
     found = Table.of(computed(parts, folder / "yield.jsonl", "sample"))
     asked = [(*point, *direction) for point in points for direction in DIRECTIONS]
     columns = dict(zip(("side", "seed", "a_x", "a_y", "c"), zip(*asked, strict=True), strict=True))
@@ -224,7 +229,8 @@ def _closed(panel: Any, points: np.ndarray, *look: Any, **more: Any) -> None:
     """Draw a closed curve: a quarter, which leads from one axis to the other, and its mirror images in both axes. A
     mean bearing has these symmetries.
 
-    points : (n, 2) of the quarter.
+    panel : panel of matplotlib.
+    points : (n, 2), the points of the quarter, from one axis to the other.
     look, more : further arguments of matplotlib's plot.
     """
     quarters = [points, points[::-1] * [-1, 1], -points, points[::-1] * [1, -1]]

@@ -116,10 +116,13 @@ class Axis:
 
 
 def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: Any) -> Scene:
-    """Return a scene with the law of a row of the report, all of whose coefficients are drawn in the same way.
+    """Return a scene with the law of a row of the report, all of whose coefficients (friction, viscosity or both) are
+    drawn in the same way.
 
-    shape : shape of the lattice.
+    row : method, law, dimension, device and precision; only the law is used.
+    shape : numbers of spheres along the axes of the lattice.
     draw : function that returns an array of coefficients, from a generator of random numbers and a shape.
+    seed : seed of the scene and of the generator.
     others : further arguments of a Scene.
     """
     rng = np.random.default_rng([seed, 1])
@@ -340,6 +343,7 @@ def _sides(case: Case, value: str, row: Row) -> Case:
 
 def _option(key: str) -> Change:
     """Return a function that changes a case (a sample and how it is solved): it sets an option of the method.
+
     key : name of the option.
     """
     return lambda case, value, row: replace(case, options={key: value})

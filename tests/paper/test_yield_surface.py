@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper import reproduce, yield_surface
 from taichi_bearings_studies.paper.claims import Effort
-from taichi_bearings_studies.paper.yield_surface import BESIDE, held, offsets, settings_of
+from taichi_bearings_studies.paper.yield_surface import BESIDE, offsets, power_and_torque, settings_of
 
 from tests.cli.commands import bearings
 from tests.handbook.pages import ROOT
@@ -16,7 +16,7 @@ SIDE, SEED = 4, 3
 
 def minima(*directions, seed=SEED):
     """Powers, bounds and torques of one sample, an entry a direction."""
-    found = [held(settings_of(SIDE, seed, tuple(map(float, direction)))) for direction in directions]
+    found = [power_and_torque(settings_of(SIDE, seed, tuple(map(float, direction)))) for direction in directions]
     return tuple(np.array([of[name] for of in found]) for name in ("power", "lower_bound", "torque"))
 
 
@@ -85,7 +85,7 @@ def test_example_scans_find_the_same(tmp_path):
     rows = scanned(tmp_path / "rate", "yield-rate", f"scan.seed=[{SEED}]")
     spread = (63 / 6) ** 0.5
     for row, (a, c) in zip(rows, ((1, 0), (1, 1), (3, 1), (10, 1), (0, 1)), strict=True):
-        truth = held(settings_of(8, SEED, (float(a), 0.0, c * spread)))["power"]
+        truth = power_and_torque(settings_of(8, SEED, (float(a), 0.0, c * spread)))["power"]
         assert float(row["power"]) == pytest.approx(truth, rel=1e-9)
 
 
