@@ -295,7 +295,9 @@ def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
 
     def root_of(one: int) -> tuple[int, int]:
         """Return the root of a part in the tree of parts that are joined already, and the part's place relative to that
-        root.
+        root: how many turns around the axis lie between them.
+
+        one : number of the part.
         """
         way = []
         while above[one] != one:

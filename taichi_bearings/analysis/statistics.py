@@ -53,7 +53,10 @@ class Census:
 
     @staticmethod
     def of(reasons: Iterable[str]) -> "Census":
-        """Return the census of samples, given the reason of each to be left out; "" for those that are used."""
+        """Return how many samples are used and how many are left out.
+
+        reasons : for each sample why it is left out, in words that follow a number ("failed"); "" if it is used.
+        """
         counts = Counter(reasons)
         return Census(counts.pop("", 0), dict(sorted(counts.items(), key=lambda item: -item[1])))
 
@@ -175,8 +178,10 @@ def groups(columns: Mapping[str, np.ndarray], keys: Sequence[str]) -> dict[tuple
 
 
 def sort_key(value: object) -> tuple[Any, ...]:
-    """Return a key that sorts values of a column: None, then truth values and numbers, then texts with numbers by
-    size.
+    """Return a key by which `sorted` puts values of a column in order: first None, then truth values and numbers, then
+    texts, in which numbers count by their size (8x8 before 10x10).
+
+    value : one value of the column.
     """
     if value is None:
         return (0,)

@@ -69,9 +69,9 @@ class Structure:
     answer : Solution
         The answer to this sample alone.
     spin : array
-        Laboratory spins, 1/time: for a lattice (nx, ny) or (nx, ny, nz, 3), for a packing (N,) or (N, 3).
+        Laboratory spins, 1/time: for a lattice (nx, ny) or (nx, ny, nz, 3), for a packing of N spheres (N,) or (N, 3).
     slip : (E,) array
-        Slip speeds of the contacts, length/time.
+        Slip speeds of the E contacts, length/time.
     found : (E,) array of int
         Contact states of the answer.
     friction : (E, 3) array, in 2D (E,)

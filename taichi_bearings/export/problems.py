@@ -65,7 +65,11 @@ def write_problem(bearing: Bearing, form: str, path: Path) -> Json:
     """Write the minimisation problem of a bearing into a file, replacing it; return its path and its numbers of
     unknowns and contacts, by name.
 
-    form : "cbf" or "fclib".
+    bearing : the lattice or packing, one sample.
+    form : "cbf", the conic benchmark format, or "fclib", that of the frictional contact library.
+    path : the file.
+
+    Raises InputError if no contact can slip, and for the form "fclib" with viscosity.
     """
     with stage("writing"):
         system = ContactSystem.of(bearing)

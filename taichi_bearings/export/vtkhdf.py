@@ -212,7 +212,12 @@ def _put_column(
 
 
 def _store(group: h5py.Group, name: str, values: np.ndarray, units: str, description: str) -> None:
-    """Write an array as a compressed data set of a type that VTK knows, with its unit and a description."""
+    """Write an array as a compressed data set of a type that VTK knows, with its unit and a description.
+
+    group, name : where it is written: the group, and the name of the data set in it.
+    values : the array; truth values are written as 0 and 1.
+    units, description : texts that become its attributes.
+    """
     known = values.astype(np.uint8) if values.dtype == bool else values
     packed = {"compression": "gzip", "shuffle": True} if known.size else {}
     put(group, name, known, units, description, **packed)

@@ -35,8 +35,9 @@ def number_type() -> np.dtype:
 
 
 def on_device(values: np.ndarray, kind: DTypeLike | None = None) -> Any:
-    """Copy numbers, flat, to where kernels read them: an array of NumPy on a CPU, of Taichi on a GPU.
+    """Return a flat copy of an array where kernels can read it: an array of NumPy on a CPU, of Taichi on a GPU.
 
+    values : numbers, of any shape; the copy has them in C order.
     kind : type of the numbers there, such as np.int32; by default the precision of the runtime.
     """
     running = runtime.current()
@@ -76,10 +77,12 @@ class Fields:
     know the rows of the fields when they are compiled, and the length of the rows when they are called. So no shape,
     number of samples or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
 
-    values : what kernels take: all rows one after the other.
-    blocks : on a CPU the same memory in blocks of sites, which kernels write as a whole; on a GPU nothing of use.
-    tables : the measures of the layout, for kernels.
-    layout, dtype : where numbers lie, and their type.
+    values : the array that kernels get: the rows of all fields, one after the other.
+    blocks : on a CPU the same memory as an array (blocks, sites of a block), so that kernels can write a block at once;
+        on a GPU an array that is not used.
+    tables : the integers `measures` of the layout, where kernels can read them.
+    layout : how the spheres and contacts follow each other in a row.
+    dtype : type of the numbers.
     """
 
     def __init__(self, layout: "Layout | Lists", spec: Any, kind: DTypeLike | None = None) -> None:
@@ -142,8 +145,11 @@ class Fields:
         return found
 
     def load(self, name: str, values: np.ndarray) -> None:
-        """Set the field `name` from values (C, R samples, *N), or in lists from (C, 1, N spheres) of spheres or (C, 1,
-        E contacts) of contacts. Numbers in the margins of its rows stay."""
+        """Set a field to given values; numbers in the margins of its rows stay.
+
+        name : name of the field, which has C components.
+        values : (C, R samples, *N spheres) on a lattice; in `Lists` (C, 1, N spheres) or (C, 1, E contacts).
+        """
         first, components, rows = self._place[name]
         given = values.reshape(components, int(np.prod(rows.shape)))[:, rows.order]
         if self._host is not None:
@@ -172,7 +178,7 @@ class Fields:
         return found.reshape(components, *rows.shape)
 
     def clear(self, name: str) -> None:
-        """Set a field to 0."""
+        """Set all numbers of the field `name` to 0."""
         _, components, rows = self._place[name]
         self.load(name, np.zeros((components, *rows.shape)))
 
@@ -185,8 +191,11 @@ class Fields:
         return self._inside(name).reshape(-1, *self._place[name][2].shape)
 
     def _inside(self, name: str) -> np.ndarray:
-        """Return the numbers of a field (C components, n) in the memory of a CPU, without margins, in the order of
-        their places; a view."""
+        """Return a view of a field in the memory of a CPU: (C components, spheres or contacts), without the margins of
+        its rows, in the order in which they stand there.
+
+        name : name of the field.
+        """
         assert self._host is not None
         first, components, rows = self._place[name]
         whole = self._host[first : first + components * rows.length].reshape(components, rows.length)

@@ -5,15 +5,25 @@ from taichi_bearings.compiler import ti
 
 @ti.kernel
 def copy_in(values: ti.types.ndarray(ndim=1), rows: ti.types.ndarray(ndim=2), first: int, length: int):
-    """Write rows (C components, n) of NumPy to `values` on the device, the first one from the index `first` on, each
-    `length` after the one before."""
+    """Copy rows of numbers from NumPy into an array on the device.
+
+    values : (numbers,), the array on the device, changed.
+    rows : (components, sites), the rows.
+    first : index in `values` of the first number of the first row.
+    length : distance in `values` from the beginning of one row to that of the next.
+    """
     for row, place in ti.ndrange(rows.shape[0], rows.shape[1]):
         values[first + row * length + place] = rows[row, place]
 
 
 @ti.kernel
 def copy_out(values: ti.types.ndarray(ndim=1), rows: ti.types.ndarray(ndim=2), first: int, length: int):
-    """Read rows (C components, n) for NumPy from `values` on the device: the first one from the index `first` on, each
-    `length` after the one before."""
+    """Copy rows of numbers from an array on the device to NumPy.
+
+    values : (numbers,), the array on the device.
+    rows : (components, sites), the rows, filled in.
+    first : index in `values` of the first number of the first row.
+    length : distance in `values` from the beginning of one row to that of the next.
+    """
     for row, place in ti.ndrange(rows.shape[0], rows.shape[1]):
         rows[row, place] = values[first + row * length + place]

@@ -57,6 +57,8 @@ def is_sample(sample: Any) -> bool:
     """Return True if a record read from a journal has the form that a solve leaves: key, scalars and bins (numbers of
     slipping contacts by bin of power) of the right types and sizes.
 
+    sample : the record, as JSON has it.
+
     Then no number of a bin can ask for much memory, and no lower bound lies above what it bounds by more than rounding.
     Raises ValueError for a text that is no Unicode.
     """
@@ -105,7 +107,7 @@ class Journal:
     """The journal of a scan, open for appending; used in a `with` statement, by one process at a time."""
 
     def __init__(self, path: Path) -> None:
-        """Drop damaged lines, and open the file for appending."""
+        """Drop damaged lines of the journal at a path, and open it for appending."""
         self.path = path
         refuse_link_out(path)
         with writing(path):

@@ -52,6 +52,9 @@ def write_text(path: Path, text: str) -> None:
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], notes: Sequence[str] = ()) -> None:
     """Write a table as CSV: a line of names and the rows below it, floating-point numbers with all their digits.
 
+    path : the file, which is replaced.
+    names : titles of the columns.
+    rows : cells of each row, in the order of the columns.
     notes : lines that go before the names, each after "# ".
     """
     text = io.StringIO()
@@ -76,8 +79,9 @@ def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mappin
     """Write an HDF5 file with checksums, in full or not at all, replacing an earlier one; raise WriteError if that
     fails.
 
+    path : the file.
     fill : function that puts the content into the opened file.
-    attributes : attributes of the file.
+    attributes : attributes of the file, by name.
     """
 
     with _new_hdf5(path) as file:
@@ -99,7 +103,10 @@ def _new_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 def layout_of(kind: str) -> Json:
-    """Return the attributes that mark a file as a "run", a "scan" or a "checkpoint"."""
+    """Return the attributes, by name, that say what a file is and in which version of the layout.
+
+    kind : "run", "scan" or "checkpoint".
+    """
     return {"schema": f"taichi_bearings.{kind}", "schema_version": LAYOUT}
 
 
@@ -107,6 +114,7 @@ def layout_of(kind: str) -> Json:
 def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterator[h5py.File]:
     """Yield an opened HDF5 file whose checksums are right.
 
+    path : the file.
     kind : "run", "scan" or "checkpoint".
     changed : a list that gets the names of data sets and attributes that were changed after the file was written; None
         to raise FileError for that.
@@ -131,6 +139,7 @@ def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterat
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
     """Replace one group of an HDF5 file, in one move; everything else in the file stays.
 
+    path : the file.
     name : name of the group.
     fill : function that puts the content into the empty group.
     """
@@ -148,7 +157,11 @@ def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> 
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write an npz file in full or not at all."""
+    """Write arrays into an npz file, in full or not at all.
+
+    path : the file, which is replaced.
+    arrays : what it holds, by name.
+    """
     whole = io.BytesIO()
     np.savez(whole, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
     with whole.getbuffer() as content:
@@ -157,7 +170,12 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 @dataclass(frozen=True)
 class Finding:
-    """An array with its unit, such as "force*length", and a description, as files store them."""
+    """An array as files store it.
+
+    values : the array.
+    units : its unit, such as "force*length"; "1" for pure numbers.
+    description : what it is, in words.
+    """
 
     values: np.ndarray
     units: str

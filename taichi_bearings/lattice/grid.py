@@ -172,10 +172,10 @@ class Lattice:
         return found
 
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
-        """Return a view (R, planes, m, n) of values (R, ...) of the spheres, or of the contacts along one axis.
+        """Return a view (R samples, planes, rows, columns) of values of the spheres, or of the contacts along one axis,
+        sorted by layers of the lattice.
 
-        R is the number of samples, the first axis; the axes after it are those of the lattice, the height last.
-
+        values : (R, ...), whose axes after the first are those of the lattice, the height last.
         component : number of a spin component; the planes are the layers across its axis. A square lattice is one
             plane.
         """
@@ -306,8 +306,11 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
 def _laboratory_axes(lattice: Lattice, spin_axes: tuple[int, ...]) -> Iterator[tuple[int, slice, int, np.ndarray]]:
     """Yield, for each spin component and the contacts across it, where its forces go in the laboratory frame.
 
-    yields : position of the component in `spin_axes`; slice of the contacts; axis of -e_component x e_axis; (contacts,)
-        sign of that product times the sign of the lower sphere.
+    lattice : lattice of the contacts.
+    spin_axes : numbers of the axes of the spin components.
+    yields : index of the component in `spin_axes`; slice of the contacts along one axis, among all contacts; number of
+        the axis along which the cross product -e_component x e_axis of unit vectors points; and (contacts,) the sign of
+        that product times the sign s of the lower sphere.
     """
     for axis, span in enumerate(lattice.spans):
         for slot in tangential(axis, spin_axes):

@@ -19,6 +19,7 @@ def difference(field: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
 
     field : (..., *N), whose last axes are those of the lattice of shape N.
     axis : number of the axis.
+    lattice : the lattice, which says which spheres each contact joins.
     """
     low, high = lattice.along(axis)
     return np.asarray(field[high] - field[low])
@@ -31,6 +32,7 @@ def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) 
     total : (*N), or with more axes before, N the shape of the lattice; changed.
     force : forces in the shape of the contacts along the axis.
     axis : number of the axis.
+    lattice : the lattice, which says which spheres each contact joins.
     """
     low, high = lattice.along(axis)
     total[low] += force
@@ -42,7 +44,8 @@ def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tupl
     its component along the contact. The slip speed is the radius times the length of this vector (paper Eq. 2).
 
     staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, 1/time.
-    spin_axes : axes of the C components.
+    lattice : the lattice of shape *N with its E contacts.
+    spin_axes : numbers of the axes of the C components.
     """
     found = np.zeros((*staggered.shape[: staggered.ndim - lattice.dimension], lattice.all_contacts))
     for axis, across in enumerate(lattice.by_axis(found)):
@@ -57,6 +60,7 @@ def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> 
     radius, with the sign of its sublattice.
 
     force : (C, R, E contacts), forces along the spin difference of the contact.
+    lattice : the lattice of shape *N with its E contacts.
     spin_axes : numbers of the axes of the C spin components.
     """
     total = np.zeros((*force.shape[:-1], *lattice.shape))
@@ -71,6 +75,7 @@ def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...
     slip, (C components, R samples, *N spheres).
 
     coefficient : (R, E contacts), such as the friction of each contact.
+    lattice : the lattice of shape *N with its E contacts.
     spin_axes : numbers of the axes of the C spin components.
     """
     total = np.zeros((len(spin_axes), len(coefficient), *lattice.shape))

@@ -55,8 +55,9 @@ def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
 
 
 def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
-    """Return inverse pivots g (side, chains), by which chains of springs are solved: the balance of a chain under pulls
-    on its nodes is x_s = y_s + weight g_s x_s+1 with y_s = g_s (pull_s + weight y_s-1).
+    """Return inverse pivots g (side, chains) of Gauss elimination for chains of springs. With them the displacements x
+    of the nodes s = 0, 1, ... of a chain that is pulled by the forces `pull` follow in two sweeps: upwards y_s = g_s
+    (pull_s + weight y_s-1), then downwards x_s = y_s + weight g_s x_s+1.
 
     side : number of nodes of a chain.
     weight : stiffness of the springs along the chain.
@@ -70,15 +71,16 @@ def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
 
 
 def ring_closures(side: int, held: np.ndarray, weight: float) -> np.ndarray:
-    """Return vectors z (side, chains): one more spring from end to end of a chain, which makes a ring of it, changes
-    its balance y to y - z (z . pull).
+    """Return vectors z (side, chains) that turn solutions for chains of springs into solutions for rings. If the nodes
+    of a chain that is pulled by the forces `pull` move by y, those of the ring, which has one more spring from end to
+    end, move by y - z (z . pull).
 
     side : number of nodes of a chain.
     held : (chains,), stiffness of the spring that holds each node of a chain.
     weight : stiffness of the springs along the chain.
 
-    That is Sherman and Morrison's formula with the solution for a pull at both ends, a sum of q^s and q^-s with q + 1/q
-    = 2 + held / weight.
+    That is Sherman and Morrison's formula. It needs the motion under opposite pulls at both ends of the chain, which is
+    a sum of q^s and q^-s with q + 1/q = 2 + held / weight.
     """
     decay, s = np.exp(-2 * np.arcsinh(np.sqrt(held / weight) / 2)), np.arange(side)[:, None]
     found: np.ndarray = (decay ** (s + 1) - decay ** (side - s)) / np.sqrt(

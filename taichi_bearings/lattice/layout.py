@@ -77,8 +77,8 @@ class Layout:
 
     @property
     def length(self) -> int:
-        """Number of sites in a row, its margins and some unused ones included. It is chosen so that rows do not compete
-        for the same few places of the processor's cache, 32 blocks of 16 numbers apart.
+        """Number of sites in a row, its margins and some unused ones included. It is 5 blocks more than a multiple of
+        32 blocks: if it were a multiple, the same site of all rows would share few places of the processor's cache.
         """
         blocks = self.blocks + 2 * (self.margin // self.block)
         return (blocks + (5 - blocks) % 32) * self.block

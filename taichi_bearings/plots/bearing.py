@@ -148,7 +148,10 @@ class Sheet:
             axes.add_collection(discs)
 
     def box_driven(self, axes: Axes) -> None:
-        """Draw boxes around the driven rows of a plane of a lattice."""
+        """Draw boxes around the driven rows of a plane of a lattice, if this picture is one; else nothing.
+
+        axes : axes of matplotlib.
+        """
         for y in self.rows:
             width = 0.8 if self.grid[1] <= 50 else 0.4
             axes.add_patch(Rectangle((-0.55, y - 0.55), self.grid[0] + 0.1, 1.1, fill=False, lw=width))
@@ -272,6 +275,7 @@ def colour_bar(figure: Figure, axes: Axes | list[Axes], label: str, norm: Normal
 def name_cut(axes: Axes, axis: int, index: int, before: str = "", after: str = "") -> None:
     """Write title and axis labels for a plane through a lattice.
 
+    axes : axes of matplotlib on which the plane is drawn.
     axis, index : the plane consists of the spheres whose coordinate along `axis` (0 to 2) is `index`.
     before, after : words of the title before and after the name of the plane.
     """
@@ -336,6 +340,7 @@ def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
 def frame_block(axes: "Axes3D", shape: tuple[int, ...], view: View = VIEW) -> None:
     """Draw boxes around the driven planes of a cubic lattice, and set the limits of the picture.
 
+    axes : axes of matplotlib.
     shape : numbers of spheres (nx, ny, nz).
     view : from where it is seen, from outside.
     """

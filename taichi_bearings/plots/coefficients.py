@@ -22,8 +22,12 @@ MOST_LINEAR = 30.0  # largest over smallest coefficient up to which the scale of
 def draw_coefficients(structure: Structure, page: Page) -> Figure:
     """Draw every contact, coloured by its coefficient; a cubic lattice in two planes, or in those that the page names.
 
+    structure : the sample.
+    page : how the figure is printed: width, planes and view.
+
     The law "coulomb-viscous" has two coefficients, friction and damping, and panels for each. Absent contacts are left
-    out. Where a flat lattice has more contacts than lines can show, each disc has the mean colour of its contacts.
+    out. Where a flat lattice has more contacts than lines can show, each disc has the colour of the mean coefficient of
+    its contacts.
     """
     system, place = structure.scene, structure.network.whole
     planes: list[tuple[int, int] | None] = [None]
@@ -39,7 +43,7 @@ def draw_coefficients(structure: Structure, page: Page) -> Figure:
         norm = _scale(present)
         label = _label(quantity)
         for one, sheet, plane in zip(own, sheets, planes, strict=True):
-            if _draw(one, sheet, values[0], norm, sheet.site(0.9 * width)):
+            if _draw_picture(one, sheet, values[0], norm, sheet.site(0.9 * width)):
                 label = f"mean over the contacts of a disc:\n{label}"
             if plane is not None:
                 bearing.name_cut(one, *plane)
@@ -82,6 +86,8 @@ def _sheet(place: Network, plane: tuple[int, int] | None, page: Page) -> Sheet:
 def _scale(values: np.ndarray) -> Normalize:
     """Return the scale of colours for positive coefficients: linear, or logarithmic if they differ by more than the
     factor MOST_LINEAR.
+
+    values : (n,), the coefficients of all n contacts that are present.
     """
     if not len(values):
         return Normalize(0, 1)
@@ -89,11 +95,12 @@ def _scale(values: np.ndarray) -> Normalize:
     return LogNorm(low, high) if high > MOST_LINEAR * low else Normalize(0.0 if low == high else low, high)
 
 
-def _draw(axes: Axes, sheet: Sheet, values: np.ndarray, norm: Normalize, site: float) -> bool:
+def _draw_picture(axes: Axes, sheet: Sheet, values: np.ndarray, norm: Normalize, site: float) -> bool:
     """Draw the contacts of one picture as lines: across the contact, or between centres where spheres lie behind each
     other. Return True if there are too many for lines, so that each disc has the mean of its contacts instead.
 
     axes : axes of matplotlib.
+    sheet : discs and contacts as they lie on paper.
     values : (contacts E,) coefficients of all contacts of the bearing, 0 where absent.
     norm : scale of the colours.
     site : distance of two discs in points.
@@ -113,7 +120,10 @@ def _draw(axes: Axes, sheet: Sheet, values: np.ndarray, norm: Normalize, site: f
 
 
 def _label(quantity: Quantity) -> str:
-    """Return the label of the scale of colours of a coefficient, with its symbol and unit."""
+    """Return the label of the scale of colours of a coefficient, with its symbol and unit.
+
+    quantity : friction or damping, as the contact law declares it.
+    """
     if quantity.is_friction:
         return r"friction coefficient $\mu$"
     symbol = r" $\eta$" if quantity.name == "damping" else ""
@@ -123,7 +133,8 @@ def _label(quantity: Quantity) -> str:
 def _in_words(quantity: Quantity, present: np.ndarray) -> str:
     """Return in words the least, largest and mean coefficient.
 
-    present : (n,) coefficients that are not 0.
+    quantity : friction or damping, as the contact law declares it.
+    present : (n,), the coefficients of the n contacts that are present.
     """
     if not len(present):
         return f"no contact has {quantity.name}"

@@ -73,10 +73,10 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
 
 
 def courses_of(solution: Solution) -> list[Solution]:
-    """Return the solutions whose history can be drawn: one for all samples of a lattice, one for each sample of a
-    packing.
+    """Return a list of solutions whose history can be drawn: one for all samples of a lattice, one for each sample of a
+    packing. A solution whose history has no more than a start and an answer is left out.
 
-    Solutions whose history has no more than a start and an answer are left out.
+    solution : the answer to all samples.
     """
     whole, replicas = solution.scene.network.lattice is not None, solution.scene.replicas
     each = [solution] if whole or replicas == 1 else [solution.sample(number) for number in range(replicas)]
@@ -84,8 +84,8 @@ def courses_of(solution: Solution) -> list[Solution]:
 
 
 def _steps(solution: Solution) -> int:
-    """Return the number of rows of the history after the start; for several samples of a packing that of all
-    together.
+    """Return the number of rows of a solution's history after the start; for several samples of a packing, each of
+    which has rows of its own, that of all together.
     """
     return int((solution.history.get("iteration", np.zeros(0)) > 0).sum())
 
@@ -115,7 +115,7 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
         top.plot(time, accounts[name], color=colour, ls=dashes, lw=1.2, label=name)
     if later.any():
         top.set_xscale("log")
-        _scale(top, np.concatenate(list(accounts.values())))
+        _scale_of_energies(top, np.concatenate(list(accounts.values())))
     top.set(ylabel=over("E", symbol, "energy"))
     style.put_title(figure, f"{describe(scene)}\n{solution.method}", page)
     figure.legend(*top.get_legend_handles_labels(), ncols=4, loc="outside lower center", columnspacing=1.0)
@@ -127,11 +127,11 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
     return figure
 
 
-def _scale(axes: Axes, energy: np.ndarray) -> None:
+def _scale_of_energies(axes: Axes, energy: np.ndarray) -> None:
     """Make the vertical axis logarithmic or, if some energies are negative, linear around 0 and logarithmic beyond.
 
     axes : axes of matplotlib.
-    energy : (n,), all energies that are drawn.
+    energy : (numbers,), all energies that are drawn.
     """
     size = np.abs(energy[energy != 0])
     if not len(size):
@@ -211,21 +211,21 @@ def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Pag
 
 
 def _centre(histogram: PowerHistogram) -> np.ndarray:
-    """Return the middle (bins,) of each bin of power on a logarithmic scale."""
+    """Return the middle (bins,) of each bin of power of a histogram on a logarithmic scale."""
     found: np.ndarray = np.sqrt(histogram.edges[:-1] * histogram.edges[1:])
     return found
 
 
 def _label(histogram: PowerHistogram) -> str:
-    """Return the label of the axis of power."""
+    """Return the label of the axis of power, with the unit in which the histogram has powers."""
     if histogram.units == ENERGY_PER_TIME:
         return f"power of a contact, ${POWER_SYMBOL}$ (energy / time)"
     return "power of a contact, " + over(POWER_SYMBOL, MATHEMATICS[histogram.units], "")
 
 
 def _outside(histogram: PowerHistogram) -> str:
-    """Return in words how many contacts are in no bin: those that are slipless, tied (slip at some minima only) or
-    undecided.
+    """Return in words how many contacts are in no bin of a histogram: those that are slipless, tied (slip at some
+    minima only) or undecided.
     """
     return ", ".join([f"{histogram.slipless:,} slipless", *other_contacts(histogram.tied, histogram.undecided)])
 
@@ -275,6 +275,7 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     """Return a figure of curves: points with error bars, joined by a line where x has numbers. The legend, if there are
     several curves, is below, in as many columns as fit.
 
+    curves : what is drawn; each has its points, the ends of their error bars, and a name.
     look : title, names of axes and legend, which axes are logarithmic, and the names at x if it has no numbers.
     page : size, resolution and title lines of the figure.
     """

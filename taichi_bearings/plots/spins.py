@@ -115,6 +115,9 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
     """Draw the slipping contacts, coloured by their power; of a cubic lattice in two planes, with the power of each
     layer.
 
+    structure : the sample.
+    page : how the figure is printed: width, planes and view.
+
     Where there are more slipping contacts than lines can show, each disc has the colour of half the power of all its
     contacts.
     """
@@ -143,7 +146,7 @@ def _power_scale(power: np.ndarray) -> LogNorm:
     """Return the logarithmic scale of colours for powers of contacts: from their quantile FAINT_SHARE to the largest
     one.
 
-    power : (n,), of which only numbers above 0 count.
+    power : (n,), powers of n contacts or discs; only those above 0 count.
     """
     slipping = power[power > 0]
     if not len(slipping):

@@ -42,7 +42,11 @@ REACHED_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.05), "top": colormaps[SPI
 def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
     """Draw the spheres coloured by rigid domain, in 3D from outside and in cuts, and how the domains rotate.
 
-    Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
+    structure : the sample.
+    page : how the figure is printed: width, planes and view.
+
+    Black lines are boundaries of rigid domains. Black dots mark spheres that slipless contacts join to a driven plane
+    in some spin components only.
     """
     domains = structure.rigid_domains
     if structure.network.whole.lattice is None:
@@ -70,6 +74,9 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
 
     With two driven bodies in bearing states the colour shows the spin between theirs, blue as the first and red as the
     second. Otherwise each of the largest domains has a colour of its own.
+
+    structure : the sample.
+    page : how the figure is printed.
     """
     domains = structure.rigid_domains
     figure, axes, sheet, _, look = bearing.one_panel(structure.network.whole, page)
@@ -127,7 +134,9 @@ def _paint(axes: Axes, sheet: Sheet, colour: np.ndarray, structure: Structure, w
 def _draw_values(axes: Axes, domains: RigidDomains) -> None:
     """Draw every rigid domain as a point at its spin, as a fraction between bottom, 0, and top, 1.
 
-    With two components one is drawn against the other; a single one is drawn against the number of spheres.
+    axes : axes of matplotlib.
+    domains : the rigid domains of a sample. With two spin components one is drawn against the other; a single one is
+        drawn against the number of spheres.
     """
     turn, margin = domains.turn, 0.04
     along = np.linspace(-margin, 1 + margin, 200)
@@ -169,6 +178,9 @@ def _draw_values(axes: Axes, domains: RigidDomains) -> None:
 def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     """Draw the slipless contacts and a shortest path through them from bottom to top.
 
+    structure : the sample.
+    page : how the figure is printed: width and view.
+
     In 3D there are three panels: the spheres from outside; slipless contacts in grey and the path in green; the spheres
     of the path with their spins. In 2D there are the last two. Of a packing its slipless contacts are drawn.
 
@@ -207,7 +219,11 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
 
 
 def _draw_network_of_packing(structure: Structure, page: Page) -> Figure:
-    """Draw the slipless contacts of a packing over its spheres."""
+    """Draw the slipless contacts of a packing over its spheres.
+
+    structure : the sample.
+    page : how the figure is printed: width and view.
+    """
     network = structure.network
     figure, axes, sheet, site, _ = bearing.one_panel(network.whole, page)
     sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
@@ -288,6 +304,8 @@ def _draw_turning(axes: Axes, network: SliplessNetwork, spin: np.ndarray, speed:
     from the back to the front, an arrow for each spin, and the shadow of the path on the floor. In 2D: discs, each with
     a symbol of the sense in which it turns.
 
+    axes : axes of matplotlib.
+    network : the slipless contacts of a lattice, with the path.
     spin : laboratory spins, 1/time: (nx, ny, nz, 3) in 3D, (nx, ny) in 2D.
     speed : (nx, ny, nz) or (nx, ny), the place of each sphere on the scale of colours, 0 to 1.
     view : from where the lattice is seen, in 3D.

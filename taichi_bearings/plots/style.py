@@ -127,7 +127,9 @@ def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.d
 def put_title(figure: Figure, words: str, page: Page = PAGE) -> None:
     """Put a title above a figure, which grows by its lines; nothing if the page has no titles.
 
-    Long lines are broken, but never inside mathematics or before a per cent sign.
+    figure : figure of matplotlib, changed in place.
+    words : the title. Long lines are broken, but never inside mathematics or before a per cent sign.
+    page : how the figure is printed.
     """
     if not page.title:
         return
@@ -148,7 +150,7 @@ class PlainLogFormatter(LogFormatter):
     """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics."""
 
     def __call__(self, value: float, position: int | None = None) -> str:
-        """Return the label of a value, "" for ticks without one."""
+        """Return the label of a value, "" for ticks without one; matplotlib calls this with the number of the tick."""
         if not super().__call__(value, position):
             return ""
         exponent = math.log10(value)
@@ -247,27 +249,30 @@ def describe(scene: Bearing, sample: int | None = 0) -> str:
 
 
 def mathematics(value: float, digits: int = 6) -> str:
-    """Return a number to so many significant digits as mathematics of LaTeX: 5e-12 as 5 times a power of ten."""
+    """Return a value to so many significant digits as mathematics of LaTeX: 5e-12 as 5 times a power of ten."""
     mantissa, power, exponent = f"{value:.{digits}g}".partition("e")
     return mantissa + (rf"\times10^{{{int(exponent)}}}" if power else "")
 
 
 def larger_spin(spin_top: float, spin_bottom: float) -> str:
-    """Return the symbol of the larger of the two imposed spins, for labels."""
+    """Return the symbol of the larger one of two imposed spins, for labels.
+
+    spin_top, spin_bottom : the spins, 1/time.
+    """
     return SPEED_OF[abs(spin_top) >= abs(spin_bottom)]
 
 
 def driving(scene: Bearing) -> tuple[float, str]:
-    """Return the imposed spin that serves as unit of times and powers, 1/time, and its symbol; for packings 1
-    and "".
+    """Return the imposed spin of a scene that serves as unit of times and powers, 1/time, and its symbol; for packings
+    1 and "".
     """
     natural = scene.natural_spin
     return (1.0, "") if natural is None else (natural, SPEED_OF[bool(scene.sides[0])])
 
 
 def power_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of power F_n R |spin|, energy/time, and its symbol; 1 and "" for packings and laws without
-    friction.
+    """Return the unit of power F_n R |spin| of a scene, energy/time, and its symbol; 1 and "" for packings and laws
+    without friction.
     """
     spin, symbol = driving(scene)
     unit = scene.natural_energy
@@ -283,7 +288,7 @@ def time_label(symbol: str) -> str:
 
 
 def energy_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of energy F_n R and its symbol; 1 and "" for packings and laws without friction."""
+    """Return the unit of energy F_n R of a scene and its symbol; 1 and "" for packings and laws without friction."""
     unit = scene.natural_energy
     return (1.0, "") if unit is None else (unit, r"F_n R")
 
@@ -310,7 +315,10 @@ def as_text(words: object) -> str:
 
 
 def column_label(name: str) -> str:
-    """Return the label of an axis for a column of a scan, or for the mean of one column over that of another, "a/b"."""
+    """Return the label of an axis for a column of a scan.
+
+    name : name of the column; or "a/b" for the mean of column a over that of column b.
+    """
     parts = name.split("/")
     if not all(part in SYMBOLS for part in parts):
         unit = _spaced(COLUMNS[name].unit) if name in COLUMNS else ""

@@ -86,7 +86,11 @@ def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
 
 
 def _colour_map(name: str, first: float, last: float) -> np.ndarray:
-    """Return 256 colours (256, 3), bytes, of a colour map of matplotlib between two places in it, from 0 to 1."""
+    """Return 256 colours (256, 3), red, green and blue as bytes, evenly taken from a part of a colour map.
+
+    name : name of the colour map of matplotlib.
+    first, last : where the part begins and ends in the map, from 0 to 1.
+    """
     return np.round(255 * colormaps[name](np.linspace(first, last, 256))[:, :3]).astype(np.uint8)
 
 

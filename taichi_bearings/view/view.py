@@ -83,7 +83,10 @@ def _text(name: str) -> str:
 
 
 def _compressed_text(content: bytes) -> str:
-    """Return bytes compressed and as text (gzip, base64)."""
+    """Return a text, in base64, that stands for bytes packed by gzip.
+
+    content : the bytes.
+    """
     return base64.b64encode(gzip.compress(content, mtime=0)).decode()
 
 
