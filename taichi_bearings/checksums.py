@@ -25,9 +25,10 @@ ATTRIBUTE = "sha256"
 
 
 def digest_of_array(values: np.ndarray) -> str:
-    """Return the checksum of type and shape, such as ``<f8 (3, 4, 5)``, and of the bytes in C order.
+    """Return the checksum of an array, a text of hexadecimal digits: the SHA-256 of its type and shape, such as ``<f8
+    (3, 4, 5)``, followed by its bytes in C order.
 
-    Of texts the list as JSON takes the place of the bytes.
+    values : the array; for an array of texts the list as JSON takes the place of the bytes.
     """
     digest = hashlib.sha256(f"{values.dtype.str} {values.shape}".encode())
     if values.dtype == object:
@@ -38,7 +39,9 @@ def digest_of_array(values: np.ndarray) -> str:
 
 
 def digest_of_attribute(value: object) -> str:
-    """Return the checksum of a number, a text or a list as JSON, of anything else as text."""
+    """Return the checksum (SHA-256, hexadecimal digits) of the value of an attribute: of a number, a text or a list in
+    JSON, of anything else as text.
+    """
     return hashlib.sha256(json.dumps(np.asarray(value).tolist(), default=str).encode()).hexdigest()
 
 
@@ -48,8 +51,9 @@ def _digest(item: Any, attribute: str | None) -> str:
 
 
 def _parts(group: h5py.Group) -> Iterator[tuple[str, Any, str | None]]:
-    """Yield everything in a group that has a checksum: name, data set or group, and the name of the attribute. The last
-    is None for a data set itself."""
+    """Yield everything in a group that has a checksum, as tuples of three: the name under which the checksum is stored;
+    the data set, or the group that has the attribute; and the name of the attribute, None for a data set.
+    """
     items: list[tuple[str, Any]] = [("", group)]
     group.visititems(lambda path, item: items.append((path, item)))
     for path, item in items:

@@ -111,7 +111,7 @@ def _is_ours(folder: Path) -> bool:
 
 @cache
 def _warn_of_cache(place: Path) -> None:
-    """Warn that the cache is no folder, once in a process."""
+    """Warn, once in a process, that the path `place`, where compiled kernels should be kept, is no folder."""
     words = "bearings: %s is no folder; compiled kernels are kept in a temporary folder instead"
     logging.getLogger(__name__).warning(words, place)
 
@@ -157,7 +157,9 @@ def environment() -> Iterator[None]:
 
 
 def __getattr__(attribute: str) -> Any:
-    """Return `ti`, the compiler, which is imported when it is first asked for."""
+    """Return `ti`, the compiler, which is imported when it is first asked for. Python calls this for an attribute that
+    the module does not have yet.
+    """
     if attribute != "ti":
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
     with environment(), warnings.catch_warnings(), _lines_found_quickly():  # it adds filters of its own
@@ -182,7 +184,8 @@ def _lines_found_quickly() -> Iterator[None]:
 
     def line_of(frame: Any) -> tuple[None, None, None, list[str]]:
         """Return a tuple as `inspect.getframeinfo` does, with the source line of the frame alone, which is all that is
-        read."""
+        read.
+        """
         return None, None, None, [linecache.getline(frame.f_code.co_filename, frame.f_lineno)]
 
     before: Any = inspect.getframeinfo

@@ -5,7 +5,7 @@ The smallest set of nodes that meets every edge between the two halves, a least 
 (König), separates what is left of them and is eliminated last. Of all axes the one with the smallest separator is
 taken. All regions of a level are worked on at once. An active node is one that is in no separator yet.
 
-Letters: n nodes, d coordinates.
+Numbers of nodes and parts are from 0.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ _keeping = Lock()
 def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int, whole: int = 0) -> list[Part]:
     """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
 
-    graph : (n, n), symmetric; an entry joins two nodes.
-    place : (d, n), coordinates of the nodes.
+    graph : (nodes, nodes), symmetric; an entry joins two nodes.
+    place : (coordinates, nodes), where the nodes lie.
     leaf : largest number of nodes of a region that is not divided.
     whole : largest number of nodes of a connected piece of the graph that is not divided, if that is more than `leaf`.
 
@@ -70,8 +70,8 @@ def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
     looked for, so this takes far less time than a new division.
 
     parts : the parts of the other, divided graph.
-    node : (n,), the node of the divided graph to which each node of the new graph belongs. Nodes of the new graph may
-        be joined only if they belong to one node of the divided graph, or to two that are joined.
+    node : (nodes,), the node of the divided graph to which each node of the new graph belongs. Nodes of the new graph
+        may be joined only if they belong to one node of the divided graph, or to two that are joined.
     leaf : a part that with all parts below it has no more nodes becomes one part with them. Parts without any node are
         left out.
     """
@@ -106,8 +106,8 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
     """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
     Unlike `dissected` it keeps no result for the next call.
 
-    graph : (n, n), symmetric; an entry joins two nodes.
-    place : (d, n), coordinates of the nodes.
+    graph : (nodes, nodes), symmetric; an entry joins two nodes.
+    place : (coordinates, nodes), where the nodes lie.
     leaf : largest number of nodes of a region that is not divided.
     whole : the same for the first regions, the connected pieces of the graph, if that is more than `leaf`.
     """
@@ -145,12 +145,12 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
 def _best_cut(
     first: np.ndarray, second: np.ndarray, region: np.ndarray, ordered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return for all regions at once, as masks (n,), the upper half of each region and the nodes that separate its
-    halves.
+    """Return two masks (nodes,), for all regions at once: the upper half of each region, across the axis where fewest
+    nodes separate its halves; and these separating nodes.
 
-    first, second : (edges,), nodes of each edge.
-    region : (n,) region of each node.
-    ordered : (d, active nodes), the nodes that are in no separator yet, in order along each axis.
+    first, second : (edges,), numbers of the two nodes of each edge.
+    region : (nodes,) number of the region of each node.
+    ordered : (axes, active nodes), numbers of the nodes that are in no separator yet, in order along each axis.
     """
     halved = np.stack([_upper_half(along, region) for along in ordered])
     covers = np.stack([_least_cover(*_across(first, second, upper), len(region)) for upper in halved])
@@ -160,10 +160,10 @@ def _best_cut(
 
 
 def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Return the mask (n,) of the nodes beyond the median of their region along an axis.
+    """Return the mask (nodes,) of the nodes beyond the median of their region along an axis.
 
-    ordered : nodes that are in no separator yet, in their order along the axis.
-    region : (n,) region of each node.
+    ordered : (active nodes,), numbers of the nodes that are in no separator yet, in their order along the axis.
+    region : (nodes,) number of the region of each node.
     """
     own = region[ordered]
     order = np.argsort(own.astype(np.uint16) if own.max() < 2**16 else own, kind="stable")
@@ -175,10 +175,11 @@ def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
 
 
 def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and the upper node, (k,) each, of the edges that join the two halves of a region.
+    """Return the numbers of the lower and of the upper node of each edge that joins the two halves of a region: two
+    arrays with an entry for each of these edges.
 
-    first, second : (edges,), nodes of each edge.
-    upper : (n,) mask of the upper halves.
+    first, second : (edges,), numbers of the two nodes of each edge.
+    upper : (nodes,) mask of the upper halves.
     """
     at = np.flatnonzero(upper[first] != upper[second])
     first, second = first[at], second[at]
@@ -215,9 +216,10 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
 
 
 def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct ones of some nodes, in order, and for each of the nodes its number among them.
+    """Return two arrays: the distinct ones of some nodes, in rising order; and for each entry of `nodes` its index in
+    the first array.
 
-    nodes : (k,), indices of nodes, which may repeat.
+    nodes : numbers of nodes, which may repeat.
     count : number of all nodes.
     """
     there = np.zeros(count, dtype=bool)
@@ -228,8 +230,8 @@ def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 def _in_postorder(parent: np.ndarray, part: np.ndarray) -> list[Part]:
     """Return the parts with children before parents, in an order in which few finished ones wait for their parents.
 
-    parent : (parts,), the part above each, or -1.
-    part : (n,), part of each node.
+    parent : (parts,), number of the part above each, or -1.
+    part : (nodes,), number of the part of each node.
     """
     children: list[list[int]] = [[] for _ in parent]
     for child in np.flatnonzero(parent >= 0):

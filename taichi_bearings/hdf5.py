@@ -58,9 +58,10 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
 
 
 def _has_whole_heaps(path: Path) -> bool:
-    """Return False if free space in a heap of texts has no length, or an object reaches beyond its heap.
+    """Return False for an HDF5 file in which free space in a heap of texts has no length, or an object reaches beyond
+    its heap: the library HDF5 2.0 may then read on for ever.
 
-    HDF5 2.0 may then read on for ever.
+    path : the file.
     """
     with (
         opened(path) as file,
@@ -81,7 +82,7 @@ def _has_whole_heaps(path: Path) -> bool:
 
 
 def file_at(path: Path) -> h5py.File:
-    """Return an HDF5 file opened for reading, without a lock where the file system has none.
+    """Return the HDF5 file at `path`, opened for reading, without a lock where the file system has none.
 
     That is safe since this program replaces a file in one move, and never writes into one that others may be reading.
     """
@@ -106,8 +107,10 @@ def reason_against(file: h5py.File, size: int) -> str:
 
 
 def _strange(file: h5py.File, size: int) -> str:
-    """Return in words what in a file of `size` bytes leads out of it, is of an unknown kind or claims too much; "" for
-    nothing."""
+    """Return in words what in an open file leads out of it, is of an unknown kind or claims too much; "" for nothing.
+
+    size : size of the file in bytes.
+    """
     links: list[tuple[bytes, int]] = []
     file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
     if leads_out := [name.decode() for name, kind in links if kind == h5py.h5l.TYPE_EXTERNAL]:
@@ -130,9 +133,10 @@ def _strange(file: h5py.File, size: int) -> str:
 
 
 def _strange_attribute(name: str, item: h5py.HLObject) -> str:
-    """Return in words which attribute of a group or data set is neither a number nor a text; "" if all are.
+    """Return in words which attribute of a group or data set is neither a number nor a text; "" if there is none.
 
     name : name of the item, for the sentence.
+    item : the group or data set.
     """
     plain = (*PLAIN, h5py.Reference, h5py.RegionReference)  # as of scales, which are never followed
     for key in list(item.attrs):
@@ -149,6 +153,7 @@ def _strange_data(name: str, item: h5py.Dataset) -> str:
     a known filter.
 
     name : name of the data set, for the sentence.
+    item : the data set.
     """
     if item.is_virtual or item.external:
         return f"{name} in it lies in other files, which are not read"
@@ -165,7 +170,10 @@ PLAIN: tuple[type, ...] = (bytes, int, float, np.generic, np.ndarray, h5py.Empty
 
 
 def _is_plain(value: object, plain: tuple[type, ...]) -> bool:
-    """Return True for values of the types `plain`, texts in UTF-8, and arrays of them."""
+    """Return True if the value of an attribute is of one of the types `plain`, a text in UTF-8, or an array of these.
+
+    value : the value, as h5py reads it.
+    """
     if isinstance(value, np.ndarray) and value.dtype == object:
         return all(_is_plain(item, plain) for item in value.ravel())
     if isinstance(value, str):

@@ -46,7 +46,8 @@ def while_wanted(ended: Callable[[], bool]) -> Iterator[None]:
 
 def look_up() -> None:
     """Raise GivenUp if the work is no longer wanted (:func:`while_wanted`). Called in long loops, at places where
-    nothing is half done."""
+    nothing is half done.
+    """
     ended = _ended.get()
     if ended is not None and ended():
         raise GivenUp
@@ -210,7 +211,10 @@ class Interrupt:
         _thread.interrupt_main()
 
     def _hear(self, _: int, frame: FrameType | None) -> None:
-        """Handle a signal, or the end of the time that `at_once` allows: note it, and end the work inside `at_once`."""
+        """Handle a signal, or the end of the time that `at_once` allows: note it, and end the work inside `at_once`.
+
+        frame : what runs now.
+        """
         late, self._too_late = self._too_late, False
         if late:
             pass

@@ -82,12 +82,14 @@ def saying(sentence: str) -> Iterator[None]:
 
 
 def add_temporary(path: Path) -> None:
-    """Have a file or folder removed if the process is ended before :func:`forget_temporary` is called for it."""
+    """Have the file or folder `path` removed if the process is ended before :func:`forget_temporary` is called for
+    it.
+    """
     _temporary.add(os.path.abspath(path))
 
 
 def forget_temporary(path: Path) -> None:
-    """Undo :func:`add_temporary`: it is removed, or has another name."""
+    """Undo :func:`add_temporary` for `path`, which was removed or has got its final name."""
     _temporary.discard(os.path.abspath(path))
 
 

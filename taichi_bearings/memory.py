@@ -102,8 +102,11 @@ def give_back_freed() -> None:
 
 
 def refuse_before(needed: float, what: str) -> None:
-    """Raise NotEnoughMemory if `needed` bytes, an estimate that may be too low by ESTIMATE_MARGIN, are not free.
-    what : what needs them, for the message."""
+    """Raise NotEnoughMemory if `needed` bytes times ESTIMATE_MARGIN are not free: the number is an estimate that may be
+    too low by this factor.
+
+    what : what needs them, for the message.
+    """
     free = free_bytes() if needed > LITTLE_BYTES else np.inf
     if needed * ESTIMATE_MARGIN > free:
         words = f"needs some {needed / 1e9:.1f} GB of memory; {max(free, 0) / 1e9:.1f} GB are free"
@@ -111,8 +114,8 @@ def refuse_before(needed: float, what: str) -> None:
 
 
 def aligned_zeros(count: int, block: int, dtype: DTypeLike = float) -> np.ndarray:
-    """Return zeros (count,) at an address that is a multiple of `block` of them, as SIMD writes of whole blocks
-    expect.
+    """Return an array of `count` zeros whose address is a multiple of the size of `block` numbers, as SIMD instructions
+    that write a whole block expect.
 
     dtype : type of the numbers.
     """

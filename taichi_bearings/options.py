@@ -59,7 +59,7 @@ def numbers(convert: Reader, counts: tuple[int, ...]) -> Reader:
     """
 
     def read(value: Any) -> tuple[Any, ...]:
-        """Return the numbers as a tuple; ValueError if there are too many or too few."""
+        """Return the numbers in `value` as a tuple; raise ValueError if there are too many or too few."""
         parts = value.replace("x", ",").split(",") if isinstance(value, str) else list(value)
         if len(parts) not in counts:
             raise ValueError
@@ -123,7 +123,7 @@ def bounded(convert: Reader, low: float, high: float = math.inf, open_low: bool 
     """
 
     def read(value: Any) -> Any:
-        """Return the number; ValueError if it is out of range."""
+        """Return the number in `value`; raise ValueError if it is out of range."""
         number = convert(value)
         if not (low < number if open_low else low <= number) or not number <= high:
             raise ValueError
@@ -138,7 +138,7 @@ def whole(least: int, most: int) -> Kind:
 
 
 def _text(value: object) -> str:
-    """Return a text that is not empty and can be written in UTF-8; else ValueError."""
+    """Return `value` if it is a text that is not empty and can be written in UTF-8; else raise ValueError."""
     if not isinstance(value, str) or not value:
         raise ValueError
     value.encode()  # UnicodeEncodeError, a ValueError, for what is not UTF-8 and so cannot be written down
@@ -169,7 +169,7 @@ class OneOf(Kind):
     """
 
     def __init__(self, *names: str, table: Mapping[str, object] = MappingProxyType({})) -> None:
-        """Take some names, and a table of further ones."""
+        """Take the names that are allowed: `names`, and the keys of `table`, which may get more later."""
         self.names, self.table = names, table
 
     def read(self, value: Any) -> str:
@@ -256,14 +256,16 @@ how = partial(option, of_solving=True)  # an option that says how a system is so
 
 
 def options_of(owner: Any) -> dict[str, Option]:
-    """Return the options that a dataclass declares, by name."""
+    """Return the options that a dataclass (`owner`, a class or an instance) declares, by name."""
     return {item.name: item.metadata["option"] for item in fields(owner) if "option" in item.metadata}
 
 
 def chosen(option: str, names: str | None, table: Collection[str]) -> tuple[str, ...]:
-    """Return those names of a table that are listed, separated by commas; all of them for None.
+    """Return names of a table that a user has chosen.
 
-    option : named in the InputError for a name that the table does not have.
+    option : name of the option, for the InputError that is raised for a name that the table does not have.
+    names : the names, separated by commas; None for all of the table.
+    table : the names that are known.
     """
     found = tuple(table) if names is None else tuple(dict.fromkeys(names.split(",")))
     for name in found:

@@ -67,14 +67,16 @@ def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
 
 
 def real_path(path: Path) -> Path:
-    """Return where a name leads, all links followed; links that lead nowhere or in a circle are followed as far as
-    they go.
+    """Return where a path leads, all links followed; links that lead nowhere or in a circle are followed as far as they
+    go.
     """
     return Path(os.path.realpath(path))
 
 
 def refuse_link_out(path: Path) -> None:
-    """Raise WriteError for a link to another folder: what lies in a folder must not change anything outside of it."""
+    """Raise WriteError if `path` is a link to another folder: writing into a folder must change nothing outside of
+    it.
+    """
     if path.is_symlink() and real_path(path).parent != real_path(path.parent):
         raise WriteError(
             f"{path} is a link out of its folder; nothing is written through such a link, so remove it first"
@@ -82,7 +84,9 @@ def refuse_link_out(path: Path) -> None:
 
 
 def read_whole(path: Path, most: int) -> bytes:
-    """Return the content of a regular file; FileError if it is longer than `most` bytes or cannot be read."""
+    """Return the content of the regular file `path`; raise FileError if it is longer than `most` bytes or cannot be
+    read.
+    """
     try:
         with opened(path) as file:
             content = file.read(most + 1)
@@ -94,8 +98,9 @@ def read_whole(path: Path, most: int) -> bytes:
 
 
 def read_lines(path: Path) -> Generator[bytes, None, None]:
-    """Yield the lines of a regular file with their ends. Of a line longer than MOST_LINE only its end is yielded; if
-    there is no file, nothing."""
+    """Yield the lines of the regular file `path`, each with its end. For a line longer than MOST_LINE bytes only an
+    empty line is yielded; if there is no file, nothing.
+    """
     try:
         with opened(path) as file:
             while line := file.readline(MOST_LINE):
@@ -115,7 +120,9 @@ Json = dict[str, Any]
 
 
 def read_json(path: Path) -> Any:
-    """Return what a file of JSON holds; FileError if it is no JSON, or so large that it would take much memory."""
+    """Return what the JSON file `path` holds; raise FileError if it is no JSON, or so large that it would take much
+    memory.
+    """
     try:
         return parse_json(read_whole(path, MOST_JSON).decode())
     except (ValueError, RecursionError) as error:
@@ -137,7 +144,9 @@ def parse_json(text: str) -> Any:
 
 
 def new_file(path: Path) -> tuple[IO[bytes], Path]:
-    """Return an empty file beside `path`, made new and locked, and its name, by which `remove_leftovers` knows it."""
+    """Return a new, empty file in the folder of `path`, opened for writing, and its path. It is hidden and locked, so
+    that a file that a killed process has left can be told from one that is being written.
+    """
     while True:
         name = path.with_name(f".{path.name[:40]}.partial-{os.getpid()}-{secrets.token_hex(3)}")
         leaving.add_temporary(name)
@@ -157,7 +166,8 @@ def write_all(file: IO[bytes], content: bytes | memoryview) -> None:
 
 def let_go(file: IO[bytes]) -> None:
     """Close a file that is about to be renamed or removed on Windows, which wants that; other systems keep it open and
-    locked."""
+    locked.
+    """
     if sys.platform == "win32":
         file.close()
 
@@ -179,7 +189,7 @@ def replace_file(path: Path, content: bytes | memoryview) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove whatever has this name, and nothing that a link leads to."""
+    """Remove the file, link or folder `path` if it exists; what a link leads to stays."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -187,7 +197,7 @@ def remove(path: Path) -> None:
 
 
 def remove_leftover(path: Path) -> None:
-    """Remove a new file that a killed process has left; one that is being written stays."""
+    """Remove `path`, a new file that a killed process has left; one that another process is writing stays."""
     try:
         with opened(path, os.O_WRONLY | NO_LINK) as file:
             if lock(file) is True:

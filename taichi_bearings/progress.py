@@ -129,13 +129,13 @@ class Display:
         self._context.close()
 
     def begin(self, new: Stage) -> None:
-        """Note that a stage begins."""
+        """Note that the stage `new` begins."""
         self.book()
         self.stages.append(new)
         self.seconds.setdefault(new.name, 0.0)
 
     def end(self, old: Stage) -> None:
-        """Note that a stage ends, and those inside it."""
+        """Note that the stage `old` ends, and with it all stages inside it."""
         self.book()
         del self.stages[self.stages.index(old) :]
 

@@ -95,13 +95,15 @@ def _of_unique_slips(of: Callable[[Answer], object]) -> Callable[[Answer], objec
 
 
 def _shape(answer: Answer) -> object:
-    """Return the number of spheres along each axis of a lattice, None for other packings."""
+    """Return the number of spheres along each axis of the lattice of an answer; None for other packings."""
     shape = answer.solution.scene.facts.get("shape")
     return None if shape is None else Whole(shape)
 
 
 def _iterations(answer: Answer) -> object:
-    """Return the iterations of the method: one number if all samples were stepped together, else one for each."""
+    """Return the iterations of the method that found an answer: one number if all samples were stepped together, else
+    one for each sample.
+    """
     solution = answer.solution
     if solution.scene.driving.samples_step_together:
         return solution.iterations
@@ -109,8 +111,8 @@ def _iterations(answer: Answer) -> object:
 
 
 def _contacts(solution: Solution) -> int | np.ndarray:
-    """Return the number of contacts that are present and have a free sphere: one number if all samples have the same,
-    else (samples R,).
+    """Return the number of contacts of a solution that are present and have a free sphere: one number if all samples
+    have the same, else (samples R,).
     """
     found = (solution.state != ContactState.DRIVEN).sum(axis=1)
     return int(found[0]) if (found == found[0]).all() else found
@@ -145,7 +147,7 @@ def _at_end(column: str) -> Callable[[Answer], object]:
     """
 
     def found(answer: Answer) -> object:
-        """Return the last value."""
+        """Return the last value of the column in the history of an answer; None if there is no such column."""
         values = answer.solution.history.get(column)
         return None if values is None else values[-1]
 
@@ -509,6 +511,6 @@ def _reported(value: object, several: bool) -> Any:
 
 
 def plain(value: object) -> Any:
-    """Return a Python number or text; None for a number that is not finite."""
+    """Return a value of Python or NumPy as a Python number or text; None for a number that is not finite."""
     value = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -30,7 +30,7 @@ def cached_read_only(of: Callable[[Any], Value]) -> "cached_property[Value]":
 
     @wraps(of)
     def found(owner: object) -> Value:
-        """Compute the value, and make its arrays unwritable."""
+        """Compute the value of the property of an object (`owner`), and make its arrays unwritable."""
         return read_only(of(owner))
 
     return cached_property(found)

@@ -65,8 +65,11 @@ HOST = Runtime("cpu", "f64", available_threads())  # of methods that need no Tai
 
 
 def usable(arch: str, precision: str = "f64") -> list[devices.Device]:
-    """Return the GPUs of one make (`arch`) that can compute in this precision; none where Taichi does not
-    support them."""
+    """Return the GPUs that can compute in a precision; none where Taichi does not support them.
+
+    arch : "cuda", "vulkan" or "metal", the interface by which they are used.
+    precision : "f64" or "f32".
+    """
     found = [device for device in devices.find(arch) if device.has_f64 or precision != "f64"]
     if not found:
         return []
@@ -77,7 +80,9 @@ def usable(arch: str, precision: str = "f64") -> list[devices.Device]:
 
 
 def automatic_arch(precision: str = "f64") -> str:
-    """Return the make of the first real GPU that can compute in this precision, else "cpu"."""
+    """Return the interface, "cuda", "metal" or "vulkan", of the first real GPU that can compute in this precision;
+    "cpu" if there is none.
+    """
     real = (arch for arch in GPUS if any(not device.is_software for device in usable(arch, precision)))
     return next(real, "cpu")
 
@@ -232,7 +237,11 @@ def _out_of_memory() -> Iterator[None]:
 
 
 def refuse_absent(arch: str, precision: str) -> None:
-    """Raise DeviceError, with the reason in one sentence, for a device that is not here or lacks this precision."""
+    """Raise DeviceError, with the reason in one sentence, for a device that is not here or lacks a precision.
+
+    arch : one of ARCHITECTURES.
+    precision : "f64" or "f32".
+    """
     if arch not in ARCHITECTURES:
         raise DeviceError(f"arch is {arch!r}; allowed are {', '.join(ARCHITECTURES)}{meant(arch, ARCHITECTURES)}")
     if arch not in GPUS or usable(arch, precision):

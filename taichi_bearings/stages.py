@@ -36,7 +36,7 @@ class Stage:
     expected: float = 0.0
 
     def tell(self, report: object) -> None:
-        """Report to the listener where this stage stands."""
+        """Report to the listener where this stage stands: `report` becomes its attribute of this name."""
         self.report = report
         if who := listener.get():
             who.hear(self)
@@ -48,8 +48,9 @@ listener: ContextVar[Any] = ContextVar("listener", default=None)
 
 @contextmanager
 def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
-    """Name the work inside the block, so that its progress can be shown.
+    """Name the work inside the block, so that its progress can be shown. The block gets the new :class:`Stage`.
 
+    name : what the work is, as in "drawing".
     expected : seconds that it is estimated to take; 0 if unknown.
     """
     new, who = Stage(name, expected=expected), listener.get()

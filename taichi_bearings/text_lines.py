@@ -43,6 +43,8 @@ class CutOff(FileError):
 def read_text_lines(path: Path) -> Generator[bytes, None, None]:
     """Yield the lines of a text, plain or packed by gzip, bzip2 or xz, each with its end, without a byte order mark.
 
+    path : the file.
+
     Raises CutOff where a line has no end or a packed stream stops within itself, after all lines that are whole: a
     number there may have lost its last digits. Raises FileError for what cannot be read, is damaged, or is no text.
     """
@@ -119,14 +121,14 @@ class _Unpacker(io.RawIOBase):
 
 
 def is_table(path: str | Path) -> bool:
-    """Return True for the name of a table of text, packed or not."""
+    """Return True if `path` is named like a table of text: it ends in .csv, or in .csv and the ending of a packer."""
     name = Path(path).name.lower()
     return any(name.removesuffix(ending).endswith(".csv") for ending in (".gz", ".bz2", ".xz"))
 
 
 def number_of(word: bytes) -> float:
-    """Return a number as C, Fortran (1.5D-01) or Python print it; not-a-number and infinities too. ValueError for
-    others.
+    """Return the number that a word spells as C, Fortran (1.5D-01) or Python print it, not-a-number and infinities
+    included; raise ValueError for other words.
     """
     if NUMBER.fullmatch(word):
         return float(word.replace(b"D", b"e").replace(b"d", b"e"))

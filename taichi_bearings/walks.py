@@ -208,12 +208,14 @@ def _recording(core: Any, reader: Any) -> Iterator["_Record"]:
     record, before = _Record(core), list[tuple[Any, str, Any]]()
 
     def put(owner: Any, name: str, value: Any) -> None:
-        """Replace an attribute of a module or class; `before` holds what it was."""
+        """Replace the attribute `name` of a module or class (`owner`) by `value`; `before` keeps what it was."""
         before.append((owner, name, vars(owner)[name]))
         setattr(owner, name, value)
 
     def read(function: Any, *given: Any, **named: Any) -> Any:
-        """Do what Taichi's `_get_tree_and_ctx` does, and note the function whose source it reads."""
+        """Do what Taichi's `_get_tree_and_ctx` does, with the same arguments, and note the function whose source it
+        reads.
+        """
         record.functions.append(function.func)
         return reads(function, *given, **named)
 
@@ -261,7 +263,7 @@ class _Record:
         """Return a function that does what `function` does and writes down each call under `name`."""
 
         def heard(*given: Any, **named: Any) -> Any:
-            """Call the function and write the call down."""
+            """Call the function with the arguments `given` and `named`, write the call down, and return the result."""
             result = function(*given, **named)
             self.calls.append((name, given, named, result))
             return result
@@ -490,7 +492,10 @@ def _feature(value: Any) -> Any:
 
 
 def _names_in(code: types.CodeType) -> set[str]:
-    """Return all names that a function, and the functions inside it, look up in their module or as attributes."""
+    """Return all names that a function, and the functions inside it, look up in their module or as attributes.
+
+    code : compiled code of the function.
+    """
     inner = (item for item in code.co_consts if isinstance(item, types.CodeType))
     return set(code.co_names).union(*map(_names_in, inner))
 
@@ -514,7 +519,10 @@ def _surroundings() -> list[str]:
 
 def _settings(config: Any) -> list[str]:
     """Return a text, name and value, for each setting of the compiler that a walk (the recorded translation of a
-    kernel) may depend on."""
+    kernel) may depend on.
+
+    config : the settings, an object of the compiler.
+    """
     names = [
         name for name, value in vars(type(config)).items() if isinstance(value, property) and name not in UNRELATED
     ]
@@ -524,6 +532,8 @@ def _settings(config: Any) -> list[str]:
 def _read(place: Path) -> tuple[Walk, list[Guard]]:
     """Return the walk in a file (the recorded translation of a kernel: names, constants and calls), and its guards:
     names in modules, with texts about the values that they must still have.
+
+    place : path of the file.
 
     Raises OSError if there is no file, ValueError if it is damaged.
     """
@@ -537,6 +547,8 @@ def _read(place: Path) -> tuple[Walk, list[Guard]]:
 def _write(place: Path, walk: Walk, guards: list[Guard]) -> None:
     """Write a walk (the recorded translation of a kernel) and its guards (what must be unchanged for it to be used) to
     a file, whole or not at all: another process may write the same file just then.
+
+    place : path of the file.
 
     Of more than `MOST_FILES` files in the folder the older half is deleted.
     """

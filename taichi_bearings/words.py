@@ -11,7 +11,9 @@ LEAST_LETTERS = 3  # a shorter word is not taken for the beginning of another
 
 
 def counted(number: int, what: str) -> str:
-    """Return a number with a noun, which is given in the singular.
+    """Return a number with a noun.
+
+    what : the noun in the singular.
 
     >>> counted(1, "iteration"), counted(1200, "sample")
     ('1 iteration', '1,200 samples')

@@ -22,7 +22,8 @@ def one_thread() -> Iterator[None]:
 @lru_cache(maxsize=1)
 def _controller() -> ThreadpoolController:
     """Return the object that sets how many threads the loaded libraries of NumPy and SciPy use. It is made once, as it
-    takes milliseconds to find these libraries."""
+    takes milliseconds to find these libraries.
+    """
     import scipy.linalg  # noqa: F401
 
     return ThreadpoolController()

@@ -45,7 +45,7 @@ def two_square(a: np.ndarray) -> Pair:
 
 
 def _halves(a: np.ndarray) -> Pair:
-    """Split doubles into two summands (head, tail) of at most 26 bits each, exactly (Dekker's split)."""
+    """Return the doubles `a` as sums of two doubles (head, tail) of at most 26 bits each, exactly (Dekker's split)."""
     head = SPLIT * a
     head -= head - a
     return head, a - head
@@ -83,22 +83,22 @@ def square(x: Pair) -> Pair:
 
 
 def divide(x: Pair, y: Pair) -> Pair:
-    """Return x / y as a sum of two doubles: the quotient of the high parts, and the quotient of what that
-    leaves of x."""
+    """Return x / y as a sum of two doubles: the quotient of the high parts, plus what is left of x divided by y."""
     first = x[0] / y[0]
     left = subtract(x, scaled(first, y))
     return two_sum(first, left[0] / y[0])
 
 
 def square_root(x: Pair) -> Pair:
-    """Return the square root of positive numbers as a sum of two doubles: one Newton step from the root of the high
-    part."""
+    """Return the square root of positive numbers x as a sum of two doubles: one Newton step from the root of the high
+    part.
+    """
     first = np.sqrt(x[0])
     left = subtract(x, two_square(first))
     return two_sum(first, left[0] / (2 * first))
 
 
 def exactly(values: np.ndarray) -> Pair:
-    """Return doubles as pairs (high, low) whose low parts are 0."""
+    """Return doubles (`values`) as pairs (high, low) whose low parts are 0."""
     values = np.asarray(values, dtype=np.float64)
     return values, np.zeros_like(values)

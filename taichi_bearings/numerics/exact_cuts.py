@@ -53,10 +53,10 @@ class LightestCuts:
 
 
 def whole_numbers(values: np.ndarray) -> np.ndarray:
-    """Return whole numbers (n,) of Python (dtype object) whose ratios are exactly those of given floats. They have no
-    common divisor.
+    """Return whole numbers of Python, an array (dtype object) of the length of `values`, whose ratios are exactly those
+    of the values. They have no common divisor.
 
-    values : (n,) floats, 0 or more.
+    values : (numbers,) floats, none negative.
 
     >>> whole_numbers(np.array([0.5, 0.75])).tolist()
     [2, 3]
@@ -71,8 +71,10 @@ def whole_numbers(values: np.ndarray) -> np.ndarray:
 
 
 def _whole(weight: np.ndarray) -> np.ndarray:
-    """Return weights (n,) as whole numbers of Python (dtype object): floats in their exact ratios; weights that are
-    such whole numbers already are returned as they are."""
+    """Return the weights of edges as whole numbers of Python (dtype object) with the same ratios, exactly.
+
+    weight : (edges,) floats; or such whole numbers, which are returned as they are.
+    """
     return weight if weight.dtype == object else whole_numbers(weight)
 
 

@@ -40,7 +40,7 @@ class _Residual:
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:
-        """The four arrays of capacities: there and back, (P,) each; fed and drained, (nodes,) each."""
+        """The four arrays of capacities: there and back, (pairs P,) each; fed and drained, (nodes,) each."""
         return self.there, self.back, self.fed, self.drained
 
 
@@ -73,16 +73,16 @@ def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
     """Return the number (nodes,) of the connected part of a graph that each node belongs to.
 
     nodes : number of nodes.
-    pairs : (2, P) the two nodes that each edge joins.
+    pairs : (2, edges) the two nodes that each edge joins.
     """
     graph = sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(nodes, nodes))
     return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> None:
-    """Take a largest flow away from the capacity that is left, in place.
+    """Take a largest flow away from the capacity that is left in a graph.
 
-    left : capacities, whole numbers of any size.
+    left : capacities, whole numbers of any size, changed in place.
     pairs : (2, P) nodes of each of P joined pairs, lower and upper.
     part : (nodes,) number of the connected part of each node.
 
@@ -124,9 +124,9 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
 def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -> np.ndarray:
     """Return for each of `count` groups the sum (count,) of its values.
 
-    values : (n,), numbers.
-    owner : (n,), the group of each, 0 to count - 1.
-    kind : type of the sums.
+    values : (numbers,), what is summed.
+    owner : (numbers,), the group of each, 0 to count - 1.
+    kind : type of the sums, int64 or whole numbers of Python (object).
     """
     found = np.zeros(count, dtype=kind)
     np.add.at(found, owner, values)
@@ -136,11 +136,11 @@ def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -
 def _flow_of_round(
     pairs: np.ndarray, there: np.ndarray, back: np.ndarray, fed: np.ndarray, drained: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a largest flow of short capacities (int64): net flow (P,) from the lower to the upper node of each pair,
-    inflow and outflow (nodes,).
+    """Return a largest flow of capacities that fit into 64 bits, as three arrays: net flow (pairs,) from the lower to
+    the upper node of each pair of joined nodes; inflow (nodes,) from the source; and outflow (nodes,) to the sink.
 
-    pairs : (2, P) nodes of each pair, lower and upper.
-    there, back : (P,) capacities from the lower to the upper node, and back.
+    pairs : (2, pairs) nodes of each pair, lower and upper.
+    there, back : (pairs,) capacities from the lower to the upper node, and back.
     fed, drained : (nodes,) capacities from the source, and to the sink, at each node. Source and sink become two more
         nodes, the first and the last one.
     """
@@ -159,13 +159,14 @@ def _flow_of_round(
 
 
 def _flow_by_edge(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, reversed_: np.ndarray) -> np.ndarray:
-    """Return the flow (E,) of each edge, from the flow of each pair of nodes: edges that join the same two nodes share
-    it, each filled before the next one gets anything.
+    """Return the flow (edges,) of each edge, from the flow of each pair of nodes: edges that join the same two nodes
+    share it, each filled before the next one gets anything.
 
-    flow : (P,) of the pairs.
-    capacity : (E,) of the edges.
-    own : (E,) pair of each edge.
-    reversed_ : (E,) True for edges that are given from the upper node to the lower one.
+    flow : (pairs,) flow from the lower to the upper node of each pair.
+    capacity : (edges,) most that an edge carries.
+    own : (edges,) number of the pair of nodes that each edge joins.
+    reversed_ : (edges,) True for edges that are given from the upper node to the lower one, whose flow is counted that
+        way.
     """
     if len(flow) == len(own):
         shared = flow[own]

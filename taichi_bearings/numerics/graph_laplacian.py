@@ -13,7 +13,7 @@ def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc
     """Return the weighted Laplacian (free, free) of a graph over the nodes that are not held at a fixed value, in their
     order.
 
-    edges : groups of edges, each as three arrays (E,): the node at either end, and the weight.
+    edges : groups of edges, each as three arrays (edges,): the node at either end, and the weight.
     nodes : number of nodes.
     held : (nodes,) True where the value is fixed.
     """
@@ -31,6 +31,8 @@ def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc
 def factorised(laplacian: csc_array) -> SuperLU:
     """Return SuperLU's factorisation of a Laplacian, by minimum degree and without pivoting; its method `solve` solves
     with it.
+
+    laplacian : (free, free), as :func:`graph_laplacian` returns it.
 
     Raises RuntimeError if the matrix is singular in float64.
     """

@@ -57,7 +57,7 @@ class MinimumCut:
 
     @property
     def unique(self) -> np.ndarray:
-        """(R,) True where every other set of contacts that parts bottom and top is proven to be heavier."""
+        """(lattices R,) True where every other set of contacts that parts bottom and top is proven to be heavier."""
         return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
@@ -253,7 +253,8 @@ def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
 
     above : (*N) mask of the spheres on one of the sides.
     axis : number of the axis.
-    lattice : the lattice, of shape *N."""
+    lattice : the lattice, of shape *N.
+    """
     low, high = lattice.along(axis)
     return np.asarray(above[low] != above[high])
 
@@ -313,7 +314,9 @@ def within_reach(ends: np.ndarray, left_over: np.ndarray, start: int, least: int
 def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Return a mask (nodes,), True for nodes that can be reached along arcs from any of the nodes `starts`.
 
-    row, column : (arcs,) the node that each arc leaves, and the node that it leads to."""
+    nodes : number of nodes.
+    row, column : (arcs,) the node that each arc leaves, and the node that it leads to.
+    """
     rows, columns = np.concatenate([row, np.full(len(starts), nodes)]), np.concatenate([column, starts])
     graph = csr_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(nodes + 1, nodes + 1))
     found = np.zeros(nodes + 1, dtype=bool)
@@ -390,7 +393,7 @@ def _shared_out(ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: 
 
     ends : (2, edges) nodes, lower and upper.
     capacity : (edges,) int64 below 2^62, of both ways.
-    pairs : (2, P) the different pairs of nodes.
+    pairs : (2, pairs) the different pairs of nodes that edges join.
     own : (edges,) number of the pair that each edge joins.
     at_most : a number that no flow exceeds.
     """

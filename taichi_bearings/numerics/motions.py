@@ -31,8 +31,9 @@ class _Front:
     """The result of eliminating one front, a set of own unknowns that are eliminated together. It says how some of them
     follow from others in a motion x without slip: x[kept] = -solve(top^T, below^T x[free and border]).
 
-    kept, free : indices of the own unknowns that have a pivot, and of those that have none and so can be anything.
-    border : indices of the later unknowns that the own ones are coupled to.
+    kept, free : numbers, among all unknowns, of the own unknowns that have a pivot, and of those that have none and so
+        can be anything.
+    border : numbers of the later unknowns that the own ones are coupled to.
     top : Cholesky factor (kept, kept), lower triangle, of the block of the unknowns with a pivot.
     below : (free + border, kept), the rows of the factor below it.
     """
@@ -41,7 +42,7 @@ class _Front:
     free: np.ndarray
     border: np.ndarray
     top: np.ndarray
-    below: np.ndarray  # (len(free) + len(border), len(kept))
+    below: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ class Motions:
         """Return the slipless motions, one in each column, (unknowns, number): each is 1 at one of the unknowns `held`,
         and 0 at the others of them.
 
-        shares : (number, k), or None. If given, k sums of the motions with these coefficients are returned instead,
-            (unknowns, k).
+        shares : (number, sums), or None. If given, sums of the motions with these coefficients are returned instead,
+            (unknowns, sums).
         """
         shares = np.eye(len(self.held)) if shares is None else shares
         found = np.zeros((self.unknowns, shares.shape[1]))
@@ -151,11 +152,11 @@ def _without_slipping_motions(motions: Motions, slips: sparse.csr_array) -> Moti
 
 
 def _relative_slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarray) -> np.ndarray:
-    """Return for each of k sums of motions its largest slip over its largest spin, (k,).
+    """Return (sums,) the largest slip of each of some sums of motions, over its largest spin.
 
     motions : motions at which contacts do not slip, or hardly.
     slips : (rows, unknowns), the matrix from spins to slips.
-    shares : (number of motions, k), coefficients of the sums.
+    shares : (motions, sums), the coefficients with which the motions are added.
     """
     spins = motions.basis(shares)
     return np.asarray(np.abs(slips @ spins).max(axis=0, initial=0.0) / np.abs(spins).max(axis=0))
@@ -182,7 +183,7 @@ def _eliminated(
 
     matrix : (unknowns, unknowns), K^T K, where the matrix K gives slips from spins.
     position : (unknowns,) place of each in the order of elimination.
-    own : (k,), the own unknowns.
+    own : (own unknowns,), their numbers.
     updates : for each front below this one its border, and the matrix (border, border) that it adds there.
     returns : the front, and the matrix that its elimination adds to that of its border (the Schur complement).
     """
@@ -198,7 +199,7 @@ def _eliminated(
     full = np.zeros((len(both), len(both)))
 
     def find(wanted: np.ndarray) -> np.ndarray:
-        """Return the rows (k,) of the unknowns with these numbers (k,) in the dense matrix `full`."""
+        """Return for each unknown whose number is in `wanted` its row in the dense matrix `full`."""
         return order[np.searchsorted(both, wanted, sorter=order)]
 
     for local, (columns, a, b) in enumerate(zip(rows, begin, end, strict=True)):

@@ -110,7 +110,7 @@ class Door(ABC):
 
     @abstractmethod
     def seconds(self, settings: RunSettings) -> float | None:
-        """Return the estimated seconds to solve one sample; None where they are not known."""
+        """Return the estimated seconds to solve one sample with these settings; None where they are not known."""
 
     @abstractmethod
     def worker_bytes(self, settings: RunSettings, spheres: int, most: int) -> float:

@@ -201,7 +201,9 @@ class LatticeDoor(Door):
         return BLOCK_SAMPLES if spheres < self.row(settings).alike_in_a_block else 1
 
     def seconds(self, settings: RunSettings) -> float | None:
-        """Return the estimated seconds to solve one sample; None where they are not known, as of dynamics."""
+        """Return the estimated seconds to solve one sample with these settings; None where they are not known, as for
+        dynamics.
+        """
         return self.row(settings).seconds(settings.shape, settings.tolerance)
 
     def worker_bytes(self, settings: RunSettings, spheres: int, most: int) -> float:
@@ -296,8 +298,8 @@ def solve_job(
     free = replace(settings, torque=None)
 
     def again(bearing: Bearing) -> Solution:
-        """Return the answer to another scene with the same settings, but with the top turned as imposed instead of by a
-        torque.
+        """Return the answer to another lattice (`bearing`) with the same settings, but with the top moved as imposed
+        instead of by a torque.
         """
         scene = of_lattice(bearing)
         return solve_job(LatticeJob(free, scene, initial_spin(scene, "linear"), method.options.build()))

@@ -144,7 +144,7 @@ class PackingDoor(Door):
         return min(MOST_SIDE_BY_SIDE, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
 
     def seconds(self, settings: RunSettings) -> None:
-        """Return None: it is not known beforehand how long a packing takes."""
+        """Return None whatever the settings: it is not known beforehand how long a packing takes."""
 
     def worker_bytes(self, settings: RunSettings, spheres: int, most: int) -> float:
         """Return the estimated memory, bytes, of a worker that solves samples with these settings.
@@ -277,6 +277,7 @@ def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
 def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
     """Return the settings without those that the packing, its method or its law does not use.
 
+    settings : settings of the run.
     strict : True to raise InputError for the first such setting instead. InputError is also raised for a torque
         together with the spins that it replaces.
     """
@@ -292,6 +293,7 @@ def packing_of(
     It is read from a file and completed by values and draws of the settings; or, without a file, it is a lattice whose
     driven bodies are not planes.
 
+    settings : settings of the run.
     found : the arrays of the file by name, if they were read already.
     seeds : seeds of samples, each of which is as the settings alone would make it; None for the seeds of the settings.
     """

@@ -139,7 +139,7 @@ def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_thre
 
 
 def _of_contacts(answer: Solution) -> dict[str, Finding]:
-    """Return the columns of the contacts, such as slip, power and state, by name."""
+    """Return columns (contacts E,) of the answer to one sample by name, such as slip, power and state, with units."""
     return {row.name: Finding(v[0], row.unit, row.text) for row, v in found_in(answer, CONTACTS)}
 
 

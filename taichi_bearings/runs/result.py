@@ -54,16 +54,16 @@ class Result:
     It is the same whether it was solved just now or read from a file. A single sample has numbers and arrays without an
     axis of replicas. Of several samples, (R,) are arrays with one number each, and every array has a leading axis R;
     `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz),
-    or the number of spheres of a packing. What lies on contacts is a tuple with an array an axis, x, y(, z), of the
-    shapes of `scene.coefficients`, and of packings one array (E,); of these, contacts between driven spheres, or
-    without coefficient, are left out of `power`. Arrays are read-only.
+    or the number of spheres of a packing. What lies on contacts is a tuple with one array for each axis, x, y(, z), of
+    the shapes of `scene.coefficients`; for packings of E contacts it is one array (E,). Contacts between driven spheres
+    and absent ones are left out of `power`. Arrays are read-only.
 
     Attributes
     ----------
     asked : RunSettings
         All that was asked for, as `bearings run` has it.
     solution : Solution
-        What was found of all samples, arrays with an axis R, (R, E) on contacts.
+        What was found of all R samples: arrays with a leading axis R, and (R, E) on the E contacts.
     started_from : numpy.ndarray or None
         Laboratory spins, 1/time, that were given as an array to start from; None where they were given by name, such as
         "linear", or are stored in the directory of the run.
@@ -278,8 +278,8 @@ class Result:
         Returns
         -------
         array
-            Laboratory spins, (R, *N) of discs or (R, *N, 3) of spheres for R samples, 1/time. The direct methods for
-            minima of packings do not use them.
+            Laboratory spins, 1/time: (R, *N) of discs or (R, *N, 3) of spheres, for R samples of a lattice of shape *N
+            or of N spheres. The direct methods for minima of packings do not use them.
 
         Examples
         --------
@@ -313,7 +313,7 @@ class Result:
         return self.scene.replicas
 
     def __getitem__(self, number: int) -> "Result":
-        """Return the result of one sample as if it had been solved alone; negative numbers count from the end."""
+        """Return the result of sample `number` as if it had been solved alone; negative numbers count from the end."""
         samples = len(self)
         if not -samples <= number < samples:
             raise IndexError(f"there is no sample {number}; the result has {samples}, numbered from 0")

@@ -154,6 +154,8 @@ def tidy(parent: Path, ours: str = "") -> None:
 def exchange(one: Path, other: Path) -> None:
     """Swap the names of two directories, in one move where the system can do that.
 
+    one, other : paths of the directories, which lie in the same folder.
+
     Elsewhere it takes three moves, and :func:`tidy` repairs what is left if the process is killed between them.
     """
     if _swap(one, other):
@@ -170,6 +172,8 @@ def exchange(one: Path, other: Path) -> None:
 
 def _swap(one: Path, other: Path) -> bool:
     """Swap two names in one move and return True; return False where the system or the file system has no such move.
+
+    one, other : paths of two files or directories.
 
     Raises OSError if the move fails for another reason.
     """
@@ -251,6 +255,9 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
 def claimed(path: Path, force: bool = False) -> Iterator[None]:
     """Lock a file, and the run directory in which it lies, inside the block, so that no other process writes them.
 
+    path : the file, which need not exist.
+    force : True to allow that it exists.
+
     Raises FileError if another process has locked it already, or if the file exists and `force` is False.
     """
     refuse_name(path)
@@ -267,6 +274,7 @@ def claimed(path: Path, force: bool = False) -> Iterator[None]:
 def writable_folder(path: Path, part: str = "") -> Iterator[None]:
     """Make a folder unless it exists, and lock it inside the block, so that no other process works in it.
 
+    path : the folder.
     part : name for one part of the work, to lock that part alone; empty for all work.
 
     Raises FileError if the folder cannot be made, or if another process works in it.
@@ -295,7 +303,7 @@ def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arra
 
 
 def checkpoint_of(folder: Path) -> Path:
-    """Return the path of the checkpoint in a run directory; raise FileError if there is none."""
+    """Return the path of the checkpoint in the run directory `folder`; raise FileError if there is none."""
     path = folder / CHECKPOINT_NAME
     if not path.is_file():
         raise FileError(f"{folder} cannot be resumed: there is no {path}; only runs with --checkpoint-every have one")
@@ -303,7 +311,7 @@ def checkpoint_of(folder: Path) -> Path:
 
 
 def read_checkpoint(folder: Path) -> tuple[str, dict[str, np.ndarray]]:
-    """Return the settings, as TOML, and the arrays, by name, in the checkpoint of a run directory.
+    """Return the settings, as TOML, and the arrays, by name, in the checkpoint of the run directory `folder`.
 
     There are no arrays if the run had not reached its first checkpoint. Raises FileError if there is no checkpoint, or
     if it is damaged, was changed or has an unknown layout.

@@ -163,8 +163,11 @@ def opened_to_draw(
 
 
 def replica_drawn(found: Result, replica: int) -> dict[str, int]:
-    """Return the number of the sample that a picture shows, and the number of samples, by name; empty if there is only
-    one.
+    """Return two numbers by name, for reports on a picture: `replica`, the sample that it shows, and `replicas`, how
+    many samples the run has; an empty dictionary if the run has only one.
+
+    found : the run.
+    replica : number of the sample, from 0.
     """
     replicas = len(found.solution.state)
     return {"replica": replica, "replicas": replicas} if replicas > 1 else {}

@@ -66,8 +66,8 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, obje
 
 
 def _rows(solution: Solution) -> Iterator[Row]:
-    """Yield all data sets of run.h5, as tuples of name, values, unit and description: coefficients, contacts, spins,
-    history and snapshots.
+    """Yield all data sets of the run.h5 of a solution, as tuples of name, values, unit and description: coefficients,
+    contacts, spins, history and snapshots.
     """
     scene, replicas = solution.scene, solution.scene.replicas
     yield from (_rows_of_packings if scene.network.lattice is None else _rows_of_lattice)(solution)
@@ -90,8 +90,8 @@ def _rows(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
-    """Yield the data sets of coefficients and contacts of a lattice, one for each axis, as tuples of name, values, unit
-    and description.
+    """Yield the data sets of coefficients and contacts of a solution on a lattice, one for each axis, as tuples of
+    name, values, unit and description.
     """
     scene = of_lattice(solution.scene)
     lattice = scene.lattice
@@ -110,7 +110,10 @@ def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_packings(solution: Solution) -> Iterator[Row]:
-    """Yield the data sets of a packing and of its contacts, as tuples of name, values, unit and description."""
+    """Yield the data sets of a packing and of its contacts, as tuples of name, values, unit and description.
+
+    solution : the answer to all samples of the packing.
+    """
     scene = solution.scene
     for name, values in stacked([scene.sample(number).arrays() for number in range(scene.replicas)]).items():
         yield f"packing/{name}", values, *PACKING_ARRAYS[name]

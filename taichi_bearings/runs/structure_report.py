@@ -64,7 +64,8 @@ domain, (domains,) or (domains, C)."""
 def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Finding]]:
     """Return the columns of the spheres, flat in C order, and those of the contacts, (contacts E,), by name.
 
-    structure : what the contacts of a sample form."""
+    structure : what the contacts of a sample form.
+    """
 
     def found(rows: Iterable[Quantity]) -> dict[str, Finding]:
         """Return the columns that the structure has among some rows of the tables, by name, with units."""

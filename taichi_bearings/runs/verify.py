@@ -97,7 +97,9 @@ def verify(path: str | Path) -> Json:
 
 
 def _size_of(scene: Bearing) -> Json:
-    """Return the shape of a lattice, None of other packings, and the numbers of spheres and contacts, by name."""
+    """Return the size of a scene by name: `shape`, numbers of spheres along each axis of a lattice, None for a packing;
+    and the numbers of `spheres` and `contacts`.
+    """
     shape, network = scene.facts.get("shape"), scene.network
     return {"shape": shape and list(shape), "spheres": network.spheres, "contacts": network.contacts}
 

@@ -110,6 +110,7 @@ def write_run(folder: Path, found: "Result") -> None:
 def write_state(file: Path, found: "Result", stored: RunSettings) -> None:
     """Write a result in the layout of run.h5.
 
+    file : path of the file.
     found : the result.
     stored : settings by which it can be solved again, with names of files relative to that of the file.
     """

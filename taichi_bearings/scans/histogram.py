@@ -106,11 +106,12 @@ def read_source(path: Path) -> Source:
 
 def _source_of_scan(scan: StoredScan) -> Source:
     """Return the samples of a stored scan in the form that histograms are made from: columns of numbers, and counts of
-    contacts by bins of power."""
+    contacts by bins of power.
+    """
     table, own = scan.table, np.flatnonzero(scan.reasons == "")
 
     def column(name: str) -> np.ndarray:
-        """Return a column of the table, with all samples that were asked for."""
+        """Return the column `name` of the table, (samples,), with all samples that were asked for."""
         if name not in table:
             raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}")
         return table[name]
@@ -128,7 +129,8 @@ def _source_of_scan(scan: StoredScan) -> Source:
 
 def _source_of_run(run: Result) -> Source:
     """Return the samples of a run in the form that histograms are made from: columns of numbers, and counts of contacts
-    by bins of power."""
+    by bins of power.
+    """
     assert run.path is not None
     settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
@@ -141,7 +143,7 @@ def _source_of_run(run: Result) -> Source:
     known = {*attributes, *RunSettings.keys()} - {"scene", "command"} - ({"shape"} if in_lists else set())
 
     def column(name: str) -> np.ndarray:
-        """Return an attribute or a setting of each replica."""
+        """Return the attribute or setting `name` of each replica, (replicas,)."""
         if name not in known:
             raise InputError(f"{path} has no setting {name!r}; it has {', '.join(sorted(known))}{meant(name, known)}")
         if name in ("shape", "direction"):
@@ -280,8 +282,11 @@ def _report(histograms: Histograms, by: str | None) -> Json:
 
 
 def _numbers_of(parts: Sequence[PowerHistogram]) -> Json:
-    """Return numbers of contacts and samples in some histograms, by name. `asked` is the number of samples that were
-    asked for, `left_out` says for each reason how many are not pooled, `census` says it in words.
+    """Return numbers of contacts and samples in some histograms together, by name: `slipping`, `slipless`, `tied` and
+    `undecided` contacts; `samples` that are pooled; `asked`, all samples that were asked for; `left_out`, for each
+    reason how many are not pooled; and `census`, the last three in words.
+
+    parts : the histograms.
     """
     names = ("slipping", "slipless", "tied", "undecided", "samples")
     counted = {name: sum(getattr(part, name) for part in parts) for name in names}

@@ -74,7 +74,9 @@ def entries(folder: Path) -> list[Entry]:
 
 
 def _kind_of(path: Path) -> str:
-    """Return what a folder is: "run", "scan", or "" for anything else, such as a report of `bearings stress`."""
+    """Return what the folder `path` is: "run", "scan", or "" for anything else, such as a report of `bearings
+    stress`.
+    """
     if (path / STRESS_TABLE).is_file():
         return ""
     if any((path / name).is_file() for name in RUN_FILES):
@@ -83,7 +85,9 @@ def _kind_of(path: Path) -> str:
 
 
 def _entry(path: Path) -> Entry | None:
-    """Return the entry of a folder, with a problem if it cannot be read; None for what is neither a run nor a scan."""
+    """Return the entry of the folder `path`, with a problem if it cannot be read; None for what is neither a run nor a
+    scan.
+    """
     kind, values, problem, times = "", {}, "", [0.0]
     try:
         kind = _kind_of(path)
@@ -99,7 +103,9 @@ def _entry(path: Path) -> Entry | None:
 
 
 def _values_of_run(path: Path) -> Json:
-    """Return what is listed of a run, by name, from its summary."""
+    """Return what is listed of the run in the folder `path`, by name, from its summary. Raises InputError if a file is
+    missing or the summary holds something else.
+    """
     has_summary, has_run = ((path / name).is_file() for name in ("summary.json", "run.h5"))
     if not has_summary and not has_run:
         return {"status": "unfinished"}
@@ -129,8 +135,8 @@ def _fits(value: object, kind: type, can_lack: bool) -> bool:
 
 
 def _values_of_scan(path: Path) -> Json:
-    """Return what is listed of a scan, by name: its scanned keys, how many samples it asks for, and how many its
-    journals hold by status.
+    """Return what is listed of the scan in the folder `path`, by name: its scanned keys, how many samples it asks for,
+    and how many its journals hold by status.
     """
     asked, scanned, fixed = count_samples(path / "scan.toml")
     last: dict[bytes, bytes] = {}

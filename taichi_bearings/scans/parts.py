@@ -36,7 +36,7 @@ class Part:
 
     @staticmethod
     def parse(text: str) -> "Part":
-        """Return the part that ``i/n`` names; InputError if it names none."""
+        """Return the part that a text such as "2/5" names; raise InputError if it names none."""
         found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
         if found is None or not 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS_OF_SCAN:
             raise InputError(

@@ -62,7 +62,7 @@ def _wishes_in(document: Json) -> Json:
     """Remove the options of the scan itself (WISHES, which change no result) from the content of a scan file, and
     return them by name. Raise InputError for values that are not allowed.
 
-    document : keys and values of the file.
+    document : keys and values of the file, changed in place.
     """
     return {name: item.read(name, document.pop(name)) for name, item in WISHES.items() if name in document}
 
@@ -185,8 +185,8 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[Json, list[Axis]]:
 
 
 def count_samples(path: Path) -> tuple[int, tuple[str, ...], Json]:
-    """Return how many samples a scan file asks for, the names of the scanned settings, and the settings that all
-    samples share, by key. No sample is built.
+    """Return how many samples the scan file `path` asks for, the names of the scanned settings, and the settings that
+    all samples share, by key. No sample is built.
     """
     document, axes = _read(path)
     return math.prod(map(len, _points(axes))), tuple(key for axis in axes for key in axis), document
@@ -314,8 +314,11 @@ def content_of(name: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _content(name: str, path: Path, *_: int) -> str:
-    """Return the hash of a file; it is computed again only if time or size of the file, the last arguments, have
-    changed.
+    """Return the hash of a file's content; it is computed again only if time or size of the file, the last arguments,
+    have changed.
+
+    name : what the user calls the file, for messages.
+    path : path of the file itself.
     """
     digest = hashlib.sha256()
     try:
@@ -328,15 +331,17 @@ def _content(name: str, path: Path, *_: int) -> str:
 
 
 def spheres_of(settings: RunSettings) -> int:
-    """Return the number of spheres of a sample; FileError for a packing that cannot be read."""
+    """Return the number of spheres of a sample with these settings; raise FileError for a packing that cannot be
+    read.
+    """
     packing = settings.packing
     return math.prod(settings.shape) if packing is None else _spheres(packing, content_of(packing))
 
 
 @lru_cache(maxsize=1024)
 def _spheres(name: str, _: str) -> int:
-    """Return the number of spheres in a packing file; it is read again only if the hash of its content, the last
-    argument, has changed.
+    """Return the number of spheres in the packing file `name`; it is read again only if the hash of its content, the
+    last argument, has changed.
     """
     from taichi_bearings.scene.packing import Packing  # and with it much of SciPy
 

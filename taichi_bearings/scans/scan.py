@@ -357,7 +357,7 @@ class _Course:
                 del self.missing[sample.key]
 
     def _has_result(self, key: str) -> bool:
-        """Return True if this sample has a result already."""
+        """Return True if the sample with this key has a result already."""
         return key in self.records and not parts.is_failed(self.records[key])
 
     def _write(self, removes: bool = False) -> None:
@@ -382,8 +382,10 @@ class _Course:
                 self._write(removes=True)
 
     def report(self, interrupted: bool) -> Json:
-        """Return the report that `--json` prints, by name. The argument tells if the scan was stopped early.
+        """Return the report that `--json` prints, by name.
 
+        interrupted : the argument, True if the scan was stopped early; the entry of this name is False if no work was
+            left.
         samples : number of samples of the scan. Each is in one of `done` (with a result), `failed` (with an error
             instead; `failures` lists them) and `missing` (not yet solved).
         solved_now, seconds : number of samples solved in this call, and how long it took.
@@ -391,7 +393,6 @@ class _Course:
             no analysis although others have one.
         lacking : number of samples with a result that lacks something asked for now, such as an analysis; they are
             solved again.
-        interrupted : True if the scan was stopped with work left.
         scan, files, removed : paths of the folder, of the files written, and of outdated figures that were removed.
         """
         known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]

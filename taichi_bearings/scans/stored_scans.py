@@ -51,7 +51,7 @@ SETTING_COLUMNS = (
 
 
 def is_scan(path: Path) -> bool:
-    """Return True for the folder of a scan, with or without scan.h5, and for a file scan.h5."""
+    """Return True if `path` is the folder of a scan, with or without scan.h5, or a file that holds one."""
     if path.is_dir():
         return (path / "scan.h5").is_file() or journal_bytes(path) is not None
     try:
@@ -63,6 +63,8 @@ def is_scan(path: Path) -> bool:
 
 def open_scan(path: Path) -> StoredScan:
     """Return the scan in a folder or beside a scan.h5, with a row for each sample that it asks for; nothing is written.
+
+    path : the folder, or the file scan.h5 in it.
 
     scan.h5 is taken if it is complete and holds what the journals hold. Otherwise the table is made of the journals,
     and samples that are not computed yet are in it as missing. Raises FileError if there is neither.
@@ -208,6 +210,8 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
 
 
 def numbered(names: Iterable[object]) -> np.ndarray:
-    """Return whole numbers (n,) that are equal where the names are equal."""
+    """Return a whole number for each of some names, in their order: equal numbers for equal names, 0, 1, ... by first
+    appearance.
+    """
     place: dict[Any, int] = {}
     return np.array([place.setdefault(name, len(place)) for name in names], dtype=np.int64)

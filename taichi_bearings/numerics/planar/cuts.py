@@ -51,12 +51,12 @@ class MinimumCuts:
 
     @property
     def tied(self) -> np.ndarray:
-        """(B,) number of contacts that are in some but not in all minimum cuts."""
+        """(grids B,) number of contacts that are in some but not in all minimum cuts of a grid."""
         return np.asarray(sum(np.count_nonzero(tied, axis=(1, 2)) for tied in (self.sideways_tied, self.upward_tied)))
 
     @property
     def unique(self) -> np.ndarray:
-        """(B,) True for the grids of which every other cut is heavier than the one found."""
+        """(grids B,) True for the grids of which every other cut is heavier than the one found."""
         found: np.ndarray = self.tied == 0
         return found
 
@@ -113,7 +113,7 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
 
 
 def _any(values: np.ndarray) -> np.ndarray:
-    """Return (B,) True for the grids in which some of the values (B, ., .) are true."""
+    """Return (grids,) True for the grids in which some of the values (grids, columns, rows) are true."""
     return np.asarray(values.any(axis=(1, 2)))
 
 

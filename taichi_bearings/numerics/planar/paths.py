@@ -201,9 +201,11 @@ def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 def grids(values: np.ndarray) -> np.ndarray:
-    """Return numbers (B,), one for each grid, as (B, 1, 1), to be combined with arrays of contacts.
+    """Return numbers (grids,) in the shape (grids, 1, 1), in which they can be combined with arrays (grids, columns,
+    rows) of contacts.
 
-    values : (B,)."""
+    values : (grids,), one number for each grid.
+    """
     return values[:, None, None]
 
 

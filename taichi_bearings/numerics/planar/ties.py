@@ -32,10 +32,10 @@ def equal_paths(
     A path leads from the left to the right outside of a grid of w columns and h rows, from face to face across
     contacts; these are a cut of the grid between bottom and top.
 
-    path : shortest paths of the same B grids, by weights rounded down to multiples of `unit`.
-    inner, upward : weights of the contacts, along rows without the end rows, (B, w - 1, h - 2), and between rows, (B,
-        w, h - 1).
-    unit : (B,) unit to whose multiples weights were rounded down for `path`, the shortest paths.
+    inner, upward : weights of the contacts of B grids: along rows without the end rows, (B, w - 1, h - 2), and between
+        rows, (B, w, h - 1).
+    unit : (B,) unit of weight in each grid.
+    path : shortest paths of the same grids, by weights that were rounded down to multiples of the unit.
     returns : mask of the upward contacts of a lightest path; masks of the inner and of the upward contacts with weight
         that are in some but not in all lightest paths.
     """
@@ -67,7 +67,8 @@ def _steps_in_doubt(
 
     inner, upward : weights of the contacts of B grids of w columns and h rows: along rows, without the end rows, (B, w
         - 1, h - 2); between rows, (B, w, h - 1).
-    unit : (B,) unit to which they were rounded down for `path`, the shortest paths.
+    unit : (B,) unit of weight in each grid.
+    path : shortest paths of the same grids, by weights that were rounded down to multiples of the unit.
     returns : contact (steps,); faces (2, steps), the one that is left and the one that is entered; weight (steps,); and
         for each grid the numbers of its steps. Each outside is one face: the first one of the first, or last, column.
     """

@@ -40,7 +40,8 @@ when it was found."""
 
 
 class _Heap:
-    """The spheres placed so far, and the pockets (places for a further sphere that touches D others), lowest first.
+    """The spheres placed so far, in D dimensions, and the pockets (places for a further sphere that touches D others),
+    lowest first.
 
     place : (spheres N, D), centres.
     radius : (N,). Lengths are in radii of the small spheres.
@@ -76,10 +77,11 @@ class _Heap:
         self.spots, self.radii = list[list[float]](), list[float]()
 
     def _lists(self, place: np.ndarray, away: int) -> list[list[int]]:
-        """Return the numbers of the spheres in the cell of a place (D,), and in the cells up to so many cells away: a
-        list for each of these that is not empty, in ascending order.
+        """Return the numbers of the spheres near a place: for each cell of the grid that is not empty and at most
+        `away` cells from that of the place, a list in ascending order.
 
-        away : 1 for all spheres that touch one at the place; 2 for all that touch one that touches it.
+        place : (dimensions D,), coordinates.
+        away : with 1 no sphere is missing that can touch one at the place; with 2 none that can touch such a sphere.
         """
         *own, height = self._cell(place)
         steps = range(-away, away + 1)
@@ -88,10 +90,10 @@ class _Heap:
         return [numbers for numbers in there if numbers]
 
     def near(self, place: np.ndarray, away: int) -> np.ndarray:
-        """Return the numbers (n,) of the spheres that `_lists` finds, in ascending order.
+        """Return the numbers (n,) of the n spheres near a place, in ascending order.
 
-        place : (D,).
-        away : number of cells up to which they are looked for.
+        place : (dimensions D,), coordinates.
+        away : spheres are taken from all cells of the grid that are at most so many cells from that of the place.
         """
         found = [number for numbers in self._lists(place, away) for number in numbers]
         return np.sort(np.array(found, dtype=np.int64))
@@ -104,7 +106,8 @@ class _Heap:
     def away(self, place: np.ndarray, others: slice | np.ndarray) -> np.ndarray:
         """Return vectors (n, dimensions D) from a place (D,) to the nearest images of n spheres.
 
-        others : their numbers, or a slice of all.
+        place : coordinates, in radii of the small spheres.
+        others : numbers of the n spheres, or a slice of all.
         """
         vector: np.ndarray = self.place[others] - place
         vector[:, :-1] -= self.sides[:-1] * np.rint(vector[:, :-1] / self.sides[:-1])
@@ -180,14 +183,19 @@ class _Heap:
 
 
 class _Pairs:
-    """Spheres beside one at 0, each (in two dimensions) or each two of them (in three), and what follows from their
-    directions alone: where a further sphere touches that at 0 and these.
+    """A sphere at 0 and n neighbours in D dimensions, in which places are sought for a further sphere that touches the
+    one at 0 and D - 1 neighbours: one in two dimensions, a pair in three. What depends on directions alone is computed
+    once, for spheres of either size.
 
-    vector : (n, D), centres of the spheres beside it. Lengths are in radii of the small spheres.
+    vector : (n, D), centres of the neighbours. Lengths are in radii of the small spheres.
+    others : (neighbours or pairs, D - 1), numbers of the neighbours that are to be touched together.
     """
 
     def __init__(self, vector: np.ndarray) -> None:
-        """Take the centres (n, D) of n spheres beside that at 0, and compare their directions."""
+        """Take the centres of the neighbours, and compare their directions.
+
+        vector : (n neighbours, D dimensions), centres.
+        """
         self.vector, self.size = vector, np.linalg.norm(vector, axis=1)
         self.unit = vector / self.size[:, None]
         if vector.shape[1] == 3:
@@ -201,11 +209,11 @@ class _Pairs:
             self.others = np.arange(len(vector))[:, None]
 
     def touching(self, first: float, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return places (P, dimensions D) where a new sphere touches the sphere at 0 and D - 1 others, and the numbers
-        (P, D - 1) of these others.
+        """Return places (places, dimensions D) where a new sphere touches the sphere at 0 and D - 1 neighbours, and the
+        numbers (places, D - 1) of these neighbours.
 
         first : distance of the new centre from 0, a sum of two radii.
-        reach : (n,), its distances from the centres of the others. Lengths are in radii of the small spheres.
+        reach : (neighbours,), its distances from their centres. Lengths are in radii of the small spheres.
         """
         # the new centre lies on a sphere of radius `first` about 0 and in a plane across each vector: at `along` on it
         along, unit = (first**2 - reach**2 + self.size**2) / (2 * self.size), self.unit
@@ -229,7 +237,10 @@ class _Pairs:
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the cross products (k, 3) of vectors (k, 3), as `numpy.cross` does, in a third of the time."""
+    """Return the cross products of vectors, as `numpy.cross` does, in a third of the time.
+
+    first, second : (vectors, 3), as is the result.
+    """
     (x, y, z), (a, b, c) = first.T, second.T
     return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
 
@@ -241,11 +252,11 @@ def _two_of(count: int) -> np.ndarray:
 
 
 def _clear(middle: np.ndarray, vector: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Return the mask (P,) of the places that are as far from all others as they have to be.
+    """Return a mask (places,) of the places where a new sphere overlaps no other one.
 
-    middle : (P, D), the places.
-    vector : (n, D), centres of the others.
-    reach : (n,), the least distance from each of these.
+    middle : (places, dimensions D), the places.
+    vector : (spheres, D), centres of the others.
+    reach : (spheres,), the least distance that the new centre must have from each of these.
 
     Most places are clearly too close to some other one. Matrix products, whose rounding ROUGHLY covers, leave these
     out.
@@ -261,8 +272,8 @@ def _clear(middle: np.ndarray, vector: np.ndarray, reach: np.ndarray) -> np.ndar
 def built(
     spheres: int, dimension: int, ratio: float, large: float, width: float | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, Built]:
-    """Return radii (spheres N,) and a tuple with places (N, D), contacts (contacts E, 2), normals (E, D), signs (N,),
-    which are all 1, and driven bodies (N,): 0 for the floor, 1 for spheres at the surface, -1 for others.
+    """Return radii (spheres N,) and a tuple with places (N, dimensions D), contacts (contacts E, 2), normals (E, D),
+    signs (N,), which are all 1, and driven bodies (N,): 0 for the floor, 1 for spheres at the surface, -1 for others.
 
     Lengths are in radii of the small spheres, but for `width`.
 

@@ -115,6 +115,7 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
 
     discs : (N, 4); copies are made by reflection in x = 0 and by shifts of 2 a.
     x, y, size : centre and radius of the circle.
+    a : half the period along x. All lengths are in heights of the strip.
     least : radius of the smallest images that are kept.
 
     Each disc of the bearing is orthogonal to the circle, inside it or outside. Those inside are images of larger ones

@@ -63,7 +63,7 @@ class Frames:
 
     @classmethod
     def of(cls, path: Path) -> "Frames":
-        """Return where the timesteps of a dump begin; raise FileError for a file that cannot be read or has no
+        """Return where the timesteps of the dump `path` begin; raise FileError for a file that cannot be read or has no
         timestep.
         """
         starts, line, cut = list[tuple[int, int]](), 0, None
@@ -87,8 +87,8 @@ class Frames:
         return cls(path, starts, cut)
 
     def of_step(self, step: int) -> list[int]:
-        """Return the numbers of lines before a timestep. A timestep may be in the file several times; the last one
-        comes first.
+        """Return, for each copy of the timestep `step` in the file, the number of lines before it; the last copy comes
+        first. A dump can hold a timestep several times.
         """
         return [line for own, line in reversed(self.starts) if own == step]
 
@@ -193,7 +193,9 @@ class _Reader:
 
     def _header(self, begin: str, expected: str) -> list[str]:
         """Return the words of the next line after "ITEM: " and `begin`; raise FileError for another line.
-        expected : what it should be, for the message.
+
+        begin : words that must follow "ITEM: ", or "".
+        expected : what the line should be, for the message.
         """
         words = self._next(expected).decode("latin-1").strip()
         found = words[len(f"ITEM: {begin}") :].split()
@@ -222,6 +224,7 @@ class _Reader:
     def _numbers(self, line: bytes, places: list[int], width: int, whole: int) -> list[float]:
         """Return the numbers at some places of a line; raise FileError if the line is damaged.
 
+        line : the line, whose words are separated by spaces.
         places : indices of the words to read.
         width : number of words that the line must have.
         whole : so many of the first numbers must be whole.

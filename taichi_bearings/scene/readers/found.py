@@ -192,9 +192,10 @@ def _contacts(
 
 
 def _leads_up(shift: np.ndarray) -> np.ndarray:
-    """Return a mask (X,) of the shifts (X, dimensions D) whose last component other than 0 is positive.
+    """Return a mask (shifts,), True where the last component other than 0 is positive.
 
-    Two spheres that touch across a periodic side do so by two opposite shifts; this picks one of them.
+    shift : (shifts, dimensions D), vectors from spheres to their periodic images. Two spheres that touch across a
+        periodic side do so by two opposite shifts; the mask picks one of them.
     """
     up = np.zeros(len(shift), dtype=bool)
     for component in shift.T:

@@ -173,8 +173,8 @@ def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
 
     frames : where the timesteps of the dump begin.
     step : number of the timestep.
-    of : what the rows of the dump are called, their largest number, function that picks the columns to read, and how
-        many of them are whole numbers.
+    of : further arguments of :func:`.dumps.read_frame`: what the rows of the dump are called, the largest number of
+        rows, the function that picks the columns to read, and how many of these hold whole numbers.
     """
     error = CutOff(frames.path, 0, f"the file has no timestep {step}")
     for start in frames.of_step(step):
@@ -186,7 +186,7 @@ def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
 
 
 def _refuse_strange_rows(frame: Frame) -> None:
-    """Raise FileError for a row with a number that is not finite or too large."""
+    """Raise FileError if a row of a timestep (`frame`) has a number that is not finite or too large."""
     strange = ~(np.abs(frame.table) <= MOST_INTEGER_OR_SIZE).all(axis=1)
     if strange.any():
         row = int(np.argmax(strange))
@@ -201,6 +201,7 @@ MOST_INTEGER_OR_SIZE = max(MOST_SIZE, 2.0**53)
 def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) -> np.ndarray:
     """Return the centres of the atoms, (spheres N, dimensions D), length.
 
+    frame : timestep of the atoms, with its box.
     names : names of the columns of positions, which are lengths or fractions of the box.
     place : (N, columns), their numbers.
     asked : options of the user.
@@ -329,7 +330,7 @@ def _normals(
 
 
 def _periods(frame: Frame, asked: Asked) -> np.ndarray:
-    """Return the vectors (k, dimensions D) of the periodic sides, length.
+    """Return the vectors (periodic sides, dimensions D) by which the system repeats itself, length.
 
     frame : timestep of the atoms, with its box.
     asked : options of the user, which may say which axes are periodic.
@@ -352,13 +353,13 @@ def _periods(frame: Frame, asked: Asked) -> np.ndarray:
 
 
 def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
-    """Return forces (n,) that press spheres together: those given, with 0 in place of forces that pull. A warning says
-    how many rows are left out for want of such a force.
+    """Return the normal forces (contacts,) that press spheres together: those given, with 0 in place of forces that
+    pull. A warning says how many rows are left out since no such force acts.
 
     rows : timestep of the dump of contacts, for messages.
-    force : (n,), positive where it presses. If all are negative, the file counts forces the other way, and their signs
-        are changed.
-    count : number of rows of the dump.
+    force : (contacts,), positive where it presses. If none is positive and some are negative, the file counts forces
+        the other way, and all signs are changed.
+    count : number of rows of the dump; contacts without any force may be missing in `force`.
     """
     warn = logging.getLogger(__name__).warning
     if (force < 0).any() and not (force > 0).any():

@@ -27,6 +27,8 @@ DELIMITERS = (",", ";", "\t")
 def read_spheres(path: Path) -> dict[str, np.ndarray]:
     """Return the arrays of a table of spheres by name; raise FileError if it cannot be read.
 
+    path : the table, a text with a header and cells separated by commas, semicolons or tabs; it may be packed.
+
     The table needs the columns x, y and, for spheres, z. It may have radius or diameter, driven, spin (for spheres
     spin_x, spin_y and spin_z), and id, the numbers by which a table of contacts refers to spheres.
     """
@@ -58,6 +60,7 @@ def read_spheres(path: Path) -> dict[str, np.ndarray]:
 def read_contacts(path: Path, ids: np.ndarray | None, spheres: int) -> dict[str, np.ndarray]:
     """Return the arrays of a table of contacts by name; raise FileError if it cannot be read.
 
+    path : the table, a text with a header and cells separated by commas, semicolons or tabs; it may be packed.
     ids : (N,) ids of the spheres, or None.
     spheres : their number N.
 
@@ -83,6 +86,7 @@ def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]
     """Return the columns of a table by the names of the arrays that they become, (rows,) each; raise FileError if it
     cannot be read.
 
+    path : the table.
     names : columns that the table may have, each with the name of its array.
     most : largest number of rows.
     needed : names of arrays that it must have.
