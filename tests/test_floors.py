@@ -86,47 +86,37 @@ def test_oracles_of_proofs_share_no_code_with_them(name):
     assert not shared
 
 
-KINDS_ASKED_FOR = {
-    "api", "solvers.packings", "scene.scene", "scene.packing",
-}  # fmt: skip
-"""Modules that look at the class of what is solved: front doors, and those that only packings come to."""
-
-SLICES = {"proof.slices", "proof.on_lattice", "scene.interface", "scene.network"}
-"""Modules that work on the slices of a lattice: its network, its lightest cuts, and two of the proofs."""
 FILES_AND_FIGURES = {"export", "files", "kernels", "lattice", "numerics", "plots", "view"}
 """Floors whose arrays or pictures have the shape of a lattice, or that work on its strides."""
+DOORS = {"api": 3, "runs.lattice_run": 2, "runs.run": 1, "runs.settings": 1, "scene.packing": 1, "scene.scene": 1}
+"""Front doors, and the two classes behind them, with the number of their questions of kind."""
+SLICES = {"proof.on_lattice": 1, "proof.slices": 1, "scene.interface": 2}
+"""Modules that work on the slices of a lattice: its lightest cuts, and two of the proofs."""
 FILES_OF_RUNS = {
-    "runs.points_and_lines", "runs.run_layout", "runs.stored_structure", "runs.structure_report", "runs.writing",
+    "runs.points_and_lines": 2, "runs.run_layout": 2, "runs.stored_structure": 4, "runs.structure_report": 1,
+    "runs.writing": 1,
 }  # fmt: skip
 """Modules that write or read arrays in files, in which those of a lattice have its shape or are split by axis."""
-DOORS = {"runs.lattice_run", "runs.run", "runs.settings"}
-"""Modules that read settings, and choose the front door by them."""
-LATTICES_ASKED_FOR = SLICES | FILES_OF_RUNS | DOORS | {
-    "analysis.domains", "analysis.slipless_network", "analysis.structure", "runs.result",
-    "scans.histogram", "solvers.cundall_strack", "solvers.method", "solvers.on_lists", "solvers.on_strides",
+BEYOND = {
+    "analysis.slipless_network": 1, "analysis.structure": 2, "runs.result": 2, "scans.histogram": 1,
+    "solvers.method": 2,
 }  # fmt: skip
-"""Modules that ask whether what is solved is a lattice, or take it for one."""
-
-
-def asking(pattern: str) -> set[str]:
-    """Names of the modules of the package in which a pattern stands outside the heads of functions."""
-    asks, heads = re.compile(pattern), re.compile(r"def \w+\(")
-    found = {f for f in FILES if asks.search(heads.sub("def (", f.read_text()))}
-    return {".".join(f.relative_to(ROOT / "taichi_bearings").with_suffix("").parts) for f in found}
+"""Other modules."""
+KIND = re.compile(
+    r"\bof_(lattice|packing)\(|\b(network|whole|place)\.lattice\b|\bis_packing\b|cast\(Packing"
+    r"|isinstance\([^()]*, \(?(Grid|Bearing|Scene|Packing)\b"
+)
+"""What asks whether something is a lattice or a packing, or takes it for one."""
 
 
 def test_what_is_behind_the_front_doors_takes_any_bearing():
-    """A module that asks which door was taken is one more place to change for a third one: this list gets shorter."""
-    names = asking(r"isinstance\([^()]*, \(?(Bearing|Scene|Packing)\b|cast\(Packing")
-    assert names <= KINDS_ASKED_FOR, names - KINDS_ASKED_FOR
-
-
-def test_no_other_module_asks_whether_it_is_a_lattice():
-    """This list gets shorter, too: what differs is said by the network, the driving and the graph of what is judged."""
-    names = asking(
-        r"\bof_(lattice|packing)\(|\b(network|whole|place)\.lattice\b|\bis_packing\b|isinstance\([^()]*, \(?Grid\b"
-    )
-    names = {name for name in names if name.split(".")[0] not in FILES_AND_FIGURES}
-    assert names <= LATTICES_ASKED_FOR, names - LATTICES_ASKED_FOR
-    beyond = {name for name in LATTICES_ASKED_FOR if name.split(".")[0] in {"proof", "conic"}} - SLICES
-    assert not beyond, "the proofs and the central path take any network"
+    """A question of kind is one more place to change for a third door: what differs is said by the network, the driving
+    and the graph of what is judged. The numbers get smaller."""
+    heads, asked = re.compile(r"def \w+\("), {}
+    for file in FILES:
+        name = ".".join(file.relative_to(ROOT / "taichi_bearings").with_suffix("").parts)
+        questions = len(KIND.findall(heads.sub("def (", file.read_text())))
+        if questions and not name.startswith(tuple(f"{floor}." for floor in FILES_AND_FIGURES)):
+            asked[name] = questions
+    assert asked == DOORS | SLICES | FILES_OF_RUNS | BEYOND
+    assert not {name for name in BEYOND if name.startswith(("proof.", "conic."))}, "these take any network"

@@ -251,12 +251,12 @@ def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tup
         own, bottom, top = pieces[network.body], pieces[0], pieces[-1]
         return own, Lock.BOTTOM * (own == bottom) + Lock.TOP * (own == top)
     # two nodes for each layer across the axis stand for its bottom and its top spheres
-    lattice = network.lattice
-    layer = np.indices(lattice.shape)[component]
-    body = np.arange(lattice.sites).reshape(lattice.shape)
-    planes = lattice.sites + 2 * layer
+    shape, spheres = network.shape, network.whole.spheres
+    layer = np.indices(shape)[component]
+    body = np.arange(spheres).reshape(shape)
+    planes = spheres + 2 * layer
     body[..., 0], body[..., -1] = planes[..., 0], planes[..., -1] + 1
-    ends, bodies = body.ravel()[network.ends[:, chosen]], lattice.sites + 2 * lattice.shape[component]
+    ends, bodies = body.ravel()[network.ends[:, chosen]], spheres + 2 * shape[component]
     graph = csr_array((np.ones(ends.shape[1], dtype=np.int8), (ends[0], ends[1])), shape=(bodies, bodies))
     pieces = connected_components(graph, directed=False)[1]
     own, bottom, top = (pieces[of].ravel() for of in (body, planes, planes + 1))

@@ -38,8 +38,9 @@ class SliplessNetwork:
     @property
     def lattice(self) -> Lattice:
         """The lattice of the sample, which must be one: a packing has none."""
-        assert self.whole.lattice is not None
-        return self.whole.lattice
+        lattice = self.whole.lattice
+        assert lattice is not None
+        return lattice
 
     @cached_property
     def body(self) -> np.ndarray:

@@ -28,7 +28,6 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.enclosure import Enclosure
 from taichi_bearings.scene import Bearing, Scene
 from taichi_bearings.scene.exact_driving import DIGITS, power_of_two
-from taichi_bearings.scene.scene import of_lattice
 
 LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # between these the scales of a sample must lie, for products not to overflow
 LEAST_JUMP = 1e-140  # smallest component of the jump over the whole, that is not 0
@@ -42,7 +41,7 @@ def samples_of_lattice(
     scene : R samples of N spheres (shape *N) and E contacts.
     spin, spin_rounding : (R, *N, 3), in 2D (R, *N), 1/time; the spin is the sum of the two.
     friction : (R, E, 3), force on the upper sphere of each contact; in 2D (R, E), the component along z x n."""
-    return None if scene.network.lattice is None else OnLattice(of_lattice(scene), spin, spin_rounding, friction)
+    return OnLattice(scene, spin, spin_rounding, friction) if isinstance(scene, Scene) else None
 
 
 @dataclass(frozen=True, eq=False)

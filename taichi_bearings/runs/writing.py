@@ -17,10 +17,9 @@ from taichi_bearings.files.whole_file import write_arrays, write_text
 from taichi_bearings.runs.run_directory import RunDirectory
 from taichi_bearings.runs.run_layout import write_run_file
 from taichi_bearings.runs.settings import DRIVING_KEYS, OF_DRIVEN, SIZES, RunSettings
-from taichi_bearings.scene import Bearing
+from taichi_bearings.scene import Bearing, Scene
 from taichi_bearings.scene.array_files import short_name
 from taichi_bearings.scene.initial_spins import STARTS
-from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.scene.solution import stacked
 from taichi_bearings.stages import stage
 
@@ -55,8 +54,7 @@ def self_contained(
         are written now, as the run may be resumed before there is a run.h5.
     """
     with_file, one = settings.checkpoint_every is not None, scene.replicas == 1
-    if scene.network.lattice is not None:
-        scene = of_lattice(scene)
+    if isinstance(scene, Scene):
         if settings.coefficients is not None:
             name = "coefficients.npz" if with_file else name
             settings = replace(settings, coefficients=name)

@@ -19,7 +19,7 @@ import numpy as np
 from taichi_bearings.numerics.exact_cuts import with_exact_ties
 from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING, MinimumCut, graph_cut, minimum_cut, number_bodies
 from taichi_bearings.scene.bearing import Bearing, vector_length
-from taichi_bearings.scene.scene import Scene, of_lattice
+from taichi_bearings.scene.scene import Scene
 
 SAME_STATE = 1e-9  # spins may miss a bearing state by this, relative to the largest R omega
 ACROSS = 1e-12  # a part of the jump across a normal that is smaller than this, relative to the jump, is rounding
@@ -190,10 +190,9 @@ def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
     replica : number of the sample, from 0. The result is None for packings without two driven bodies in bearing states;
         the two planes of a lattice always are.
     """
-    bearing = bearing.sample(replica)
-    if bearing.network.lattice is None:
-        return Interface.of(bearing)
-    scene = of_lattice(bearing)
+    scene = bearing.sample(replica)
+    if not isinstance(scene, Scene):
+        return Interface.of(scene)
     weight, cut, unit = cut_weights(scene), cut_of(scene), cut_unit(scene)
     low, high = cut.above[0].ravel()[scene.lattice.ends]
     contacts = (low != high) & (weight[0] > 0) & (scene.jump > 0)  # without a jump nothing slips
@@ -287,9 +286,8 @@ def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:
     of the bottom, 1/time; in packings radius * spin. The components are `bearing.minimum_spin_axes`. None if some
     sample has no such interface.
     """
-    if bearing.network.lattice is not None:
-        scene = of_lattice(bearing)
-        return np.where(cut_of(scene).above, scene.top_spin(scene.minimum_spin_axes)[:, None, ..., None], 0.0)
+    if isinstance(bearing, Scene):
+        return np.where(cut_of(bearing).above, bearing.top_spin(bearing.minimum_spin_axes)[:, None, ..., None], 0.0)
     cuts = [Interface.of(bearing.sample(number)) for number in range(bearing.replicas)]
     spins = [cut.spins.T for cut in cuts if cut is not None and cut.spins is not None]
     return np.stack(spins, axis=1) if len(spins) == len(cuts) else None

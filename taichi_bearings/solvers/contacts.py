@@ -31,7 +31,8 @@ from taichi_bearings.solvers.stopping import StopRule
 if TYPE_CHECKING:
     from taichi_bearings.conic.proximal import Unknowns
     from taichi_bearings.kernels.team import Sweeps, Team
-    from taichi_bearings.solvers.table import MethodOptions, Motion
+    from taichi_bearings.solvers.gear import Modes
+    from taichi_bearings.solvers.table import CundallStrack, MethodOptions, Motion
 
 Inertia = float | np.ndarray
 """Moments of inertia of the free spheres: one number for all, or an array with one for each."""
@@ -291,6 +292,16 @@ class Stepped(Contacts):
         slopes : (R samples, E contacts), largest slope of each contact's force over its slip, force * time/length; None
             for friction alone.
         """
+
+    def sticking_modes(self, options: "CundallStrack", largest_spin: float, stable: float) -> "Modes | None":
+        """Return the modes of the network if all its contacts stick, from which the error of a time step follows; None
+        if they are not known, as in packings.
+
+        options : stiffness, damping, mass and order of Gear's method.
+        largest_spin : largest spin at the start, 1/time.
+        stable : largest stable time step.
+        """
+        return None
 
     @abstractmethod
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> "Unknowns":

@@ -18,16 +18,9 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields.lists import AnySpec
 from taichi_bearings.scene import Bearing, Energy, Progress, Scene
-from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.contacts import CONSTANT, Launch
 from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, replica_sum
-from taichi_bearings.solvers.gear import (
-    GEAR_COEFFICIENTS,
-    Modes,
-    laplacian_spectrum,
-    largest_laplacian_eigenvalue,
-    largest_stable_step,
-)
+from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
 from taichi_bearings.solvers.method import Swept
 from taichi_bearings.solvers.on_strides import fastest_modes, inertia_of
 from taichi_bearings.solvers.table import CundallStrack
@@ -348,10 +341,9 @@ class CundallStrackMethod(Swept, SpringDynamics):
 
         last : the progress at the end.
         """
-        if self.scene.network.lattice is None:  # whose modes are not known
+        modes = self.contacts.sticking_modes(self.options, self.start_spin, self.stability_bound)
+        if modes is None:
             return super().findings(last)
-        scene = of_lattice(self.scene)
-        modes = sticking_modes(scene, self.spin_axes, self.options, self.start_spin, self.stability_bound)
         of, replicas = (self.options.gear_order, self.time_step, self.iteration), self.scene.replicas
         found = {"step_error": modes.error(*of), "accurate_time_step": modes.accurate_step(*of)}
         return super().findings(last) | {name: np.full(replicas, value) for name, value in found.items()}
@@ -460,32 +452,3 @@ def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: fl
     """
     damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)
-
-
-def sticking_modes(
-    scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack, largest_spin: float, stable: float
-) -> Modes:
-    """Return the modes of a lattice whose contacts stick, from which the error of a time step follows.
-
-    scene : the lattice.
-    spin_axes : numbers of the axes of the spin components that are computed.
-    options : stiffness, damping, mass and order of Gear's method.
-    largest_spin : largest spin at the start, 1/time; the driven spins are taken into account too.
-    stable : largest stable time step.
-    """
-    radius = scene.slip_radius
-    over = radius**2 / inertia_of(scene, options)
-    spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
-    if not scene.law.holds:
-        # without friction: the rates are those of equal contacts, scaled so that the stiffest mode has its known rate
-        stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
-        decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
-        return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
-    # with friction: a contact sticks up to the friction of the strongest one
-    strongest = float(scene.acting_coefficient.max())
-    holds = scene.strength * strongest * options.static_ratio
-    fastest = float(max(largest_spin, scene.fastest, np.finfo(float).tiny))
-    damping = options.damping
-    if scene.viscosities is not None:
-        damping += max(float(values.mean()) for values in scene.lattice.by_axis(scene.viscosities))
-    return Modes(damping * spectrum, options.stiffness * spectrum, damping, options.stiffness, holds / radius / fastest)

@@ -14,7 +14,7 @@ import numpy as np
 
 from taichi_bearings.fields import Fields
 from taichi_bearings.proof.certificate import Forces
-from taichi_bearings.scene import Bearing, Progress
+from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.contacts import Contacts, Launch, Stepped, WithMinima
 from taichi_bearings.solvers.found import Found
@@ -261,15 +261,17 @@ def contacts_of(scene: Bearing, spin: np.ndarray, options: "MethodOptions") -> C
     spin : (R samples, *N spheres, 3), of discs (R, *N), spins to start from, 1/time.
     options : options of the method. A dynamics may begin with spin components that no minimum needs.
     """
-    if scene.network.lattice is not None:
+    if isinstance(scene, Scene):
         from taichi_bearings.solvers.on_strides import OnStrides
 
         return OnStrides(scene, spin, options.is_dynamics)
+    from taichi_bearings.scene.packing import of_packing  # and with it much of SciPy
+
+    packing = of_packing(scene)
     if not options.steps_packings:
-        from taichi_bearings.scene.packing import of_packing  # and with it much of SciPy
         from taichi_bearings.solvers.on_system import OnSystem
 
-        return OnSystem(of_packing(scene))
+        return OnSystem(packing)
     from taichi_bearings.solvers.on_lists import OnLists  # and with it what judges packings
 
-    return OnLists(scene, spin)
+    return OnLists(packing, spin)

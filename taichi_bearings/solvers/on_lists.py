@@ -19,8 +19,8 @@ from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.proof.contact_state import classify
-from taichi_bearings.scene import Bearing, Progress, Solution
-from taichi_bearings.scene.packing import Packing, of_packing
+from taichi_bearings.scene import Progress, Solution
+from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.solvers.answer import answered
@@ -58,13 +58,12 @@ class OnLists(Stepped):
     spec: ListSpec
     points, forces = ("point",), ("force",)
 
-    def __init__(self, bearing: Bearing, spin: np.ndarray) -> None:
+    def __init__(self, packing: Packing, spin: np.ndarray) -> None:
         """Take a packing of one sample, and find out whether it has a state without slip.
 
-        bearing : the packing.
+        packing : the packing.
         spin : (1, N spheres, 3), of discs (1, N), spins to start from, 1/time.
         """
-        packing = of_packing(bearing)
         self.spin_axes = packing.minimum_spin_axes
         with one_thread():
             self.bounds = PackingBounds(packing)

@@ -14,11 +14,16 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
-from taichi_bearings.scene import Bearing, Progress, Scene, Solution
-from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.scene import Progress, Scene, Solution
 from taichi_bearings.solvers.answer import answered
 from taichi_bearings.solvers.contacts import Ended, Inertia, Launch, Stepped, WithMinima
-from taichi_bearings.solvers.gear import largest_laplacian_eigenvalue, largest_weighted_eigenvalue
+from taichi_bearings.solvers.gear import (
+    Modes,
+    laplacian_spectrum,
+    largest_laplacian_eigenvalue,
+    largest_stable_step,
+    largest_weighted_eigenvalue,
+)
 from taichi_bearings.solvers.lattice_states import LatticeReached
 from taichi_bearings.solvers.part import Part
 from taichi_bearings.solvers.table import JUDGED_SECONDS
@@ -26,7 +31,7 @@ from taichi_bearings.solvers.table import JUDGED_SECONDS
 if TYPE_CHECKING:
     from taichi_bearings.conic.proximal import Unknowns
     from taichi_bearings.kernels.team import Sweeps, Team
-    from taichi_bearings.solvers.table import Motion
+    from taichi_bearings.solvers.table import CundallStrack, Motion
 
 
 UNCACHED_SPHERES = 60_000  # so many spheres have 12 MB of fields in a dynamics, more than a core finds in its caches
@@ -49,15 +54,15 @@ class OnStrides(Stepped, WithMinima):
     spec: FieldSpec
     points, forces = ("point", "point_next"), ()
 
-    def __init__(self, scene: Bearing, spin: np.ndarray, moves: bool) -> None:
+    def __init__(self, scene: Scene, spin: np.ndarray, moves: bool) -> None:
         """Take a lattice, and choose the spin components that are computed.
 
         scene : the lattice.
         spin : (R samples, *N spheres, 3), in 2D (R, *N), spins to start from, 1/time.
         moves : True for a dynamics, which needs all components that are not at rest at the start; False for a minimum.
         """
-        self.scene = of_lattice(scene)
-        self.spin_axes = _moving_axes(self.scene, spin) if moves else scene.minimum_spin_axes
+        self.scene = scene
+        self.spin_axes = _moving_axes(scene, spin) if moves else scene.minimum_spin_axes
 
     def paths(self, spin: np.ndarray, settle: bool) -> Part:
         """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
@@ -226,6 +231,15 @@ class OnStrides(Stepped, WithMinima):
         """
         return fastest_modes(self.scene, self.spin_axes, float(inertia), slopes)
 
+    def sticking_modes(self, options: "CundallStrack", largest_spin: float, stable: float) -> Modes:
+        """Return the modes of the lattice if all its contacts stick, from which the error of a time step follows.
+
+        options : stiffness, damping, mass and order of Gear's method.
+        largest_spin : largest spin at the start, 1/time.
+        stable : largest stable time step.
+        """
+        return sticking_modes(self.scene, self.spin_axes, options, largest_spin, stable)
+
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Inertia) -> "Unknowns":
         """Return the free spins of the spin components that move, as the unknowns of an implicit step.
 
@@ -331,6 +345,35 @@ def fastest_modes(
     over = scene.slip_radius**2 / inertia
     decay = over * largest_weighted_eigenvalue(scene, spin_axes, slopes)
     return decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)
+
+
+def sticking_modes(
+    scene: Scene, spin_axes: tuple[int, ...], options: "CundallStrack", largest_spin: float, stable: float
+) -> Modes:
+    """Return the modes of a lattice whose contacts stick, from which the error of a time step follows.
+
+    scene : the lattice.
+    spin_axes : numbers of the axes of the spin components that are computed.
+    options : stiffness, damping, mass and order of Gear's method.
+    largest_spin : largest spin at the start, 1/time; the driven spins are taken into account too.
+    stable : largest stable time step.
+    """
+    radius = scene.slip_radius
+    over = radius**2 / inertia_of(scene, options)
+    spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
+    if not scene.law.holds:
+        # without friction: the rates are those of equal contacts, scaled so that the stiffest mode has its known rate
+        stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
+        decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
+        return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
+    # with friction: a contact sticks up to the friction of the strongest one
+    strongest = float(scene.acting_coefficient.max())
+    holds = scene.strength * strongest * options.static_ratio
+    fastest = float(max(largest_spin, scene.fastest, np.finfo(float).tiny))
+    damping = options.damping
+    if scene.viscosities is not None:
+        damping += max(float(values.mean()) for values in scene.lattice.by_axis(scene.viscosities))
+    return Modes(damping * spectrum, options.stiffness * spectrum, damping, options.stiffness, holds / radius / fastest)
 
 
 def _moving_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:

@@ -6,7 +6,6 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.scene import Bearing, Solution
-from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve, uninterrupted
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, InteriorPoint
@@ -31,8 +30,6 @@ def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto
 
     Raises InputError for a wrong argument.
     """
-    if not isinstance(packing, Packing):
-        raise InputError(f"the packing is a {type(packing).__name__}; it must be a taichi_bearings.Packing")
     if not (isinstance(tolerance, (int, float)) and 0 < tolerance < 1):
         raise InputError(f"tolerance is {shown(tolerance)}; it must be above 0 and below 1")
     found = list[Solution]()

@@ -7,8 +7,8 @@ import pytest
 
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
-from taichi_bearings.solvers.cundall_strack import sticking_modes
 from taichi_bearings.solvers.gear import ACCURATE_ERROR, SAMPLE_MODES, Modes, laplacian_spectrum
+from taichi_bearings.solvers.on_strides import sticking_modes
 from tests.scenes import make_scene
 from tests.solvers.test_gear import laplacian, without_vertical
 
