@@ -313,7 +313,7 @@ FINDINGS = _named(
                  "more power than the minimum cut"),
         Quantity("next_cut_over_minimum", "1",
                  "power of the second weakest cut (interface between spheres that turn with the bottom and with"
-                 " the top), divided by that of the weakest"),
+                 " the top, both without islands), divided by that of the weakest"),
         Quantity("step_error", "1", "estimated error of the spins due to the time step, divided by the largest spin"),
         Quantity("accurate_time_step", "time",
                  "time step with which step_error, the relative error of the spins, is below 0.01"),
@@ -343,7 +343,7 @@ STRUCTURE = {
                  " cut",
                  lambda s: s.interface and s.interface.unique),
         Quantity("next_cut_over_cut", "1", "power of the second weakest interface between spheres that turn with the"
-                 " bottom and with the top, divided by power_minimum_cut",
+                 " bottom and with the top, both without islands, divided by power_minimum_cut",
                  lambda s: s.interface and _over(s.interface.next_power, s.interface.power),
                  r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
         Quantity("cut_contacts", "1", "number of contacts that the minimum cut crosses",

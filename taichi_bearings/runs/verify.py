@@ -6,7 +6,8 @@ It is compared with what the file says:
 
 * checksums tell what was changed after the file was written;
 * power, bounds, gap, status and counts in the attributes are compared with those of the new judgement;
-* so are slips, powers and proven states of the contacts, spins of driven spheres, and coefficients drawn from seeds.
+* so are slips, powers, forces and proven states of the contacts, spins of driven spheres, and coefficients drawn from
+  seeds.
 
 This finds damage and edits. Whether the proofs themselves are right is tested elsewhere, with methods that share no
 code with them.
@@ -34,6 +35,7 @@ from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_file import file_of, read_claims
 from taichi_bearings.runs.torque import under_torque
 from taichi_bearings.scene import Bearing, Solution, Status
+from taichi_bearings.scene.bearing import vector_length
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
 from taichi_bearings.stages import stage
@@ -153,6 +155,7 @@ class NewProof:
             stored,
             slip=new.slip,
             power_per_contact=scene.law.power(scene.material, new.slip),
+            force=stored.force if follows_motion else _sizes(stored.friction),
             power=new.power,
             objective=new.objective,
             lower_bound=new.lower_bound,
@@ -245,9 +248,10 @@ class NewProof:
         is proven.
         """
         stored, new = self.run.solution, dict(found_in(self.solution, JUDGED_CONTACTS))
-        wrong = {f"another {row.text} than spins and coefficients give": _differ(row.of(stored), value)
+        wrong = {f"another {row.text} than spins, friction and coefficients give": _differ(row.of(stored), value)
                  for row, value in new.items()}  # fmt: skip
         driven = self.known == DRIVEN
+        wrong["friction, though absent or between driven spheres"] = driven & (_sizes(stored.friction) > 0)
         wrong["states that do not name those between driven spheres and those absent"] = driven != (
             stored.state == DRIVEN
         )
@@ -268,8 +272,8 @@ def _of_sample(number: int, count: int) -> str:
     return f"sample {number}: " if count > 1 else ""
 
 
-JUDGED_CONTACTS = {name: CONTACTS[name] for name in ("slip", "power")}
-"""Quantities of the contacts that follow from spins and coefficients."""
+JUDGED_CONTACTS = {name: CONTACTS[name] for name in ("slip", "power", "force")}
+"""Quantities of the contacts that follow from spins, friction and coefficients; the force of a dynamics does not."""
 
 
 class _NeedsAnother(Exception):
@@ -279,6 +283,14 @@ class _NeedsAnother(Exception):
 def _no_other(_: object) -> Solution:
     """Raise _NeedsAnother in place of solving a scene, since verifying makes no new solve. The argument is not used."""
     raise _NeedsAnother
+
+
+def _sizes(friction: np.ndarray) -> np.ndarray:
+    """Return the sizes (samples R, contacts E) of friction forces.
+
+    friction : (R, E, 3), or (R, E) for discs, force.
+    """
+    return np.abs(friction) if friction.ndim == 2 else vector_length(np.moveaxis(friction, -1, 0))
 
 
 def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarray:
