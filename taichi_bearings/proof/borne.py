@@ -10,6 +10,7 @@ Symbols
     N spheres, E contacts. X : the contacts that can roll exactly, q of them, on spheres with n unknowns.
     K : (3 q, n), slips of X from the unknowns; K^T G are the torques of friction G on X.
     Z : (n, z), all motions of the spheres of X in which X does not slip: K Z = 0.
+    s, unit : of exact_motions.py, for X. Units are 0 for the unknowns J from which the others follow.
     F : friction at hand. F* : optimal friction. f = F* - F, on the k other contacts known by a bound on its size alone.
     c : (m,), friction that circulates along loops beside X, known to lie in intervals (loops.py).
     L : loads, the torques on the unknowns of X by a unit of each component of f on other contacts, directly and by what
@@ -19,14 +20,18 @@ Symbols
 The proof
 1. Without any R: contacts of loops rest if the bound on |F*| that loops.py gives is below mu F_n
    (`at_rest_beside_loops`).
-2. For each load find R_f or R_c by springs at the contacts of X. Any friction that bears the load would do; springs
-   that are weaker where a contact has less friction left make the bounds of step 3 better, so several stiffnesses are
-   tried for the loads of loops.
+2. For each load, without its part along Z, find R_f or R_c by springs at the contacts of X. Any friction that bears the
+   load would do; springs that are weaker where a contact has less friction left make the bounds of step 3 better, so
+   several stiffnesses are tried for the loads of loops.
 3. Then G = F + R_f f + R_c c. Its size at a contact of X is at most |F + R_c (middles of c)| + sum of |R_c| (half
    lengths of c) + sum of |R_f| (bounds on f).
-4. G does not quite balance: it leaves residuals of R_f and R_c, and rounding. The torques of G - F* as they are exactly
-   lie in the range of K^T, so they are orthogonal to Z: the parts of single loads along Z cancel in the sum over all
-   loads, and may be left out of each. The rest is taken away by a correction of G; exact_motions.py bounds its size.
+4. G does not quite balance. Let the torques of G - F* on the unknowns of X be v + Z a: a is what step 2 has left out of
+   the loads along Z, and v, known by a bound on each entry, is all else that is left, and rounding. These torques lie
+   in the range of K^T, so they are orthogonal to Z. Hence Z a cancels the part of v along Z, and they are P v, with P
+   the projection at right angles to Z. A correction of G takes P v away; by exact_motions.py it is no larger than |unit
+   P v| / s. Where a part has motions Z, P brings v from unknowns with unit 0 (those of J) to others, so that |unit v|
+   is no bound; but P lengthens nothing, so |unit P v| <= (largest unit) |v| (`residual_unit`). Without Z it is |unit
+   v|.
 5. X falls into parts that share no free sphere. All contacts of a part rest if all of them stay below mu F_n.
 
 Example. A sphere of X has two contacts of X that have 3 and 1 of their friction left, F = 0, and both can bear the same
@@ -139,11 +144,16 @@ class ExactlyRolling:
         return sparse.csr_array(whole[at.ravel()][:, self.columns])
 
     @cached_property
-    def unit(self) -> np.ndarray:
-        """(n,), the units of the n unknowns in which friction that takes residuals away is bounded."""
-        number = self.friction_bounds.number
-        found: np.ndarray = self.friction_bounds.exact.unit[number >= 0][self.columns]
-        return found
+    def residual_unit(self) -> np.ndarray:
+        """(n,), unit of each unknown: friction that takes away torques of at most v is no larger than the norm of unit
+        * v over the floor of the exact motions (step 4 at the head of this file). It is the unit of the exact motions;
+        but in parts with motions without slip, all unknowns have the largest unit of their part."""
+        exact, number = self.friction_bounds.exact, self.friction_bounds.number
+        own: np.ndarray = exact.unit[number >= 0][self.columns]
+        largest, has_motions = np.zeros(int(self.part.max()) + 1), np.zeros(int(self.part.max()) + 1, dtype=bool)
+        np.maximum.at(largest, self.part, own)
+        has_motions[self.part[np.diff(self.motions.indptr) > 0]] = True
+        return np.where(has_motions[self.part], largest[self.part], own)
 
     @cached_property
     def motions(self) -> sparse.csr_array:
@@ -218,7 +228,9 @@ class ExactlyRolling:
         friction of which `loads` gives the torques: what the stored friction leaves over, and rounding."""
         more = self.rounding * self.friction_bounds.most_change
         for piece in self.loop_pieces:
-            more[piece.contacts] += piece.by_rounding + self.rounding * piece.most_off_loops
+            # terms of the sums that make the loads: friction off the loops, and that along each of them
+            terms = piece.most_off_loops + weighted_lengths(piece.loops, np.abs(piece.middle) + piece.half_length)
+            more[piece.contacts] += piece.by_rounding + self.rounding * terms
         found: np.ndarray = (self.friction_bounds.left_over + self.friction_bounds.sum_at_spheres(more))[
             self.friction_bounds.sphere[self.columns]
         ] * UP
@@ -295,7 +307,7 @@ class ExactlyRolling:
         exactly rolling contact; and in any case all but the MOST_OTHERS contacts with the largest torques.
 
         most_change : (k,), bound on the change of the friction of each of the k contacts, force."""
-        loads = sparse.diags_array(self.unit) @ self.loads[0]
+        loads = sparse.diags_array(self.residual_unit) @ self.loads[0]
         squares = np.asarray(loads.power(2).sum(axis=0)).reshape(-1, 2).sum(axis=1) * most_change**2
         order, floor = np.argsort(squares), self.friction_bounds.exact.floor[0]
         faint = np.zeros(len(most_change), dtype=bool)
@@ -308,10 +320,11 @@ class ExactlyRolling:
         friction limits. (Parts share no free sphere.)
 
         largest : (q,), bound on the size of the friction of each contact, but for a last correction.
-        residual : (n,), bound on the torque on each unknown which that correction has to balance; exact_motions.py
-            says how large it may have to be."""
+        residual : (n,), bound on the torque on each unknown which that correction has to balance, but for torques along
+            motions without slip, which cancel (step 4 at the head of this file)."""
         network, part = self.friction_bounds.network, self.part
-        corrected = np.sqrt(np.bincount(part, (self.unit * residual) ** 2)) / self.friction_bounds.exact.floor[0] * UP
+        squares = np.bincount(part, (self.residual_unit * residual) ** 2)
+        corrected = np.sqrt(squares) / self.friction_bounds.exact.floor[0] * UP
         of_sphere = np.zeros(len(network.free), dtype=np.intp)
         of_sphere[self.friction_bounds.sphere[self.columns]] = part
         first, second = network.graph.contact[:, self.contacts]

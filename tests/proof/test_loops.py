@@ -91,3 +91,51 @@ def test_states_of_small_networks_are_those_of_the_smoothed_minimum(seed):
     packing = tb.Packing(**packing.arrays() | {"radius": 1.0, "schematic": True})
     found, truth = tb.solve(packing), states(packing)
     assert ((found.state == truth) | ~found.proven | (truth >= 2)).all()
+
+
+def chain_with_a_weak_contact(weak, order):
+    """A packing, and friction of which every sphere is in balance. Six spheres in a row along x, and two more that
+    close a square with the middle ones, roll on each other: contacts bear 10, but contact `weak`, at one end of the
+    row, bears 1.5. Either end touches two driven spheres, with friction 1 each, that turn the row in opposite senses.
+    So they pull at contact `weak` with 2, and it slips at every minimum. But the friction given here cancels at each
+    end. The other two spheres touch spheres at rest, with friction 0.01, so that none can turn freely."""
+    center = [*([2.0 * i, 0, 0] for i in range(6)), [4.0, 2, 0], [6.0, 2, 0]]
+    contact, along = [*([i, i + 1] for i in range(5)), [2, 6], [3, 7], [6, 7]], [[1.0, 0, 0], [0, 1.0, 0]]
+    normal, limit = [along[k] for k in (0, 0, 0, 0, 0, 1, 1, 0)], np.full(8, 10.0)
+    limit[weak] = 1.5
+    spin, friction = np.zeros((8, 3)), np.zeros((8, 3))
+    for sphere, turn, bears, n in (
+        (0, 1, 1, (0, 1, 1)),
+        (5, 1, 1, (0, 1, 1)),
+        (6, 0, 0.01, (0, 1, -1)),
+        (7, 0, 0.01, (1, 0, 1)),
+    ):
+        n = np.sqrt(0.5) * np.array(n)
+        force = np.cross((0, 0, 1), n)
+        for way in (1, -1):
+            contact.append([sphere, len(center)])
+            center.append([*center[sphere][:2], 3.0 + way])
+            normal.append(n)
+            limit, spin = np.append(limit, bears), np.append(spin, [[0, 0, turn]], axis=0)
+            friction = np.append(friction, [way * bears * force / np.linalg.norm(force)], axis=0)
+    place = np.append(order, np.arange(8, len(center)))
+    driven, back = np.where(np.arange(len(center)) < 8, -1, 0), np.argsort(place)
+    packing = tb.Packing(
+        np.array(center)[back], place[np.array(contact)], driven=driven[back], spin=spin[back], normal=np.array(normal),
+        radius=1.0, friction=limit, normal_force=1.0, schematic=True,
+    )  # fmt: skip
+    return packing, friction
+
+
+@pytest.mark.parametrize("weak", [0, 4])
+def test_no_rest_is_proven_where_torques_are_left_over_on_spheres_that_roll_freely(weak):
+    """Torques on some spheres of the row need friction all along it, though these could turn without any: which of
+    them, the order of the spheres decides."""
+    rng = np.random.default_rng(weak)
+    found = tb.solve(chain_with_a_weak_contact(weak, np.arange(8))[0])
+    assert (found.state[weak], found.proven.all()) == (1, True)
+    for _ in range(16):
+        packing, friction = chain_with_a_weak_contact(weak, rng.permutation(8))
+        spin = packing.spin[None]
+        known = Judgement(packing, spin, np.zeros_like(spin), friction[None]).states[0].known
+        assert known[weak] in (1, 2)
