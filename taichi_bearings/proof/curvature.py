@@ -584,7 +584,9 @@ def _curvature_rows(
     if contacts.damping is None:
         return found, unsure, contacts.curved
     # With damping: two more rows for each contact.
-    root, inexact = np.sqrt(contacts.damping.value), contacts.damping.error / contacts.damping.most + 16 * EPS
+    damping = contacts.damping
+    relative = np.where(damping.most > 0, damping.error / damping.least, 0.0)  # a contact may have none
+    root, inexact = np.sqrt(damping.value), relative + 16 * EPS
     whole, off = [found], [unsure]
     for change in changes:
         whole.append(_row_scaled(root, change))

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from decimal import Decimal
+from decimal import Context, Decimal, getcontext, localcontext
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -30,6 +30,7 @@ from taichi_bearings.numerics.double_double import two_product, two_square, two_
 LEAST_LENGTH = 2.0**-400  # length below which squares lose digits
 LEAST_ROUNDING = 2.0**-1072  # twice what scaling back into the smallest doubles can round
 PAIR_ROUNDING = 2.0**-100  # relative error of one operation on pairs
+LEAST_DIGITS = 28  # digits of the rest of a decimal number, whatever the caller's decimals are rounded to
 UP = 1 + 2.0**-30  # factor that covers the rounding of a bound that some million operations or less have computed
 SLIGHTLY_UP = 1 + 2.0**-51  # factor that covers the rounding of a bound that two operations have computed
 # size of a product below which parts of it may underflow, and a bound, amply, on what is lost by that
@@ -104,7 +105,8 @@ class Enclosure:
 
         values : the numbers, which may have many more digits than two doubles."""
         high = [float(v) for v in values]
-        low = [float(v - Decimal(h)) for v, h in zip(values, high, strict=True)]
+        with localcontext(Context(prec=max(getcontext().prec, LEAST_DIGITS))):
+            low = [float(v - Decimal(h)) for v, h in zip(values, high, strict=True)]
         pair = cls.exact(high, low)
         return cls(pair.high, pair.low, PAIR_ROUNDING * np.abs(pair.high))
 

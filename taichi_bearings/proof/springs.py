@@ -124,17 +124,28 @@ class Springs:
         return np.where(floor > 0, found, np.inf)
 
 
-def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
+def weighed(
+    network: JudgedNetwork,
+    rows: sparse.csr_array,
+    weight: np.ndarray,
+    number: np.ndarray,
+    sizes: sparse.csr_array | None = None,
+) -> Form | None:
     """Return the quadratic form |A x|^2 of n unknowns x, with the matrix A = `rows` (3 E, n) after each row is
     multiplied by its `weight` (3 E,). The unknowns are scaled so that each column of A gets the length 1. Return None
     if a column of A is 0.
 
     network : a packing with N spheres and E contacts.
-    number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none."""
-    rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
+    number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none.
+    sizes : (3 E, n), sum of the sizes of the products that each entry of `rows` is the sum of; None if `rows` are
+        exact."""
+    by_weight = sparse.diags_array(weight)
+    rows = sparse.csr_array(by_weight @ rows)
     rows.eliminate_zeros()
-    # Entries are rounded by the weight, its root and the products: some five times, with 16 allowed for.
-    doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
+    # Entries are rounded by the weight, its root and the products: some five times, or ten where they are sums of two
+    # products with rounded factors, with 16 allowed for. A sum is rounded by a share of the sizes of its terms.
+    doubt = abs(rows) if sizes is None else sparse.csr_array(by_weight @ sizes)
+    doubt = sparse.csr_array((16 * EPS * doubt.data, doubt.indices, doubt.indptr), shape=rows.shape)
     sphere = np.nonzero(number >= 0)[0]
     samples = network.samples_of(sphere)
     return Form.of(rows, doubt, network.graph.place[sphere].T, parts=network.parts_of(sphere), samples=samples)

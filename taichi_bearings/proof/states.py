@@ -52,7 +52,6 @@ from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.minima_by_cuts import states_by_cuts
 from taichi_bearings.proof.resting import at_rest
-from taichi_bearings.proof.rounded_elimination import EPS
 from taichi_bearings.proof.springs import numbered, slip_rows, weighed
 from taichi_bearings.proof.tied_minima import MISSED_LIMIT, tied_states
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
@@ -453,30 +452,45 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
     moment = np.stack([part.value for part in moments(bounds.friction, network.graph.normal)], axis=1)
     across = moment / np.linalg.norm(moment, axis=1)[:, None]
     slides = network.counts & (room <= CLEAR_ROOM * holding) & np.isfinite(across).all(axis=1)
-    count, own = len(holding), np.flatnonzero(slides)
-    at = np.tile(own, 3), np.concatenate([k * count + own for k in range(3)])
-    kept = np.flatnonzero(np.tile(network.counts & ~slides, 3))
-    # Rows: the slip across friction of contacts near their limit, all components of the slip of the others.
-    pick = sparse.csr_array((np.append(across[own].T.ravel(), np.ones(len(kept))),
-                             (np.append(at[0], kept), np.append(at[1], kept))), shape=(3 * count,) * 2)  # fmt: skip
     number = numbered(bounds.unknown)
-    rows = sparse.csr_array(pick @ slip_rows(network, number))
-    excess, far, most = float(bounds.excess[0]), np.full(count, np.inf), bounds.upper / holding * UP
+    rows, sizes = _rows_of_cones(network, across, slides, number)
+    excess, far, most = float(bounds.excess[0]), np.full(len(holding), np.inf), bounds.upper / holding * UP
     for _ in range(PASSES):
         fastest = np.maximum(np.fmin(most, slip + far), slip)
-        # mu F_n / (2 |y*|) for contacts near their limit. For others m |y*| >= m^2 |y*|^2 / E as m |y*| <= E.
+        # mu F_n / (2 |y*|) for contacts near their limit. For others m |y*| >= m^2 |y*|^2 / E as m |y*| <= E. As all
+        # |y*| and all given slips are at most `fastest`, this holds of both.
         weight = np.where(network.counts, holding / (2 * fastest), 0.0)
         stiff = np.minimum(room**2 / excess, STIFFEST * weight)
         weight = np.where(slides, weight, np.where(network.counts, stiff, 0.0))
-        form = weighed(network, rows, np.sqrt(np.tile(weight, 3)), number)
+        form = weighed(network, rows, np.sqrt(np.tile(weight, 3)), number, sizes)
         floor = 0.0 if form is None else float(form.floor()[0])
         if form is None or not floor > 0:
             break
-        # Both y* and the given slips have a form of at most E, so they differ by at most twice its root.
-        rounded = 16 * EPS * np.sqrt((weight * fastest**2)[slides].sum())
-        radius = 2 * (np.sqrt(excess) + rounded) / np.sqrt(floor) * UP**2
+        # Both y* and the given slips have a form of at most E, so they differ by at most twice its root. The floor is
+        # one of the form without any rounding.
+        radius = 2 * np.sqrt(excess) / np.sqrt(floor) * UP**2
         scale = np.zeros(number.shape)
         scale[number >= 0] = form.scale
         largest = scale.max(axis=1)[network.graph.contact].max(axis=0)
         far = np.fmin(far, np.sqrt(2) * largest * radius * np.linalg.norm(network.graph.normal, axis=1) * UP**2)
     return far
+
+
+def _rows_of_cones(
+    network: JudgedNetwork, across: np.ndarray, slides: np.ndarray, number: np.ndarray
+) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """Return two matrices (3 E, n) for n unknown spin components. The first has, for E contacts, the rows of what the
+    quadratic form of `_by_cones` counts: one row for each contact in the mask `slides`, for its slip across friction;
+    three for any other that can dissipate, for all components of its slip. The second has the sums of the sizes of the
+    products that make each entry: these may cancel, so that an entry is rounded by a share of this sum.
+
+    across : (E, 3), unit vectors across friction and normal.
+    slides : (E,) mask.
+    number : (N spheres, 3), the index of each spin component among the unknowns; -1 for those that are none."""
+    count, own = len(slides), np.flatnonzero(slides)
+    at = np.tile(own, 3), np.concatenate([k * count + own for k in range(3)])
+    kept = np.flatnonzero(np.tile(network.counts & ~slides, 3))
+    pick = sparse.csr_array((np.append(across[own].T.ravel(), np.ones(len(kept))),
+                             (np.append(at[0], kept), np.append(at[1], kept))), shape=(3 * count,) * 2)  # fmt: skip
+    slips = slip_rows(network, number)
+    return sparse.csr_array(pick @ slips), sparse.csr_array(abs(pick) @ abs(slips))

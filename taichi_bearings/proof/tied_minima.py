@@ -357,17 +357,17 @@ class BetweenTwo:
                 undecided |= pulls.felt[s] & ~pulls.turned_by[s] & pulls.touches(pulls.slipless_domain[s], own[s])
         return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
 
-    def lie_between(self, contacts: Slipping, relative_change: np.ndarray) -> bool:
+    def lie_between(self, pulls: Pulls, contacts: Slipping, relative_change: np.ndarray) -> bool:
         """Return True if all these domains (groups of spheres) are proven to lie between their two neighbours at the
-        minimum, too: from the slips in `contacts` to those at the minimum none of their slips changes its sign along
-        the component in which the domain is held.
+        minimum, too: along the component in which the domain is held, none of their slips has another sign there than
+        in the stored spins, of which it is known that the domain lies between.
 
+        pulls : has the signs in the stored spins.
         contacts : the slipping contacts at spins close to the minimum.
         relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|."""
         for own, slot in zip(self.sets, self.slot, strict=True):
-            if not (
-                contacts.difference[slot].at(own).least > relative_change[own] * contacts.size.at(own).most * UP
-            ).all():
+            slip, change = contacts.difference[slot].at(own), relative_change[own] * contacts.size.at(own).most * UP
+            if not ((np.sign(slip.high) == pulls.sign[slot, own]) & (slip.least > change)).all():
                 return False
         return True
 
@@ -595,7 +595,7 @@ def _minimum_with_held(
     known = pulls.felt & ~pulls.turned_by & pulls.in_s
     signs = np.array([np.sign(part.high) for part in found.difference])
     same = (signs == pulls.sign[:, : len(relative_change)]) | ~known[:, : len(relative_change)]
-    known_well = same.all() and _known_pulls_cancel(pulls) and between.lie_between(found, relative_change)
+    known_well = same.all() and _known_pulls_cancel(pulls) and between.lie_between(pulls, found, relative_change)
     return near if known_well and bearable(rests, found, relative_change, missing_friction) else None
 
 

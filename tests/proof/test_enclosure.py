@@ -1,6 +1,6 @@
 """Every operation encloses the exact result, and hardly more."""
 
-from decimal import Decimal, getcontext
+from decimal import Context, Decimal, getcontext, localcontext
 from fractions import Fraction
 
 import numpy as np
@@ -116,3 +116,11 @@ def test_lengths_of_faint_vectors_are_enclosed_to_many_digits():
         contains(found, i, Fraction((Decimal(exact.numerator) / Decimal(exact.denominator)).sqrt()))
     assert (found.error <= 1e-25 * found.high).all()
     assert length([Enclosure.exact([0.0]), Enclosure(np.zeros(1), np.zeros(1), np.array([1e-40]))]).error < 1e-38
+
+
+def test_decimals_are_enclosed_whatever_digits_the_caller_rounds_to():
+    third = Decimal(1).scaleb(-1) + Decimal(1) / 3
+    with localcontext(Context(prec=3)):
+        found = Enclosure.of_decimals([third])
+    high, low, error = (Fraction(float(part[0])) for part in found.parts)
+    assert abs(Fraction(third) - high - low) <= error

@@ -9,7 +9,8 @@ import taichi_bearings as tb
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.oblique import Centre, LooseFloor
-from taichi_bearings.proof.springs import floor_by_contact, numbered
+from taichi_bearings.proof.springs import floor_by_contact, numbered, weighed
+from taichi_bearings.proof.states import _rows_of_cones
 
 
 def judged(packing: tb.Packing) -> Judgement:
@@ -87,3 +88,31 @@ def test_what_a_motion_takes_away_is_bounded_in_fractions():
         true = sum(row[k] * x for row, x in zip(rows, along, strict=True)) / Fraction(scale)
         assert abs(true - Fraction(given)) <= Fraction(off)
     assert 0 < inexact.max() < 1e-9 * np.abs(taken).max()
+
+
+def test_entries_of_slips_across_friction_are_within_their_bounds_in_fractions():
+    """Each is a difference of two products, which may nearly cancel. Here free spheres touch a driven one each."""
+    count, rng = 400, np.random.default_rng(0)
+    normal, friction = rng.standard_normal((2, count, 3))
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    place, spheres = np.tile(np.arange(count), 2), np.arange(2 * count)
+    center, spin = np.stack([place, spheres, spheres], axis=1), np.zeros((2 * count, 3))
+    packing = tb.Packing(
+        center, spheres.reshape(2, -1).T, driven=spheres // count - 1, spin=spin, normal=normal,
+        friction=np.ones(count), schematic=True,
+    )  # fmt: skip
+    network = Judgement(packing, spin[None], spin[None], np.zeros((1, count, 3))).network
+    number = numbered(network.free[:, None] & np.ones(3, dtype=bool))
+    across = np.cross(normal, friction)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    rows, sizes = _rows_of_cones(network, across, np.ones(count, dtype=bool), number)
+    form = weighed(network, rows, np.ones(3 * count), number, sizes)
+    off, beyond = form.doubt.toarray()[:count], 0
+    for contact, (a, n) in enumerate(zip(across.tolist(), normal.tolist(), strict=True)):
+        a, n = list(map(Fraction, a)), list(map(Fraction, n))
+        for k, unknown in enumerate(number[packing.contact[contact, 0]]):
+            exact = (n[k - 2] * a[k - 1] - n[k - 1] * a[k - 2]) * Fraction(form.scale[unknown])
+            missed = abs(Fraction(form.rows[contact, unknown]) - exact)
+            assert missed <= off[contact, unknown]
+            beyond += missed > 16 * 2.0**-52 * abs(form.rows[contact, unknown])
+    assert beyond > 0

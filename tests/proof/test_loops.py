@@ -139,3 +139,14 @@ def test_no_rest_is_proven_where_torques_are_left_over_on_spheres_that_roll_free
         spin = packing.spin[None]
         known = Judgement(packing, spin, np.zeros_like(spin), friction[None]).states[0].known
         assert known[weak] in (1, 2)
+
+
+@pytest.mark.parametrize("seed", some_of(30, 15))
+def test_states_are_proven_where_some_contacts_have_no_viscosity(seed):
+    """A lattice as a packing, in which each component of a slip depends on one component of the spins."""
+    arrays = tb.Packing.lattice("cubic", (2, 2, 3), seed=seed, law=LAW).arrays()
+    viscosity = np.random.default_rng([47, seed]).choice([0.0, 0.3, 3.0, 30.0], len(arrays["viscosity"]))
+    packing = tb.Packing(**arrays | {"viscosity": viscosity, "normal_force": 50.0, "schematic": True})
+    found, truth = tb.solve(packing), states(packing)
+    assert ((found.state == truth) | (truth == 2)).all()
+    assert found.proven.all()

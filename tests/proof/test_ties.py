@@ -9,7 +9,7 @@ from taichi_bearings_studies.stress import truth
 
 import taichi_bearings as tb
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.tied_minima import Constraints
+from taichi_bearings.proof.tied_minima import BetweenTwo, Constraints
 from taichi_bearings.quantities import numbers_of
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings
@@ -176,3 +176,15 @@ def test_shortest_paths_say_what_linear_programmes_do():
             assert some[e] == (most > 1e-6)
             seen.append((bool(rests[e]), bool(always[e]), bool(some[e])))
     assert {(True, False, True), (False, True, True), (True, False, False)} <= set(seen)
+
+
+def test_a_domain_is_not_between_two_others_once_its_slips_have_turned(monkeypatch):
+    """Newton's method may move it past one of them."""
+    asked, lie_between = [], BetweenTwo.lie_between
+    monkeypatch.setattr(BetweenTwo, "lie_between", lambda *given: asked.append(given) or lie_between(*given))
+    assert samples_of(minimum((3, 3, 4), 20)).judgement.states[0].unique is None
+    between, pulls, contacts, change = asked[-1]
+    assert len(between.sets) == 1
+    assert lie_between(between, pulls, contacts, change)
+    turned = replace(contacts, difference=tuple(-part for part in contacts.difference))
+    assert not lie_between(between, pulls, turned, change)
