@@ -22,7 +22,7 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
 
 
 def short(value: float) -> str:
-    """Return a number as text: with three significant digits below 1000, as a whole number with thousands separators
+    """Return a value as text: with three significant digits below 1000, as a whole number with thousands separators
     from 1000 on. Below 1e-4, and from 999.5 to below 1000, Python's format adds a power of ten, as in "1.23e-05".
     """
     return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"

@@ -55,6 +55,8 @@ class Times:
     def alone(self, threads: int) -> "Times":
         """Return the times that would be measured with no other program on the machine. With one thread that is the
         processor time; with more it cannot be known, and the times are returned as they are.
+
+        threads : number of threads of what was timed.
         """
         return self if threads > 1 or self.processor is None else Times(self.processor)
 

@@ -113,6 +113,7 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
 
     name : name in the table.
     method : the method, not yet begun.
+    scene : one sample of a lattice, on which the method is begun.
     start : name of the initial spins.
     """
     spin, took = initial_spin(scene, start), []

@@ -103,6 +103,8 @@ class ConicProgramme:
     def with_friction(self, scene: Scene) -> "ConicProgramme":
         """Return the programme of another Coulomb sample of the same lattice and driving: only the costs of the slips
         change, which are the last entries of `linear`, the linear part of the function to be minimised.
+
+        scene : the other sample.
         """
         linear = self.linear.copy()
         costs = linear[self.system.unknowns :]

@@ -33,6 +33,8 @@ OURS = "this program, states proven"
 def samples_of(shape: tuple[int, ...], first: int, number: int) -> list[Sample]:
     """Return `number` samples of the paper's scene on a lattice, with consecutive seeds from `first` on, as a scan
     plans them.
+
+    shape : numbers of spheres along the axes of the lattice.
     """
     seeds = range(first, first + number)
     chosen = [RunSettings(shape=shape, seed=seed, tolerance=TOLERANCE, threads=1) for seed in seeds]
@@ -41,7 +43,7 @@ def samples_of(shape: tuple[int, ...], first: int, number: int) -> list[Sample]:
 
 @lru_cache(maxsize=1)
 def _template(shape: tuple[int, ...]) -> ConicProgramme:
-    """Return the conic programme of any sample on this lattice; its matrices serve for all samples."""
+    """Return the conic programme of any sample on a lattice with this `shape`; its matrices serve for all samples."""
     return conic_programme(Scene.random(shape))
 
 
@@ -68,7 +70,7 @@ def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
     """
 
     def seconds(peer: Peer) -> float:
-        """Return the seconds that a conic solver takes for one sample."""
+        """Return the seconds that a conic solver (`peer`) takes for one sample."""
         began = time.perf_counter()
         peer.run(_template(shape), TOLERANCE, np.inf, threads=1)
         return time.perf_counter() - began

@@ -45,15 +45,17 @@ PLANS = {"quick": QUICK, "usual": USUAL, "full": FULL}
 
 
 def _kernels(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
-    """Yield the parts of the benchmark of kernels: for each precision and number of threads a name and a function that
-    yields its rows.
+    """Yield the parts of the benchmark of kernels: for each precision and number of threads in the plan a name and a
+    function that yields its rows.
     """
     for precision, threads in product(plan.precisions, plan.threads):
         yield f"{precision}, threads {threads}", partial(elsewhere, kernels.measure, plan, precision, threads)
 
 
 def _methods(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
-    """Yield the parts of the benchmark of methods: for each scene a name and a function that yields its rows."""
+    """Yield the parts of the benchmark of methods: for each scene of the plan a name and a function that yields its
+    rows.
+    """
     for shape, law in plan.scenes:
         settings = RunSettings(shape=shape, law=law, seed=plan.seed, time_limit=plan.seconds, threads=max(plan.threads))
         what = (methods.measure, settings, plan.methods, plan.peers, plan.rounds)
@@ -61,21 +63,25 @@ def _methods(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
 
 
 def _scans(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
-    """Yield the parts of the benchmark of scans: for each lattice a name and a function that yields its rows."""
+    """Yield the parts of the benchmark of scans: for each lattice of the plan a name and a function that yields its
+    rows.
+    """
     workers = min(2, runtime.available_threads())
     for shape, samples in plan.scanned.items():
         yield f"of {'x'.join(map(str, shape))}", partial(scans.measure, shape, samples, min(3, plan.rounds), workers)
 
 
 def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
-    """Yield the parts of the benchmark of dynamics: for each lattice a name and a function that yields its rows."""
+    """Yield the parts of the benchmark of dynamics: for each lattice of the plan a name and a function that yields its
+    rows.
+    """
     for shape in plan.moved:
         yield f"of {'x'.join(map(str, shape))}", partial(elsewhere, dynamics.measure, shape, plan.rounds, plan.steps)
 
 
 def _growth(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
-    """Yield the parts of the benchmark of growth: for each program and lattice a name and a function that yields its
-    row, small lattices first.
+    """Yield the parts of the benchmark of growth: for each lattice of the plan, small ones first, and each program a
+    name and a function that yields its row.
     """
     clarabel = plan.peers and any(peer.name == "clarabel" for peer in find_peers()[0])
     for side, program in product(plan.grown, (growth.OURS, growth.THEIRS)[: 1 + clarabel]):

@@ -167,7 +167,7 @@ class Share:
 
     @classmethod
     def of(cls, hits: Any) -> "Share":
-        """Return the share of True among booleans, one for each sample."""
+        """Return the share of samples that have a property; `hits` is True for each sample that has it."""
         return cls(int(np.sum(hits)), len(hits))
 
     @property
@@ -238,8 +238,10 @@ def interval_of(values: Any) -> str:
 
 
 def mean(values: Sequence[float] | np.ndarray) -> str:
-    """Return mean and standard error of numbers (samples,) as a text; without the error if there are too few samples,
-    or if they differ by rounding alone.
+    """Return mean and standard error of some numbers as a text; without the error if there are fewer than LEAST_SAMPLES
+    of them, or if they differ by rounding alone.
+
+    values : (samples,), one number for each sample.
     """
     found = np.asarray(values, dtype=float)
     if len(found) < LEAST_SAMPLES or np.ptp(found) <= ROUND_OFF * np.abs(found).max():
@@ -248,7 +250,7 @@ def mean(values: Sequence[float] | np.ndarray) -> str:
 
 
 def span(values: np.ndarray) -> str:
-    """Return the least and the largest of some numbers as a text."""
+    """Return the least and the largest one of some values as a text; a single value stands alone."""
     return f"{values.min():.4f} ... {values.max():.4f}" if len(values) > 1 else f"{values[0]:.4f}"
 
 
@@ -288,6 +290,7 @@ class _Sentences(string.Formatter):
     def fill(self, text: str, **more: Any) -> str:
         """Return a sentence with all its numbers filled in.
 
+        text : the sentence, with {name} or {name:format} in place of each number.
         more : values by name, beside those of the claim.
         """
         return self.vformat(text, (), {**self.named, **more})

@@ -38,8 +38,8 @@ def draw_growth(axes: Any, found: Mapping[int, np.ndarray], fit: Any, color: str
 
 
 def mean_and_error(values: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays: the mean of each array of numbers, and the standard error of that mean, 0 for a single
-    sample.
+    """Return two arrays with an entry for each array (samples,) in `values`: the mean of its numbers, and the standard
+    error of that mean, 0 for a single sample.
     """
     pairs = [(of.mean(), of.std(ddof=1) / np.sqrt(len(of)) if len(of) > 1 else 0.0) for of in values]
     mean, error = np.array(pairs).reshape(-1, 2).T

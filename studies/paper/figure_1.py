@@ -217,7 +217,7 @@ def least_rise(scene: Scene, spin: np.ndarray) -> float:
     at the top, and a negative step leads back towards the spin of the bottom.
 
     scene : the lattice with its R samples.
-    spin : (R samples, *N, ...), laboratory frame, 1/time.
+    spin : (R samples, *N spheres, ...), laboratory frame, 1/time.
     """
     axes = scene.minimum_spin_axes
     top = scene.top_spin(axes).reshape(len(axes), -1)[:, 0]
@@ -287,6 +287,7 @@ def draw_configurations(of: Any) -> Figure:
 def _draw_ranks(axes: Any, exact: Any) -> None:
     """Draw how much heavier the second lightest cut of each sample is than the lightest, against the sample's rank.
 
+    axes : panel of matplotlib.
     exact : table of the samples, sorted by `distance`, that difference over the weight of the lightest cut. Its column
         `differs` is True where a descent ended elsewhere than at the lightest cut; these are marked.
     """

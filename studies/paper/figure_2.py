@@ -102,8 +102,8 @@ def names_of(
 
 
 def apart(run: Run, other: Run) -> float:
-    """Return the largest difference of any spin between the ends of two relaxations, 1/time. Left out is the mean spin
-    of each layer about the height, which makes no contact slip.
+    """Return the largest difference of any spin between the ends of two relaxations of the same samples, `run` and
+    `other`, 1/time. Left out is the mean spin of each layer about the height, which makes no contact slip.
     """
     return float(np.abs(without_idle_spin(run.last) - without_idle_spin(other.last)).max())
 
@@ -139,9 +139,10 @@ def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
     """Return (R,) for each of R samples the number of free spheres that rotate neither with the bottom nor with
     the top.
 
-    spin : (R, *N, 3), laboratory frame, 1/time. A sphere rotates with a plane if its spin, staggered (with opposite
-        signs on neighbours), differs from the plane's by less than 0.001 of the difference of the imposed spins: far
-        above the error of the minimum.
+    scene : the lattice with its R samples.
+    spin : (R, *N spheres, 3), laboratory frame, 1/time. A sphere rotates with a plane if its spin, staggered (with
+        opposite signs on neighbours), differs from the plane's by less than 0.001 of the difference of the imposed
+        spins: far above the error of the minimum.
     """
     axes = scene.minimum_spin_axes
     staggered = scene.staggered_spin(spin, axes)

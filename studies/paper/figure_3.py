@@ -84,6 +84,8 @@ def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
 def draw_plane_cuts(shown: Structure) -> Figure:
     """Draw Fig. 4: the upright planes that together hold most of the path, or the middle ones if there is no path.
 
+    shown : network and domains of the sample that the figure shows.
+
     Spheres are coloured by |spin|; slipless contacts of the plane are grey, the path is green. A circle marks where the
     path leaves the plane: with a dot towards the reader, with a cross away.
     """
@@ -164,7 +166,7 @@ def _mark_leaves(axes: Any, leaves: np.ndarray, site: float) -> None:
     away.
 
     axes : panel of matplotlib.
-    leaves : (m, 3) place in the plane (two lattice coordinates), and +1 towards the reader or -1 away.
+    leaves : (places, 3) place in the plane (two lattice coordinates), and +1 towards the reader or -1 away.
     site : distance of two discs in the figure, in points.
     """
     size = float(np.clip(0.75 * site, 3.0, 9.0))

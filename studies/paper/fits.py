@@ -165,12 +165,13 @@ def _resampling_factors(samples: Mapping[int, np.ndarray]) -> np.ndarray:
 def _terms_over_errors(
     sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values: np.ndarray
 ) -> np.ndarray:
-    """Return (T, sizes, terms): for each trial exponent the value of the terms of the law at each size, over its
-    error.
+    """Return (trials, sizes, terms) the terms of a law of the size L, divided by the error of what is fitted: for each
+    trial exponent and each size first L^(2 exponent), then L to the power of each further exponent. These are the
+    columns of a linear least squares problem for the factors of the terms.
 
-    sizes, spread : (sizes,) the sizes, and the standard error of what is fitted.
+    sizes, spread : (sizes,) the sizes, and the standard error of what is fitted at each.
     beside : exponents of the further terms.
-    values : (T,) trial exponents; the first term is L^(2 value).
+    values : (trials,) trial exponents.
     """
     exponents = [2 * values, *(np.full_like(values, power) for power in beside)]
     found: np.ndarray = sizes[:, None] ** np.stack(exponents, axis=1)[:, None] / spread[:, None]
@@ -180,11 +181,12 @@ def _terms_over_errors(
 def _best_exponents(
     sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], columns: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Return the exponents (R,) that fit several courses best, and the misfit of the first one.
+    """Return two things for several series of numbers that grow with the size L: (series,) the exponents x with which A
+    L^(2 x) and further terms fit each best; and the misfit (chi-squared) of the first series.
 
-    sizes, spread : (sizes,) the sizes, and the standard error of what is fitted.
+    sizes, spread : (sizes,) the sizes, and the standard error of the numbers at each.
     beside : exponents of the further terms.
-    columns : (sizes, R samples) what grows with the size: one column for each course.
+    columns : (sizes, series) the numbers.
 
     For each trial exponent the law is fitted linearly; the best trial exponent is then refined by the parabola through
     its misfit and those of its two neighbours.
@@ -315,7 +317,7 @@ def _apart(
 
 
 def skewness(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """Return the skewness of numbers, and its standard error from resampling."""
+    """Return the skewness of some values (samples,), and its standard error from resampling."""
     found = np.asarray(values, dtype=float)
     rng = np.random.default_rng(0)
     several = [skew(rng.choice(found, len(found))) for _ in range(RESAMPLES)]
@@ -357,8 +359,8 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
 
 
 def _cumulants(values: np.ndarray) -> tuple[float, float]:
-    """Return the second and the third cumulant of some numbers: the mean square and the mean cube of their deviation
-    from the mean.
+    """Return the second and the third cumulant of some values (samples,): the mean square and the mean cube of their
+    deviation from the mean.
     """
     apart = values - values.mean()
     return float((apart**2).mean()), float((apart**3).mean())

@@ -101,7 +101,7 @@ def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, 
 
 
 def system_of(settings: RunSettings) -> str:
-    """Return in words how a sample differs from the paper's bearing, or "as in the paper"."""
+    """Return in words how a sample with these settings differs from the paper's bearing, or "as in the paper"."""
     _, y, _, rate = settings.top or (1.0, 1.0, 0.0, 0.0)
     words = {
         PERIODIC: settings.periodic, f"state (1, {y:g})": y != 1, "C (L - 1) = 1": rate,

@@ -135,7 +135,7 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
 
 
 def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
-    """Return the spins of least power, 1/time: (N, 3) of spheres, by `solve`; or (N,) of discs, exact.
+    """Return the spins of least power, 1/time: (spheres, 3) as a solver finds them, or exact ones (discs,).
 
     lattice : its name; "cubic" is a lattice of spheres, any other one of discs.
     packing : the spheres or discs of this lattice, one sample.

@@ -87,13 +87,15 @@ def _row(cells: Iterable[str], kind: str = "td") -> str:
 
 
 def _facts(facts: Mapping[str, Any]) -> str:
-    """Return the HTML of a list of names and values; empty values are left out."""
+    """Return the HTML of a list of facts, values by name; empty values are left out."""
     rows = (f"<dt>{escape(key)}</dt><dd>{_words(str(text))}</dd>" for key, text in facts.items() if text != "")
     return f'<dl class="facts">{"".join(rows)}</dl>'
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the HTML of the summary: the number of claims with each verdict, and a table of all claims."""
+    """Yield the HTML of the summary of a report (plain data): the number of claims with each verdict, and a table of
+    all claims.
+    """
     found = [f"{report[name.replace(' ', '_')]} <strong>{name}</strong> ({text})" for name, text in VERDICTS.items()]
     yield f"<p>{'; '.join(found)}.</p>"
     form = ", the quick form: fewer samples, sizes and iterations" if report["quick"] else ""
@@ -142,8 +144,8 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
 
 
 def _environment(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the HTML of the last section: the command, the machine, versions of programs, and the times that figures
-    took.
+    """Yield the HTML of the last section of a report (plain data): the command, the machine, versions of programs, and
+    the times that figures took.
     """
     yield '<section class="figure" id="environment"><h2>How it was computed</h2>'
     yield _facts({"command": report["command"], "first seed": report["seed"], **report["environment"]})

@@ -60,8 +60,8 @@ def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
     """Return (R,) the time from which on the power of each sample exceeds the minimum by no more than a share LATE; the
     last time if it never does.
 
-    time : (T,), rising.
-    excess : (T, R samples), power over the proven least one, less 1.
+    time : (times,), rising.
+    excess : (times, R samples), power over the proven least one, less 1.
     """
     late = excess > LATE
     last = len(late) - 1 - np.argmax(late[::-1], axis=0)

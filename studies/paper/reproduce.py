@@ -64,6 +64,7 @@ class PaperFigure:
         """Compute the figure, write its pictures and tables into the folder, and return its claims with their
         verdicts.
 
+        effort : first seed, number of samples, and whether it is the quick form.
         title : False leaves out titles: panels have their letters alone.
         """
         runtime.start("cpu", "f64")
@@ -187,7 +188,7 @@ def reproduce(
 
 
 def _files(name: str, folder: Path) -> list[Path]:
-    """Return the paths of all files of a figure."""
+    """Return the paths of all files of the figure `name` in a folder, whether they exist or not."""
     return [folder / file for file in FIGURES[name].files]
 
 

@@ -59,8 +59,9 @@ class Table:
     """
 
     def __init__(self, columns: Mapping[str, Any]) -> None:
-        """Make a table from the values of the samples by column name, in the same order in each column. None is a
-        missing number.
+        """Make a table.
+
+        columns : by name, the values of all samples, in the same order in each column. None is a missing number.
         """
         self.columns = {
             name: np.array(values, dtype=float if any(value is None for value in values) else None)
@@ -120,7 +121,9 @@ class Table:
         return {name: self.columns[name].tolist() for name in names.split()}
 
     def write(self, path: Path) -> None:
-        """Write the table as a CSV file, one line for each sample; columns whose entries are arrays are left out."""
+        """Write the table as the CSV file `path`, one line for each sample; columns whose entries are arrays are left
+        out.
+        """
         flat = {name: values.tolist() for name, values in self.columns.items() if values.ndim == 1}
         write_csv(path, list(flat), zip(*flat.values(), strict=True))
 
@@ -140,7 +143,7 @@ def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
     """Return quantities that change with time as a table with one row for each sample and time, sorted by sample.
 
     seeds : seed of each of the R samples.
-    columns : by name, arrays (T,) of what is the same for all samples, or (T, R). One of them is `time`.
+    columns : by name, arrays (times,) of what is the same for all samples, or (times, R). One of them is `time`.
     """
     shape = (len(seeds), len(columns["time"]))
     rows = {name: np.broadcast_to(values.T, shape).ravel() for name, values in columns.items()}
@@ -164,6 +167,7 @@ class Found:
 def solved(scene: Scene, method: MethodOptions, rule: StopRule = TIGHT, start: str = "linear") -> Solution:
     """Return the solution at which a method ends. Raises KeyboardInterrupt if the user stopped it before.
 
+    scene : what is solved, with all its samples.
     method : options of the solver.
     rule : tolerance and limits at which it stops; by default a relative gap of 1e-12.
     start : name of the initial spins: "linear" (they grow evenly with the height), "random", "zero" or "minimum-cut".
@@ -245,7 +249,8 @@ def _records(
 def _record(part: Part) -> dict[str, Any]:
     """Compute one piece, and return its record: key, status, and the result as `numbers`.
 
-    part : the piece: a function with its arguments and a key."""
+    part : the piece: a function with its arguments and a key.
+    """
     return {"key": part.key, "scalars": {"status": "solved"}, "numbers": part.work(*part.words)}
 
 
@@ -345,6 +350,7 @@ def drawn(
 def shared_numbers(structure: Structure, *names: str) -> dict[str, Any]:
     """Return columns that several studies have, for one sample at its minimum.
 
+    structure : network, domains and cut of the sample.
     names : further quantities that are added, by the names that `bearings analyse --json` gives them.
 
     Among the columns are `gap`, relative; `power_over_cut`, least power over the power of the minimum cut; `below_cut`,
@@ -374,7 +380,7 @@ class Run:
     """The relaxation in time of R samples that are followed together.
 
     start : name of the initial spins.
-    time : (T,) recorded times.
+    time : (times T,) recorded times.
     power : (T, R) dissipated power, energy/time.
     first, last : (3, R, *N spheres) spins at the beginning and at the end, 1/time, staggered: with opposite signs on
         neighbours, so that spheres that roll on each other have equal values.
@@ -457,7 +463,7 @@ def minima_of(scene: Scene) -> Table:
 
     Columns: `power` and its proven `lower_bound`, and `cut_power` of the minimum cut, energy/time; `below_cut`, True if
     the minimum is proven to have less power than any two rigid domains; `cut_is_minimum`, True if it is proven that no
-    state has a power lower than that of the cut by more than a share SAME of it; `spin` (*N, 3), laboratory
+    state has a power lower than that of the cut by more than a share SAME of it; `spin` (*N spheres, 3), laboratory
     frame, 1/time.
     """
     solution, cut = solved(scene, InteriorPoint(settle=False), StopRule(1e-10)), cut_of(scene)

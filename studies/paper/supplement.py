@@ -140,7 +140,7 @@ def _ending(
     """Return the fields of an :class:`Ending` in a form that JSON can store; arrays are packed into texts.
 
     solution : state at the end of a method, of one sample.
-    slips : function that returns the mask (n,) of contacts that slip, from their powers (n,) and states (n,).
+    slips : function that returns the mask (contacts,) of those that slip, from their powers and states (contacts,).
     slip_error : proven bound on the relative difference of any slip from that of the minimum, None where it is not
         known.
     """
@@ -154,8 +154,8 @@ def _ending(
 
 
 def packed(values: np.ndarray) -> str:
-    """Return an array as a compressed text. As digits the numbers of 32x32x32 spheres would be too long for a line of
-    a journal.
+    """Return an array (`values`) as a compressed text. As digits the numbers of 32x32x32 spheres would be too long for
+    a line of a journal.
     """
     return b64encode(zlib.compress(values.tobytes())).decode()
 
@@ -169,8 +169,8 @@ def unpacked(text: str, kind: type) -> np.ndarray:
 
 
 def largest_slip_error(solution: Solution) -> float | None:
-    """Return a proven bound on the relative difference of any slip from the same contact's slip at every minimum; None
-    where not all contact states are proven, or no minimum can be enclosed.
+    """Return a proven bound on the relative difference of any slip in a solution of one sample from the same contact's
+    slip at every minimum; None where not all contact states are proven, or no minimum can be enclosed.
     """
     if not solution.states_proven.all():
         return None
@@ -208,11 +208,11 @@ def by_decade(descent: Ending, minimum: Ending) -> Table:
 
 
 def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """Return (n,) the decade of each contact: the exponent floor(log10(power)), or -9999, below all others, if the
-    contact does not slip.
+    """Return (contacts,) the decade of each contact: the exponent floor(log10(power)), or -9999, below all others, if
+    the contact does not slip.
 
-    power : (n,), dissipated power of each contact.
-    slips : (n,), True if the contact slips.
+    power : (contacts,), dissipated power of each, over F_n R omega_T.
+    slips : (contacts,), True if the contact slips.
     """
     found: np.ndarray = np.floor(np.log10(power, out=np.full(len(power), -9999.0), where=slips)).astype(int)
     return found

@@ -53,7 +53,8 @@ def _sweep(found: WEIGHTS, inner: WEIGHTS, upward: WEIGHTS, unseen: CHANGES):
     """Lower the distances by sweeps over the columns of each grid, rightward and leftward in turn, until none falls
     any more.
 
-    found : (B, w, h - 1) distances, changed in place.
+    found : (B, w, h - 1) distances of the faces of B grids with w columns and h rows of discs from the outside on the
+        left, changed in place.
     inner : (B, w - 1, h - 2) weights of the sideways contacts without those of the driven rows.
     upward : (B, w, h - 1) weights of the upward contacts.
     unseen : (B, w) bits TO_THE_RIGHT and TO_THE_LEFT: the neighbour on that side has not seen the last change of the

@@ -114,7 +114,7 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
     """Return the values that figure and claims use, by name. Those with one number a sample are arrays by side of
     the cube.
 
-    points : (n, 2) side and seed of the samples.
+    points : (samples n, 2) side and seed of the samples.
     power : (n, directions) least power P, energy/time, if the top is driven in one of DIRECTIONS: (a_x, a_y, c), its
         spins about x and about y and the rate at which its spin changes with the place.
     torque : (n, directions, 3) torque (T_x, T_y, T_c) on the top at the minimum: its components for a_x, a_y and c.
@@ -136,7 +136,7 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
     unit = settings.normal_force * settings.radius * points[:, 0] ** 2
 
     def of(values: np.ndarray) -> dict[int, np.ndarray]:
-        """Return values (n,) of the samples as arrays by side of the cube."""
+        """Return values (samples,) as a dictionary of arrays by side of the cube."""
         return Table({"side": points[:, 0], "value": values}).by("value")
 
     x, y, both, c = (power[:, at[direction]] for direction in ((1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1)))
@@ -230,7 +230,7 @@ def _closed(panel: Any, points: np.ndarray, *look: Any, **more: Any) -> None:
     mean bearing has these symmetries.
 
     panel : panel of matplotlib.
-    points : (n, 2), the points of the quarter, from one axis to the other.
+    points : (points, 2), those of the quarter, from one axis to the other.
     look, more : further arguments of matplotlib's plot.
     """
     quarters = [points, points[::-1] * [-1, 1], -points, points[::-1] * [1, -1]]

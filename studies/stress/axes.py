@@ -163,18 +163,21 @@ def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
 
 
 def _uniform(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
-    """Return coefficients that are uniform in [0.1, 1]."""
+    """Return coefficients, an array of this shape, that are drawn from a generator uniformly in [0.1, 1]."""
     return rng.uniform(0.1, 1.0, shape)
 
 
 def _log_uniform(rng: np.random.Generator, shape: Sequence[int], value: float) -> np.ndarray:
-    """Return coefficients that are uniform in their logarithm over `value` decades around 1."""
+    """Return coefficients, an array of this shape, that are drawn from a generator uniformly in their logarithm, over
+    `value` decades around 1.
+    """
     return 10.0 ** (value * (rng.uniform(0, 1, shape) - 0.5))
 
 
 def _tied(rng: np.random.Generator, shape: Sequence[int], value: str) -> np.ndarray:
     """Return coefficients (of `shape`) with few different values, so that minima tie.
 
+    rng : generator of random numbers.
     value : name of the set of values, such as "1 or 2".
     """
     values = {"all equal": [1.0], "1 or 2": [1.0, 2.0], "1, 2 or 3": [1.0, 2.0, 3.0], "nearly": [1.0, 1 + 2**-50]}
@@ -306,7 +309,9 @@ RINGS = {"of 4": ((4, 6), (4, 2, 4)), "of 2": ((2, 6), (2, 2, 4)), "of 2, 9 deca
 def _rings(case: Case, value: str, row: Row) -> Case:
     """Return the case on a lattice that is periodic in all directions but the height.
 
+    case : the unchanged case, whose direction of driving is taken over.
     value : length of the closed sides and decades of the coefficients, in words (a key of RINGS).
+    row : row of the report; its law and dimension are those of the scene.
     """
     decades = {"of 2, 9 decades": 9.0, "of 2, 18 decades": 18.0}.get(value)
     draw = partial(_log_uniform, value=decades) if decades else _uniform
@@ -331,7 +336,11 @@ def _sides(case: Case, value: str, row: Row) -> Case:
     """
 
     def draw(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
-        """Return uniform coefficients for one axis; along the height those of the first column everywhere."""
+        """Return uniform coefficients for the contacts along one axis, an array of this shape; along the height those
+        of the first column everywhere.
+
+        rng : generator of random numbers.
+        """
         values = _uniform(rng, shape)
         is_upward = shape[:-1] == sides[:-1]
         return np.broadcast_to(values[(0,) * (len(shape) - 1)], shape).copy() if is_upward else values
@@ -350,12 +359,12 @@ def _option(key: str) -> Change:
 
 
 def _has_options(*keys: str) -> Callable[[Row], bool]:
-    """Return a function that says whether the method of a row has all of these options."""
+    """Return a function that says whether the method of a row of the report has all options with the names `keys`."""
     return lambda row: set(keys) <= options_of(ROWS[row.method]).keys()
 
 
 def _has_spheres(row: Row) -> bool:
-    """Return True for rows in 3D."""
+    """Return True if a row of the report is about spheres, in 3D."""
     return row.dimension == 3
 
 
@@ -365,7 +374,9 @@ def _has_friction(row: Row) -> bool:
 
 
 def _stable_step(case: Case) -> float:
-    """Return the largest stable time step of Cundall-Strack dynamics with its default options."""
+    """Return the largest stable time step of Cundall-Strack dynamics, with its default options, on the scene of a
+    case.
+    """
     return stability_bound(case.scene, case.scene.minimum_spin_axes, CundallStrack())
 
 
@@ -512,8 +523,8 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
             found += [Cell(axis.name, value, row, seed, quick, limit) for value in values]
 
     def order(cell: Cell) -> tuple[Any, ...]:
-        """Return a key for sorting: long cells last, and cells of one device and precision together, so that few
-        workers have to start.
+        """Return a key by which cells are sorted: long ones last, and those of one device and precision together, so
+        that few workers have to start.
         """
         row = cell.row
         return AXES[cell.axis].patience > 1, row.arch != "cpu", row.arch, row.precision != "f64", cell.axis == "threads"

@@ -82,7 +82,7 @@ class Sweep:
         """
 
         def take(outcomes: Sequence[Outcome]) -> None:
-            """Judge cells that workers have finished, and append them to the journal."""
+            """Judge cells that workers have finished, and append what was found (`outcomes`) to the journal."""
             for outcome in outcomes:
                 cell = outcome.unit[0]
                 crash = {"key": cell.key, "version": VERSION, "crash": outcome.reason}
@@ -151,13 +151,15 @@ class Sweep:
 
 
 def _name(line: Line) -> str:
-    """Return in words the method, law, dimension, device and precision of a cell."""
+    """Return in words the method, law, dimension, device and precision of a finished cell, from its line of the
+    report.
+    """
     return str(Row(*(line[key] for key in ("method", "law", "dimension", "arch", "precision"))))
 
 
 def _decades(line: Line) -> str:
-    """Return the relative error of a cell as a power of ten; "exact" below the rounding of doubles, "" without an
-    error.
+    """Return the relative error in a line of the report as a power of ten; "exact" below the rounding of doubles, ""
+    without an error.
     """
     error = line["error"]
     if error is None:

@@ -50,7 +50,7 @@ class Truth:
 
 
 def _decimals(values: np.ndarray) -> np.ndarray:
-    """Return an array of decimals that are exactly these doubles."""
+    """Return a flat array of decimals that are exactly the doubles in `values`."""
     return np.array([Decimal(float(value)) for value in np.ravel(values)], dtype=object)
 
 
@@ -69,8 +69,8 @@ def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndar
 
 
 def unit_of(scene: Scene) -> Decimal:
-    """Return the unit of spins, 1/time: the difference of the imposed spins of top and bottom, or 1 where bearing
-    states are imposed.
+    """Return the unit of spins for a scene, 1/time: the difference of the imposed spins of top and bottom, or 1 where
+    bearing states are imposed.
     """
     if scene.top is not None:
         return Decimal(1)
@@ -226,8 +226,8 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return x with matrix x = right, by Gauss elimination. Unknowns without stiffness (of spheres that are cut off)
     are 0.
 
-    matrix : (n, n), symmetric, of decimals.
-    right : (n,), of decimals.
+    matrix : (unknowns, unknowns), symmetric, of decimals.
+    right : (unknowns,), of decimals.
     """
     n, scale = len(right), matrix.diagonal().copy()
     matrix, x = matrix.copy(), right.copy()
@@ -248,8 +248,8 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def least(scene: Scene) -> Truth:
-    """Return the exact minimum of one small sample, by its central path. Raises ArithmeticError if the least value
-    cannot be enclosed to the relative width WANTED.
+    """Return the exact minimum of a scene with one small sample, by its central path. Raises ArithmeticError if the
+    least value cannot be enclosed to the relative width WANTED.
     """
     with localcontext() as context:
         context.prec = DIGITS
@@ -257,8 +257,11 @@ def least(scene: Scene) -> Truth:
 
 
 def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
-    """Follow the central path of a sample to its end. Return the enclosure of the least value, and the last barrier,
-    energy/time. The spins of `sample` are changed: they end at the minimum.
+    """Follow the central path of a sample to its end. Return the enclosure of the least value, and the last barrier
+    (how much the cost was smoothed), energy/time.
+
+    scene : what is solved.
+    sample : its spins and contacts as decimals. The spins are changed: they end at the minimum.
     """
     barrier = first = sample.cost() / len(sample.a)
     steps, holds, before = 0, sample.a.any(), sample.spin
@@ -293,6 +296,7 @@ def _nothing(scene: Scene) -> Truth:
 def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
     """Return the state of each contact, an array for each axis; empty for a law without friction.
 
+    scene : what is solved.
     sample : the sample; its spins are those at the end of the central path.
     barrier : weight of the barrier there, energy/time.
 
@@ -311,7 +315,7 @@ def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray,
 
 
 def layered(scene: Scene) -> Truth:
-    """Return the truth (least cost, as bounds that are equal) of a sample of any size whose contacts along the height
+    """Return the truth (least cost, as bounds that are equal) of a scene of any size whose contacts along the height
     are alike in each layer: each column of spheres is then solved as a chain. Raises ValueError for friction with
     viscosity if the imposed spins vary over the plane.
     """

@@ -292,7 +292,7 @@ def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
     """Return for each sphere its neighbours over some of the links.
 
     network : a graph of spheres and links.
-    links : (n,), numbers of the links that count.
+    links : numbers of these links.
     """
     low, high = network.ends[:, links]
     here, there = np.concatenate([low, high]), np.concatenate([high, low])

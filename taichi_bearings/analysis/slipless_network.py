@@ -78,7 +78,7 @@ class SliplessNetwork:
         return self.whole.named(np.flatnonzero(self.slipless))
 
     def places(self, spheres: np.ndarray) -> np.ndarray:
-        """Return the lattice positions (n, dimension) of spheres (n,), given as indices."""
+        """Return the lattice positions of some spheres, (spheres, dimension), from their numbers (spheres,)."""
         return np.stack(np.unravel_index(spheres, self.shape), axis=1)
 
     @property

@@ -172,7 +172,8 @@ class Structure:
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
         """Return the slip speeds (contacts E,), length/time, that all contacts would have at other spins.
 
-        spin : laboratory spins, 1/time, of discs (nx, ny) or (N,), of spheres (nx, ny, nz, 3) or (N, 3).
+        spin : laboratory spins, 1/time, of discs (nx, ny), of spheres (nx, ny, nz, 3); in a packing of N of them (N,)
+            or (N, 3).
         """
         return self.whole.slips(self.speeds(spin))
 

@@ -121,7 +121,7 @@ def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[i
     by themselves; None where rounding leaves the number undecided.
 
     network : the spheres and contacts of a sample.
-    contact : (n,), numbers of the contacts that bear forces.
+    contact : numbers of the contacts that bear forces.
     components : numbers of the spin components in which torques are balanced.
     """
     free = np.zeros(network.spheres, dtype=bool)
@@ -140,7 +140,7 @@ def _motions(
 
     network : the spheres and contacts of a sample.
     free : (spheres N,), mask of the spheres that may rotate.
-    contact : (n,), numbers of the contacts that must not slip.
+    contact : numbers of the contacts that must not slip.
     components : numbers of the spin components that may be other than 0.
     """
     # the motions are the kernel of the operator: by singular values if it is small, else by sparse elimination

@@ -62,13 +62,14 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
     parts = list(histograms.values())
 
     def stacked(name: str) -> Any:
-        """Return a number or array of all histograms, with a leading axis if there are several."""
+        """Return the attribute `name` of the histogram; with several histograms those of all, along a leading axis."""
         values = [getattr(part, name) for part in parts]
         return values[0] if by is None else np.array(values)
 
     def fill(file: h5py.File) -> None:
         """Write all data sets and attributes of the histograms into an open file. With several histograms (`by` is not
-        None) each has a leading axis, and `value` has the parameter of each."""
+        None) each has a leading axis, and `value` has the parameter of each.
+        """
         for name, text in OF_BINS.items():
             put(file, name, stacked(name), "1", text)
         put(file, "edges", parts[0].edges, parts[0].units, "edges of the power bins")

@@ -104,7 +104,7 @@ def write_scan(
     """
 
     def fill(file: h5py.File) -> None:
-        """Write table and histograms of scan.h5."""
+        """Write table and histograms of the scan into an open file."""
         table = file.create_group("table")
         table.attrs["columns"] = list(columns)
         for name, item in columns.items():

@@ -22,7 +22,7 @@ NO_ATTRIBUTES: Mapping[str, Any] = MappingProxyType({})
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, with those above it, unless it exists; raise WriteError if that fails."""
+    """Make the folder `path`, with those above it, unless it exists; raise WriteError if that fails."""
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
 
@@ -38,14 +38,14 @@ def refuse_ending(out: Path | None, *endings: str) -> None:
 
 
 def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
-    """Raise FileError for the first of these files that exists, unless `force` is True."""
+    """Raise FileError for the first of the files `paths` that exists, unless `force` is True."""
     standing = [] if force else [path for path in paths if path.exists()]
     if standing:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in UTF-8, in full or not at all; line ends stay as they are."""
+    """Write a text as the file `path` in UTF-8, in full or not at all; line ends stay as they are."""
     replace_file(path, text.encode())
 
 

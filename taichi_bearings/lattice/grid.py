@@ -137,8 +137,11 @@ class Lattice:
         return tuple(values[..., span].reshape(*head, *self.contact_shape(a)) for a, span in enumerate(self.spans))
 
     def flat(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """Return values (..., E) on all E contacts as one array, first those along x, then y (then z), from one array
-        (..., *contacts) for each axis: the inverse of :meth:`by_axis`."""
+        """Return values (..., E) on all E contacts as one array, first those along x, then y (then z): the inverse of
+        :meth:`by_axis`.
+
+        parts : one array (..., *contacts) for each axis, in the shape of the contacts along it.
+        """
         head = parts[0].shape[: parts[0].ndim - self.dimension]
         return np.concatenate([part.reshape(*head, -1) for part in parts], axis=-1)
 
@@ -243,7 +246,7 @@ class Lattice:
 
 
 def axis_numbers(names: Sequence[str]) -> tuple[int, ...]:
-    """Return the numbers of axes that are given by name, 0 for "x" and so on."""
+    """Return the numbers of axes that are given by their names, 0 for "x" and so on."""
     return tuple(map(AXIS_NAMES.index, names))
 
 

@@ -157,8 +157,8 @@ class Sheet:
             axes.add_patch(Rectangle((-0.55, y - 0.55), self.grid[0] + 0.1, 1.1, fill=False, lw=width))
 
     def lines(self, chosen: np.ndarray, across: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Return lines (n, 2, 2), from one point on paper to another, for some contacts, and the number (n,) of the
-        contact of each line.
+        """Return lines (lines, 2, 2), from one point on paper to another, for some contacts; and (lines,) the index, in
+        `contact`, of the contact of each line.
 
         chosen : mask over all contacts of the bearing.
         across : False for lines from centre to centre, True for lines between the two discs at right angles to that.
@@ -368,8 +368,8 @@ def paint_spheres(axes: "Axes3D", centre: np.ndarray, colour: np.ndarray, radius
     """Draw shaded spheres as one image; later ones cover earlier ones.
 
     axes : where they are drawn.
-    centre : (n, 2), centres on paper.
-    colour : (n, 4), colours.
+    centre : (spheres, 2), centres on paper.
+    colour : (spheres, 4), colours.
     radius : radius of all spheres.
     """
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()

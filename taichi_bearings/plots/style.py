@@ -71,7 +71,7 @@ class NotebookFigure(Figure):
 
     @in_our_style
     def savefig(self, *args: Any, **look: Any) -> None:
-        """Save as any figure of matplotlib, with text kept as text in PDF and SVG."""
+        """Save as any figure of matplotlib, with the same arguments, and with text kept as text in PDF and SVG."""
         super().savefig(*args, **look)
 
 
@@ -159,7 +159,7 @@ class PlainLogFormatter(LogFormatter):
 
 
 def short(value: float) -> str:
-    """Return a number as the name of a tick: whole numbers below 100 000 as they are, others to three digits.
+    """Return a value as the name of a tick: whole numbers below 100 000 as they are, others to three digits.
 
     >>> short(1024.0), short(3.16228), short(0.0316228), short(316227.8), short(1e6)
     ('1024', '3.16', '0.0316', '3.16·10⁵', '10⁶')

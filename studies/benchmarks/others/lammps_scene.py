@@ -28,7 +28,7 @@ def main(request: dict[str, Any]) -> None:
 
     request : `shape`, numbers of spheres along three axes; `steps` to time and `warm_up` steps before; `style`, "hooke"
         or "granular"; `stiffness`, `damping` and `friction` of contacts; `normal_force`; `time_step`; `spin`, a file
-        with initial spins (*N, 3); and optionally `final`, a file for those at the end.
+        with initial spins (*N spheres, 3); and optionally `final`, a file for those at the end.
     """
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log"
