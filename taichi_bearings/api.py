@@ -143,8 +143,8 @@ def solve_many(
     Parameters
     ----------
     scenes : iterable of Scene or Packing
-        What is solved. `answer.scene`, or `answer.packing`, is the object that was given, so that answers can be told
-        apart.
+        What is solved. `answer.scene`, or `answer.packing`, is the object that was given, which shows to which scene an
+        answer belongs.
     method, tolerance, start
         The method, the relative gap at which a solve ends, and the initial spins, as of :func:`solve`.
     workers : int
@@ -277,7 +277,7 @@ def _job(
     scene: Scene | Packing, method: str | MethodOptions, options: Mapping[str, object], start: str | np.ndarray
 ) -> Job:
     """Return the job that solves a scene or a packing, with the settings that `bearings run` has. Initial spins that
-    are an array are kept in the job, beside the settings.
+    are an array are stored in the job itself, as settings can only name them.
 
     scene : what is solved.
     method : name of a method, or a method with its options.

@@ -209,19 +209,19 @@ def _read_functions_once(reader: Any) -> None:
     context, found = reader.ASTTransformerContext, reader.ASTTransformerContext.get_pos_info
     free: dict[Any, list[Any]] = {}  # function -> its trees of which none is being walked, file, lines, first line
 
-    def read_again(function: Any, **wishes: Any) -> tuple[Any, Any]:
+    def read_again(function: Any, **options: Any) -> tuple[Any, Any]:
         """Return the syntax tree of a function and a new context for compiling it. The tree is one of an earlier call
         that is not in use, if there is one; otherwise Taichi reads it from the file.
 
         function : the function, as Taichi stores it.
-        wishes : further arguments of Taichi's reader.
+        options : further arguments of Taichi's reader.
         """
         if not free.get(function):
-            value: tuple[Any, Any] = read(function, **wishes)
+            value: tuple[Any, Any] = read(function, **options)
             return value
         tree, origin = free[function].pop()
-        wishes |= {"func": function, "argument_data": wishes.pop("args"), "global_vars": variables(function.func)}
-        return tree, context(**wishes, **origin)
+        options |= {"func": function, "argument_data": options.pop("args"), "global_vars": variables(function.func)}
+        return tree, context(**options, **origin)
 
     def walk_and_keep(tree: Any, used: Any) -> Any:
         """Compile a function from its syntax tree, and keep the tree for the next call.

@@ -38,5 +38,6 @@ class FileError(InputError):
 
 
 class WriteError(FileError):
-    """Raised for a file that cannot be written: no room, no permission, or gone. The data to be written are not to
-    blame."""
+    """Raised for a file that cannot be written, since the disk is full, access is denied, or the folder is gone. The
+    data to be written are not to blame.
+    """

@@ -101,12 +101,12 @@ def reason_against(file: h5py.File, size: int) -> str:
     size : size of the file in bytes.
     """
     try:
-        return _strange(file, size)
+        return _reason_in_content(file, size)
     except UNREADABLE as error:
         return f"it is damaged: {' '.join(str(error).split())}"
 
 
-def _strange(file: h5py.File, size: int) -> str:
+def _reason_in_content(file: h5py.File, size: int) -> str:
     """Return in words what in an open file leads out of it, is of an unknown kind or claims too much; "" for nothing.
 
     size : size of the file in bytes.
@@ -118,11 +118,11 @@ def _strange(file: h5py.File, size: int) -> str:
     named = ((name.decode(), file.get(name)) for name, _ in links)  # a thing as often as it is named
     declared, most = 0, max(CLAIMED_FACTOR * size, CLAIMED_BYTES)
     for name, item in [("/", file), *((name, item) for name, item in named if item is not None)]:
-        if reason := _strange_attribute(name, item):
+        if reason := _reason_in_attributes(name, item):
             return reason
         if not isinstance(item, h5py.Dataset):
             continue
-        if reason := _strange_data(name, item):
+        if reason := _reason_in_data(name, item):
             return reason
         claimed = math.prod(item.shape or ()) * item.id.get_type().get_size()
         declared += claimed
@@ -132,7 +132,7 @@ def _strange(file: h5py.File, size: int) -> str:
     return ""
 
 
-def _strange_attribute(name: str, item: h5py.HLObject) -> str:
+def _reason_in_attributes(name: str, item: h5py.HLObject) -> str:
     """Return in words which attribute of a group or data set is neither a number nor a text; "" if there is none.
 
     name : name of the item, for the sentence.
@@ -148,7 +148,7 @@ def _strange_attribute(name: str, item: h5py.HLObject) -> str:
     return ""
 
 
-def _strange_data(name: str, item: h5py.Dataset) -> str:
+def _reason_in_data(name: str, item: h5py.Dataset) -> str:
     """Return in words why a data set is no array of numbers or texts in this file; "" if it is one, plain or packed by
     a known filter.
 

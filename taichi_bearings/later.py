@@ -21,10 +21,10 @@ class Later(ModuleType):
 
 
 def postpone(names: tuple[str, ...] = RARELY_USED) -> None:
-    """Have parts of packages loaded only when something of them is used, in this process: whoever takes one from its
-    package gets a stand-in.
+    """Replace parts of packages in this process by stand-ins of the same name, each of which loads the part when
+    something of it is first used.
 
-    names : of the parts, such as "numpy.testing"; the packages are loaded. Parts that are loaded already stay.
+    names : names of the parts, such as "numpy.testing". Their packages are loaded; parts that are loaded already stay.
 
     The statement ``import numpy.testing`` still loads the part at once; ``from numpy import testing`` does not.
     """

@@ -107,12 +107,14 @@ def forget_helper(process: int) -> None:
 
 
 def heard() -> bool:
-    """Return True if this process has been told to end."""
+    """Return True if a signal (Ctrl-C or SIGTERM) has asked this process to end."""
     return _heard.is_set()
 
 
 def note_heard() -> None:
-    """Note, in a handler, that this process has been told to end; the thread that hears of signals may be later."""
+    """Note, in the handler of a signal, that this process has been asked to end; the thread that hears of signals may
+    note it later only.
+    """
     _heard.set()
 
 

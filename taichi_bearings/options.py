@@ -37,7 +37,11 @@ class Kind:
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
     def named(self, name: str, value: object) -> Any:
-        """Return the value as it is kept; InputError names the option `name`, the value and what is allowed."""
+        """Return a given value in the form in which it is stored. Raises InputError, which names the option, the value
+        and what is allowed, for a value that is not.
+
+        name : name of the option.
+        """
         try:
             return self.read(value)
         except (ValueError, TypeError, KeyError, OverflowError):
@@ -236,8 +240,12 @@ class Option:
     rare: bool = False
 
     def read(self, name: str, value: Any) -> Any:
-        """Return the value of the option `name` as it is kept; InputError names the option, the value and what is
-        allowed."""
+        """Return the value of the option in the form in which it is stored. Raises InputError, which names the option,
+        the value and what is allowed, for a value that is not.
+
+        name : name of the option.
+        value : what was given; None is kept where that is the default.
+        """
         return None if value is None and self.default is None else self.kind.named(name, value)
 
 

@@ -338,13 +338,13 @@ STRUCTURE = {
                  " turns with the bottom or with the top",
                  lambda s: s.interface and s.interface.power, r"P_\mathrm{cut}"),
         Quantity("power_over_cut", "1", "power / power_minimum_cut",
-                 lambda s: s.interface and _over(s.power, s.interface.power), r"P\,/\,P_\mathrm{cut}"),
+                 lambda s: s.interface and _ratio(s.power, s.interface.power), r"P\,/\,P_\mathrm{cut}"),
         Quantity("cut_is_unique", "1", "whether every other interface is proven to have more power than the minimum"
                  " cut",
                  lambda s: s.interface and s.interface.unique),
         Quantity("next_cut_over_cut", "1", "power of the second weakest interface between spheres that turn with the"
                  " bottom and with the top, both without islands, divided by power_minimum_cut",
-                 lambda s: s.interface and _over(s.interface.next_power, s.interface.power),
+                 lambda s: s.interface and _ratio(s.interface.next_power, s.interface.power),
                  r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
         Quantity("cut_contacts", "1", "number of contacts that the minimum cut crosses",
                  lambda s: s.interface and s.interface.contacts.sum(), r"N_\mathrm{cut}"),
@@ -469,7 +469,7 @@ def found_in(answer: object, rows: Mapping[str, Quantity]) -> Iterator[tuple[Qua
     return ((row, value) for row, value in found if value is not None)
 
 
-def _over(value: float, unit: float) -> float:
+def _ratio(value: float, unit: float) -> float:
     """Return value / unit, or not-a-number where the unit is 0."""
     return value / unit if unit > 0 else np.nan
 

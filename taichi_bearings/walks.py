@@ -176,12 +176,12 @@ class _Kept:
         kernel.compiled_kernels[key] = made
         return True
 
-    def _walked(self, kernel: Any, wishes: tuple[Any, ...], place: Path) -> None:
+    def _walked(self, kernel: Any, arguments: tuple[Any, ...], place: Path) -> None:
         """Have the compiler walk through a kernel's source, which translates it into intermediate code, and write the
         calls of the core that it makes to a file, if `self.writes`.
 
         kernel : the kernel of Taichi.
-        wishes : the arguments of `Kernel.materialize`: key, arguments of the kernel, and features of these.
+        arguments : the arguments of `Kernel.materialize`: key, arguments of the kernel, and features of these.
         place : path of the file.
 
         Errors of the walk are raised, as without this module. Errors of writing it down are not: then no file is kept.
@@ -191,7 +191,7 @@ class _Kept:
             if self.writes:
                 with contextlib.suppress(Exception):
                     record = listeners.enter_context(_recording(self.core, self.reader))
-            kernel.walked(*wishes)
+            kernel.walked(*arguments)
         if record is not None and not kernel.has_print:
             with contextlib.suppress(Exception):
                 _write(place, record.walk(), record.guards())

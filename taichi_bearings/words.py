@@ -124,5 +124,5 @@ def sized(values: Mapping[str, Any]) -> str:
 
 
 def listed(value: object) -> list[Any]:
-    """Return a list as it is, one value as a list."""
+    """Return a value as a list: a list or tuple with its entries, anything else as the only entry."""
     return list(value) if isinstance(value, (list, tuple)) else [value]

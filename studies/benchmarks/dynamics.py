@@ -45,7 +45,7 @@ class Code:
     name : name of the code.
     how_to_install : a command.
     program : command with the script, to which the request is appended as JSON; empty if the code is not installed.
-    request : values that this code wants beside those of the scene.
+    request : values that this code needs in addition to those of the scene, by name.
     environment : variables for its process.
     """
 
@@ -132,8 +132,8 @@ def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
         method.advance(steps)
         with tempfile.TemporaryDirectory() as folder:
             request = request_of(scene, spin[0], Path(folder), steps, max(1, steps // 10))
-            calls = {OURS: partial(_ours, method, steps)}
-            calls |= {code.name: partial(_theirs, code, request) for code in codes() if code.program}
+            calls = {OURS: partial(_our_seconds_a_step, method, steps)}
+            calls |= {code.name: partial(_their_seconds_a_step, code, request) for code in codes() if code.program}
             found = {name: Times(np.array(each)) for name, each in in_turns(calls, rounds).items()}
         for name, times in found.items():
             yield {
@@ -143,7 +143,7 @@ def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
             }  # fmt: skip
 
 
-def _ours(method: Any, steps: int, _: int) -> float:
+def _our_seconds_a_step(method: Any, steps: int, _: int) -> float:
     """Return the processor time of a time step of this program, seconds, as the mean over `steps` of them. The last
     argument, the number of the round, is not used.
 
@@ -155,7 +155,7 @@ def _ours(method: Any, steps: int, _: int) -> float:
     return (time.process_time() - began) / steps
 
 
-def _theirs(code: Code, request: Mapping[str, Any], _: int) -> float:
+def _their_seconds_a_step(code: Code, request: Mapping[str, Any], _: int) -> float:
     """Return the processor time of a time step of another code, seconds, as it reports it. Raises BearingsError if it
     does not see the same number of contacts. The last argument, the number of the round, is not used.
 

@@ -215,7 +215,7 @@ def draw_accuracy(rows: Sequence[Row]) -> Figure:
 
     rows : a row for each method and scene, as :func:`judged` returns them. Used are the name `what`, `shape` and `law`
         of the scene, the lists `seconds`, `error` and `gap`, an entry for each check, and `reference_gap`. Errors in
-        the grey band, below that, cannot be told from 0.
+        the grey band, below that, may as well be 0.
     """
     scenes = list(_by_scene(rows))
     columns = min(len(scenes), MOST_COLUMNS)

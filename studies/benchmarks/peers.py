@@ -213,7 +213,7 @@ class Peer:
         programme : what is solved.
         tolerance : tolerance in the sense of the solver, not a relative gap.
         seconds : time limit.
-        threads : number of threads, 0 for all, as far as the solver can be told.
+        threads : number of threads, 0 for all; solvers without such an option ignore it.
         """
         began = time.perf_counter()
         x, z, iterations, status, done = self.run(programme, tolerance, seconds, threads)
@@ -270,7 +270,7 @@ def _scs(programme: ConicProgramme, linear_solver: str, tolerance: float, second
     linear_solver : name of its linear solver.
     tolerance : absolute and relative tolerance of its residuals and gap.
     seconds : time limit.
-    threads : not used; SCS cannot be told.
+    threads : not used; SCS has no such option.
     """
     import scs
 

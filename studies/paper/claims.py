@@ -291,7 +291,7 @@ class _Sentences(string.Formatter):
         """Return a sentence with all its numbers filled in.
 
         text : the sentence, with {name} or {name:format} in place of each number.
-        more : values by name, beside those of the claim.
+        more : values by name, in addition to those of the claim.
         """
         return self.vformat(text, (), {**self.named, **more})
 

@@ -88,7 +88,7 @@ def study(folder: Path, effort: Effort) -> Found:
         high: skewness_of_least(found["free", FREE, low]["weight"], high // low) for low, high in pairwise(tall)
     }
     named = {
-        "theta": theta, "zeta": zeta, "further": exponent(weight, beside=(0.0, -THETA)),
+        "theta": theta, "zeta": zeta, "further": exponent(weight, further=(0.0, -THETA)),
         "grown": growing_skewness(weight, THETA), "lightest": lightest,
         "held": held, "free": free, "pinned": held[held.length >= long], "free_length": FREE,
         "law_of_tracy_and_widom": TRACY_WIDOM, "law_of_gumbel": GUMBEL, "weight": weight, "middle": middle,

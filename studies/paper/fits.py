@@ -122,14 +122,14 @@ def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.n
 
 
 def exponent(
-    samples: Mapping[int, np.ndarray], square: Callable[[np.ndarray], Any] = VARIANCE, beside: Sequence[float] = (0.0,)
+    samples: Mapping[int, np.ndarray], square: Callable[[np.ndarray], Any] = VARIANCE, further: Sequence[float] = (0.0,)
 ) -> Exponent:
     """Return the exponent with which the standard deviation of samples (or another quantity) grows with the size.
 
     samples : for each size, (samples, ...).
     square : function that returns what grows like A L^(2 value), from the samples of one size; by default their
         variance.
-    beside : exponents of further terms that are fitted with it, first that of the offset, 0.
+    further : exponents of L in further terms that are fitted as well, first that of a constant offset, 0.
     """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
     # what grows, of the samples and of R resamples of each size; deviations of the latter made free of bias
@@ -139,14 +139,14 @@ def exponent(
     spread, fits = again.std(axis=1, ddof=1), []
     columns = np.concatenate([variance[:, None], again], axis=1)
     # fits from each smallest size on: the first column gives the value, the scatter of the others its error
-    for first in range(max(1, len(sizes) - LEAST_FREE - 1 - len(beside))):
-        values, misfit = _best_exponents(sizes[first:], spread[first:], beside, columns[first:])
-        goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - len(beside))))
+    for first in range(max(1, len(sizes) - LEAST_FREE - 1 - len(further))):
+        values, misfit = _best_exponents(sizes[first:], spread[first:], further, columns[first:])
+        goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - len(further))))
         fits.append((int(sizes[first]), float(values[0]), float(values[1:].std(ddof=1)), goodness))
     chosen = first_that_fits([fit[-1] for fit in fits])
     smallest, value, error, goodness = fits[chosen]
     # amplitude and offset at the exponent found, by linear least squares
-    rows = _terms_over_errors(sizes[chosen:], spread[chosen:], beside, np.array([value]))[0]
+    rows = _terms_over_errors(sizes[chosen:], spread[chosen:], further, np.array([value]))[0]
     amplitude, offset = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
     beyond = _largest_change([fit[1] for fit in fits], chosen)
     by_smallest, errors = {fit[0]: fit[1] for fit in fits}, [fit[2] for fit in fits]
@@ -163,37 +163,37 @@ def _resampling_factors(samples: Mapping[int, np.ndarray]) -> np.ndarray:
 
 
 def _terms_over_errors(
-    sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values: np.ndarray
+    sizes: np.ndarray, spread: np.ndarray, further: Sequence[float], values: np.ndarray
 ) -> np.ndarray:
     """Return (trials, sizes, terms) the terms of a law of the size L, divided by the error of what is fitted: for each
     trial exponent and each size first L^(2 exponent), then L to the power of each further exponent. These are the
     columns of a linear least squares problem for the factors of the terms.
 
     sizes, spread : (sizes,) the sizes, and the standard error of what is fitted at each.
-    beside : exponents of the further terms.
+    further : exponents of L in the further terms.
     values : (trials,) trial exponents.
     """
-    exponents = [2 * values, *(np.full_like(values, power) for power in beside)]
+    exponents = [2 * values, *(np.full_like(values, power) for power in further)]
     found: np.ndarray = sizes[:, None] ** np.stack(exponents, axis=1)[:, None] / spread[:, None]
     return found
 
 
 def _best_exponents(
-    sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], columns: np.ndarray
+    sizes: np.ndarray, spread: np.ndarray, further: Sequence[float], columns: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return two things for several series of numbers that grow with the size L: (series,) the exponents x with which A
     L^(2 x) and further terms fit each best; and the misfit (chi-squared) of the first series.
 
     sizes, spread : (sizes,) the sizes, and the standard error of the numbers at each.
-    beside : exponents of the further terms.
+    further : exponents of L in the further terms.
     columns : (sizes, series) the numbers.
 
     For each trial exponent the law is fitted linearly; the best trial exponent is then refined by the parabola through
     its misfit and those of its two neighbours.
     """
-    trials = np.linspace(*POSSIBLE[bool(beside)], FINELY)
+    trials = np.linspace(*POSSIBLE[bool(further)], FINELY)
     target, every = columns / spread[:, None], np.arange(columns.shape[1])
-    basis = np.linalg.qr(_terms_over_errors(sizes, spread, beside, trials))[0]
+    basis = np.linalg.qr(_terms_over_errors(sizes, spread, further, trials))[0]
     misfit = (target**2).sum(axis=0) - ((basis.transpose(0, 2, 1) @ target) ** 2).sum(axis=1)
     at = np.clip(misfit.argmin(axis=0), 1, FINELY - 2)
     before, here, after = (misfit[at + step, every] for step in (-1, 0, 1))
@@ -234,8 +234,8 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     chosen = first_that_fits([goodness for _, goodness in fits])
     part, ((value, amplitude), goodness) = parts[chosen], fits[chosen]
     error = line_through(sizes[part] ** -STATED, spread[part], again[part])[0][0].std(ddof=1)
-    beside = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
-    others = [abs(found[0] - value) for found, fit in beside if fit >= LEAST_GOODNESS]
+    alternatives = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
+    others = [abs(found[0] - value) for found, fit in alternatives if fit >= LEAST_GOODNESS]
     by_smallest = {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)}
     beyond, smallest = (
         float(max([_largest_change([found[0] for found, _ in fits], chosen), *others])),

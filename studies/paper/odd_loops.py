@@ -228,8 +228,8 @@ def crowded(curves: Curves) -> dict[str, Any] | None:
     curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares s
         (samples,) of discs that roll with the top.
 
-    returns : x (`value`), its standard error, the probability of a misfit as large (`goodness`), and the number of
-        points; None for fewer than three points.
+    returns : by name, x (`value`), its standard `error`, the probability of a misfit as large (`goodness`), and the
+        number of `points`; None for fewer than three points, or if all have the same n.
     """
     held = held_by_nothing_else(well_sampled(curves))
     points = [(n, of) for L, by in held.items() for n, of in by.items() if n > CROWDED * L**WANDERING]

@@ -116,25 +116,25 @@ def scene_of(seed: int) -> Scene:
 
 def descended(seed: int, iterations: int, seconds: float) -> dict[str, Any]:
     """Return the state at which the paper's method ends, gradient descent without momentum from random spins: the
-    fields of an :class:`Ending`, as :func:`_ending` packs them.
+    fields of an :class:`Ending`, with arrays packed into texts.
 
     seed : seed of the sample.
     iterations, seconds : it ends after so many iterations, or after so many seconds.
     """
     rule = StopRule(1e-12, iterations, seconds)
     ended = solved(scene_of(seed), GradientDescent(momentum=False), rule, "random")
-    return _ending(ended, lambda power, _: power > 0, None)
+    return _packed_ending(ended, lambda power, _: power > 0, None)
 
 
 def minimum(seed: int) -> dict[str, Any]:
-    """Return the certified minimum of the sample with this seed: the fields of an :class:`Ending`, as :func:`_ending`
-    packs them.
+    """Return the certified minimum of the sample with this seed: the fields of an :class:`Ending`, with arrays packed
+    into texts.
     """
     solution = solved(scene_of(seed), InteriorPoint(), StopRule(1e-9))
-    return _ending(solution, lambda _, state: state == ContactState.SLIPPING, largest_slip_error(solution))
+    return _packed_ending(solution, lambda _, state: state == ContactState.SLIPPING, largest_slip_error(solution))
 
 
-def _ending(
+def _packed_ending(
     solution: Solution, slips: Callable[[np.ndarray, np.ndarray], np.ndarray], slip_error: float | None
 ) -> dict[str, Any]:
     """Return the fields of an :class:`Ending` in a form that JSON can store; arrays are packed into texts.

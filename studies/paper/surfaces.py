@@ -110,8 +110,8 @@ def study(folder: Path, effort: Effort) -> Found:
     flat = {lowest: {L: found[L, lowest]["roughness"] for L in of} for lowest, of in sizes.items()}
     theta, zeta = exponent(weight), exponent(flat[0.0], np.mean)
     both = {side: np.stack([of.power, of.cut], axis=1) for side, of in cubes.items()}
-    weaker = exponent(both, lambda powers: powers[:, 0].var() / powers[:, 1].var(), beside=())
-    layers = exponent({side: of.layers for side, of in cubes.items()}, lambda of: (of**2).mean(), beside=())
+    weaker = exponent(both, lambda powers: powers[:, 0].var() / powers[:, 1].var(), further=())
+    layers = exponent({side: of.layers for side, of in cubes.items()}, lambda of: (of**2).mean(), further=())
     named = {
         "theta": theta, "zeta": zeta, "flat": flat, "weaker": weaker, "layers": layers, "cubes": cubes,
         "towers": towers, "roughness": ROUGHNESS, "energy": ENERGY, "tall": minima.side[~is_cube].min(),

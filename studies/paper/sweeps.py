@@ -25,8 +25,9 @@ def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
     """Return the least weight of a path from the outside on the left, which is column 0, to each face: (B, w, h - 1)
     for B grids.
 
-    sideways, upward : weights of the contacts, (B, w - 1, h) and (B, w, h - 1), none negative; those of the lowest and
-        the highest row of `sideways` take no part, since they join driven discs.
+    sideways, upward : weights of the contacts of grids with w columns and h rows of discs, (B, w - 1, h) and (B, w, h -
+        1), none negative; those of the lowest and the highest row of `sideways` are not used, since they join driven
+        discs.
     """
     found = np.full(upward.shape, np.inf)
     found[:, 0] = 0.0

@@ -151,9 +151,9 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
         "samples_of": {side: len(values) for side, values in square.items()}, "directions": len(DIRECTIONS),
         "beside": BESIDE, "above": float((work / power[:, None] - 1).max()),
         "apart": float(np.abs(np.einsum("ndd->nd", work) / power - 1).max()),
-        "crossed": of(left), "fading": exponent(of(1 - left), np.mean, beside=()), "steps": of(step),
+        "crossed": of(left), "fading": exponent(of(1 - left), np.mean, further=()), "steps": of(step),
         "square": square, "circle": of(both / np.hypot(x, y)), "square_limit": limit(square),
-        "squaring": exponent(of(1 - both / (x + y)), np.mean, beside=()), "per_area": per_area,
+        "squaring": exponent(of(1 - both / (x + y)), np.mean, further=()), "per_area": per_area,
         "limits_of": {name: limit(values) for name, values in per_area.items()},
         "body": {
             side: ((power / unit[:, None])[here].mean(axis=0), (torque / unit[:, None, None])[here].mean(axis=0))

@@ -233,7 +233,7 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
     its scene is multiplied by a given factor. In the new units the solution is the same.
 
     force, length, time : whole exponents: the units of force, length and time are divided by the factor raised to these
-        powers, so that forces are multiplied by factor^force, and so on.
+        powers, so that forces are multiplied by factor^force, lengths by factor^length and times by factor^time.
     """
 
     def change(case: Case, value: float, row: Row, name: str) -> Case:

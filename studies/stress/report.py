@@ -53,8 +53,8 @@ def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
 
 
 class Sweep:
-    """The cells (a method, a sample, one extreme value) of a stress report in a folder. Those that its journal has
-    from this version of the program are judged again, the others are solved.
+    """The cells (a method, a sample, one extreme value) of a stress report in a folder. Cells that the journal in the
+    folder has from this version of the program are only judged again, the others are solved.
 
     lines : for each finished cell by its key, its line of the report.
     """
@@ -150,14 +150,14 @@ class Sweep:
         }  # fmt: skip
 
 
-def _name(line: Line) -> str:
+def _row_in_words(line: Line) -> str:
     """Return in words the method, law, dimension, device and precision of a finished cell, from its line of the
     report.
     """
     return str(Row(*(line[key] for key in ("method", "law", "dimension", "arch", "precision"))))
 
 
-def _decades(line: Line) -> str:
+def _error_in_words(line: Line) -> str:
     """Return the relative error in a line of the report as a power of ten; "exact" below the rounding of doubles, ""
     without an error.
     """
@@ -177,9 +177,9 @@ def scaling(rows: Sequence[Line]) -> dict[str, Any]:
     """
     found: dict[str, list[float]] = {}
     scaled = [line for line in rows if line["axis"].endswith("-scale") and line["outcome"] == RIGHT]
-    plain = {(line["axis"], _name(line)): line["objective"] for line in scaled if line["value"] == "1"}
+    plain = {(line["axis"], _row_in_words(line)): line["objective"] for line in scaled if line["value"] == "1"}
     for line in scaled:
-        before = plain.get((line["axis"], _name(line)))
+        before = plain.get((line["axis"], _row_in_words(line)))
         if line["value"] != "1" and before:
             deviation = abs(line["objective"] / line["unit"] / before - 1)
             found.setdefault(f"{line['method']} {line['precision']}", []).append(deviation)
@@ -210,17 +210,17 @@ def draw_outcomes(axis: Axis, lines: Sequence[Line]) -> Figure:
     axis : the parameter that is varied; its values are the columns, in order.
     lines : finished cells of the axis; each method, law, dimension, device and precision among them has a row.
     """
-    tried, rows = {line["value"] for line in lines}, sorted(dict.fromkeys(map(_name, lines)))
+    tried, rows = {line["value"] for line in lines}, sorted(dict.fromkeys(map(_row_in_words, lines)))
     columns = [name for name in axis.columns if name in tried]
     kinds = list(COLOURS)
     codes = np.full((len(rows), len(columns)), len(kinds))
     figure = new_figure(2.3 + 0.42 * len(columns), 1.1 + 0.19 * len(rows))
     axes = figure.add_subplot()
     for line in lines:
-        i, j, outcome = rows.index(_name(line)), columns.index(line["value"]), line["outcome"]
+        i, j, outcome = rows.index(_row_in_words(line)), columns.index(line["value"]), line["outcome"]
         codes[i, j] = kinds.index(outcome)
         colour = "white" if outcome in (WRONG, CRASH) else "black"
-        axes.text(j, i, _decades(line), ha="center", va="center", fontsize=7, color=colour)
+        axes.text(j, i, _error_in_words(line), ha="center", va="center", fontsize=7, color=colour)
     colours = ListedColormap([*COLOURS.values(), NOTHING])
     look: Any = {"cmap": colours, "vmin": -0.5, "vmax": len(kinds) + 0.5, "edgecolors": "white", "lw": 1}
     axes.pcolormesh(np.arange(len(columns) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5, codes, **look)

@@ -112,7 +112,7 @@ class Sample:
     top : the same numbers in one row, column after column.
     unknowns : number of components of free spheres, which come first in `spin`.
     low, up : (E contacts, C), index into `spin` of each component of the lower and of the upper sphere of a contact.
-    felt : (E, C), 1 for components that make the contact slip, else 0.
+    makes_slip : (E, C), 1 for components that make the contact slip, else 0.
     a, c : (E, 1), energy/time: a contact with the slip d costs a |d| + c |d|^2 / 2.
     of : (E,), indices of these contacts among all contacts of the lattice: those without cost are left out.
     box : (unknowns,), largest value that each free component can have at a minimum.
@@ -139,7 +139,7 @@ class Sample:
         sideways = lattice.between_driven & (lattice.axis < lattice.dimension - 1)
         self.of = np.flatnonzero(~sideways & (a + c > 0))
         self.low, self.up, self.a, self.c = low[self.of], up[self.of], a[self.of, None], c[self.of, None]
-        self.felt = (lattice.axis[self.of, None] != list(self.jump)).astype(int)
+        self.makes_slip = (lattice.axis[self.of, None] != list(self.jump)).astype(int)
         # spins that grow evenly with the height, and the largest value that each can have at the minimum
         layer = self.unknowns // max(shape[-1] - 2, 1)
         height = [Decimal(i // layer + 1) / (shape[-1] - 1) for i in range(self.unknowns)]
@@ -149,7 +149,7 @@ class Sample:
 
     def slips(self) -> np.ndarray:
         """Return the slips (E contacts, C components) of the contacts, in units of spin."""
-        found: np.ndarray = (self.spin[self.up] - self.spin[self.low]) * self.felt
+        found: np.ndarray = (self.spin[self.up] - self.spin[self.low]) * self.makes_slip
         return found
 
     def torques(self, force: np.ndarray) -> np.ndarray:
@@ -189,7 +189,7 @@ class Sample:
         # second derivatives of a contact: (stiffness + c) 1 - bend slip slip^T, added at its ends with signs
         matrix = np.full((len(self.spin), len(self.spin)), Decimal(0), dtype=object)
         bend = np.divide(stiffness * stiffness, self.a * self.root, out=np.zeros_like(self.a), where=self.a > 0)
-        straight = (self.felt * (stiffness + self.c))[:, :, None] * np.eye(slip.shape[1], dtype=int)
+        straight = (self.makes_slip * (stiffness + self.c))[:, :, None] * np.eye(slip.shape[1], dtype=int)
         block = straight - bend[:, :, None] * slip[:, :, None] * slip[:, None, :]
         for here, sign in ((self.up, 1), (self.low, -1)):
             np.add.at(matrix, (here[:, :, None], self.up[:, None]), sign * block)
@@ -209,15 +209,15 @@ class Sample:
         return found
 
     def enclosure(self, barrier: Decimal) -> tuple[Decimal, Decimal]:
-        """Return bounds of the least cost, energy/time: from below the work of the driven planes, less the most that
-        forces out of balance can take from it; from above the cost of the present spins.
+        """Return two bounds of the least cost, energy/time, the lower one first. It is the work of the driven planes,
+        less the most that forces out of balance can take from it; the upper one is the cost of the present spins.
 
         barrier : energy/time, how much the cost is smoothed.
         """
         slip, length, friction, _ = self.forces(barrier)
         force, viscous = friction + self.c * slip, (self.c * length * length).sum() / 2
         top = np.concatenate([np.full(self.unknowns + 1, Decimal(0), dtype=object), self.top])
-        work = (force * (top[self.up] - top[self.low]) * self.felt).sum()
+        work = (force * (top[self.up] - top[self.low]) * self.makes_slip).sum()
         paid = np.abs(self.torques(force) * self.box).sum()
         return work - viscous - paid, self.cost()
 
@@ -253,7 +253,7 @@ def least(scene: Scene) -> Truth:
     """
     with localcontext() as context:
         context.prec = DIGITS
-        return followed(scene, Sample(scene))[0] if jump_of(scene) else _nothing(scene)
+        return followed(scene, Sample(scene))[0] if jump_of(scene) else _truth_without_slip(scene)
 
 
 def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
@@ -280,13 +280,13 @@ def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
         if steps > MOST_STEPS:
             raise ArithmeticError(f"the bounds on the least power of {scene} are not close enough after {steps} steps")
     if upper < first * NOTHING:
-        return Truth(Decimal(0), upper, _states(scene, sample, barrier), _nothing(scene).unit), barrier
+        return Truth(Decimal(0), upper, _states(scene, sample, barrier), _truth_without_slip(scene).unit), barrier
     if upper - lower > upper * WANTED:
         raise ArithmeticError(f"the least power of {scene} is only known to be from {lower:.25e} to {upper:.25e}")
     return Truth(lower, upper, _states(scene, sample, barrier)), barrier
 
 
-def _nothing(scene: Scene) -> Truth:
+def _truth_without_slip(scene: Scene) -> Truth:
     """Return the truth of a scene in which no contact need slip: a least objective of 0."""
     moving = scene if scene.top is not None or scene.spin_top != scene.spin_bottom else replace(scene, spin_bottom=0.0)
     a, c = _costs(moving)
@@ -331,7 +331,7 @@ def layered(scene: Scene) -> Truth:
         first = scene.lattice.spans[-1].start
         a, c = (costs.tolist() for costs in _costs(scene, slice(first, first + scene.lattice.shape[-1] - 1)))
         if not any(across):
-            return _nothing(scene)
+            return _truth_without_slip(scene)
         cost = Decimal(0)
         for of in filter(None, set(across.tolist())):
             cost += _chain([held * of for held in a], [flow * of**2 for flow in c]) * int((across == of).sum())

@@ -275,8 +275,8 @@ def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
 
 
 class _Neighbours(NamedTuple):
-    """The neighbours of all spheres in one long list, sphere after sphere. Those of sphere i are sphere[k], reached
-    over the links link[k], with k from first[i] to first[i] + degree[i] - 1.
+    """The neighbours of all spheres in one long list, sphere after sphere. The neighbours of sphere i are sphere[k],
+    reached over the links link[k], with k from first[i] to first[i] + degree[i] - 1.
 
     first, degree : (spheres,), where the neighbours of each sphere begin in the list, and how many it has.
     sphere, link : (2 * links,), number of each neighbour, and of the link to it.

@@ -194,7 +194,9 @@ def domains_of_packing(
         -apart,
         np.where(np.abs(signed_speeds - high) <= near, apart, signed_speeds),
     )
-    labels = np.stack([_alike(piece, (signed_speeds if states is None else values)[:, k], near) for k in axes])
+    labels = np.stack(
+        [_near_values_grouped(piece, (signed_speeds if states is None else values)[:, k], near) for k in axes]
+    )
     # a domain is locked to the bodies of the driven spheres in it, one bit for each body
     held = np.flatnonzero(~whole.free)
     bodies, body = np.unique(whole.body[held], return_inverse=True)
@@ -209,7 +211,7 @@ def domains_of_packing(
     return RigidDomains.of(axes, labels, tied, above, None if states is None else jump, piece.shape, names)
 
 
-def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
+def _near_values_grouped(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
     """Return labels (spheres,) of groups of spheres. Two spheres of one connected piece are in one group if, of all
     values in the piece between theirs, no two successive ones differ by more than `near`.
 

@@ -158,7 +158,7 @@ class SliplessNetwork:
         several = np.bincount(label[self.driven_nodes], minlength=len(label)) > 1
         return np.asarray(several[self.component])
 
-    def _share(self, chosen: np.ndarray) -> Any:
+    def _share_of_free(self, chosen: np.ndarray) -> Any:
         """Return the share of the free spheres that a mask selects; None without free spheres.
 
         chosen : the mask, in the shape of the lattice or (spheres,).
@@ -168,12 +168,12 @@ class SliplessNetwork:
     @property
     def reached_fraction(self) -> Any:
         """Share of the free spheres that have a slipless contact; None without free spheres."""
-        return self._share(self.touched)
+        return self._share_of_free(self.touched)
 
     @property
     def spanning_fraction(self) -> Any:
         """Share of the free spheres that are in pieces which join driven bodies; None without free spheres."""
-        return self._share(self.spanning)
+        return self._share_of_free(self.spanning)
 
     @property
     def disjoint_paths(self) -> Any:

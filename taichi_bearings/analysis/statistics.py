@@ -192,5 +192,5 @@ def sort_key(value: object) -> tuple[Any, ...]:
 
 
 def _plain(value: object) -> Any:
-    """Return None for not-a-number, and any other value as it is, so that two equal values compare equal."""
+    """Return None for not-a-number, and any other value unchanged, so that two missing numbers compare equal."""
     return None if value != value else value

@@ -203,8 +203,9 @@ class Fields:
 
 
 def team_size(layout: "Layout | Lists", components: int) -> int:
-    """Return how many threads make kernels faster that work on `components` numbers for each site of a layout; 0 on a
-    GPU.
+    """Return how many threads it pays to use for kernels that work on `components` numbers of each sphere; 0 on a GPU.
+
+    layout : how the spheres, of all samples, follow each other in memory.
     """
     running = runtime.current()
     if running.is_gpu:

@@ -246,7 +246,7 @@ class Lattice:
 
 
 def axis_numbers(names: Sequence[str]) -> tuple[int, ...]:
-    """Return the numbers of axes that are given by their names, 0 for "x" and so on."""
+    """Return the numbers of axes that are given by their names: 0 for "x", 1 for "y", 2 for "z"."""
     return tuple(map(AXIS_NAMES.index, names))
 
 

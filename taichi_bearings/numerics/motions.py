@@ -51,7 +51,7 @@ class Motions:
 
     held : numbers of some unknowns, as many as there are independent motions; with these held at 0 there is none.
     decided : True if the slips of each motion are clearly rounding, or clearly larger than that.
-    largest_slip : largest slip of a motion over its largest spin, by which both are told apart.
+    largest_slip : largest slip of a motion over its largest spin; it is rounding alone if `decided` is True.
     smallest_kept : smallest pivot that was not taken as 0: the square of a slip over a spin.
     fronts : the results of the elimination, from which `basis` computes the motions.
     unknowns : number of unknowns.

@@ -101,7 +101,9 @@ def read_width(text: str) -> float:
 
 
 def read_plane(text: str) -> tuple[int, int]:
-    """Return (axis, index) of a plane such as x=3; InputError if the text names no plane."""
+    """Return the plane that a text such as "x=3" names: the number of the axis across it, and its lattice index along
+    this axis. Raises InputError if the text names none.
+    """
     axis, _, index = text.replace(" ", "").partition("=")
     if axis not in tuple(AXES) or not index.isdecimal():
         raise InputError(f"plane is {text!r}; it must be an axis and the number of a plane, such as x=3, y=0 or z=5")

@@ -184,8 +184,8 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     In 3D there are three panels: the spheres from outside; slipless contacts in grey and the path in green; the spheres
     of the path with their spins. In 2D there are the last two. Of a packing its slipless contacts are drawn.
 
-    Where there are more contacts than can be told apart, only those on the sides behind the path are drawn: nothing
-    hides it then. Where no path joins bottom and top the figure says so, and contacts joined to the bottom are blue,
+    Where there are too many contacts to see each, only those on the sides behind the path are drawn: nothing hides it
+    then. Where no path joins bottom and top the figure says so, and contacts joined to the bottom are blue,
     those joined to the top red.
     """
     network, spin = structure.network, structure.scene.driving.shown(structure.spin)

@@ -115,7 +115,7 @@ def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]
         )
 
 
-def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
+def _no_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence if the least power is 0, with the reason.
 
     solution : the answer to all samples.
@@ -210,7 +210,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {reasons}"
 
 
-def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
+def _hardly_apart(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield sentences if slipping contacts are hard to tell from slipless ones. There are two cases: some
     dissipate less than ten times the power that the gap leaves open, or the slowest one slips less than ten times
     faster than the fastest slipless one.
@@ -249,7 +249,7 @@ def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
         yield f"minima tie exactly (several have the least power): {contacts} slip at some of them and not at others"
 
 
-def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
+def _long_time_step(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence if the time step of a dynamics is too long for accurate spins before its end.
 
     solution : the answer to all samples.
@@ -262,7 +262,7 @@ def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
         yield f"{words}; --time-step {step:.2g} keeps that below {ACCURATE_ERROR:g}" if np.isfinite(step) else words
 
 
-def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
+def _stretched_springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence if the springs of a dynamics are stretched by more than STRETCHED_SHARE of the distance by which
     the driven spheres have slid past each other.
 
@@ -281,7 +281,7 @@ def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _torque_between, _law_of_ones_own, _powerless, _unfinished, _not_proven, _contacts_found_and_idle, _undecided,
-    _mingled, _tied, _step, _springs,
+    _torque_between, _law_of_ones_own, _no_power, _unfinished, _not_proven, _contacts_found_and_idle, _undecided,
+    _hardly_apart, _tied, _long_time_step, _stretched_springs,
 )  # fmt: skip
 """The warnings, in their order."""

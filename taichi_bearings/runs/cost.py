@@ -102,22 +102,22 @@ def cost_of_lattice(settings: RunSettings, row: type[MethodOptions], scene: Scen
     step = row.step_seconds(shape)
     if step is None:
         solve = row.seconds(shape, settings.tolerance)
-        return Cost(row.name, _limited(settings, judged, solve and solve * settings.replicas), None, None, room)
+        return Cost(row.name, _seconds_in_all(settings, judged, solve and solve * settings.replicas), None, None, room)
     steps = _steps(settings, row, scene)
     step *= settings.replicas
-    return Cost(row.name, _limited(settings, judged, None if steps is None else steps * step), step, steps, room)
+    return Cost(row.name, _seconds_in_all(settings, judged, None if steps is None else steps * step), step, steps, room)
 
 
-def _limited(settings: RunSettings, beside: float, solve: float | None) -> float | None:
+def _seconds_in_all(settings: RunSettings, others: float, solve: float | None) -> float | None:
     """Return the estimated seconds of a whole run; None if they are not known.
 
     settings : settings of the run, whose time limit may end the solve sooner.
-    beside : seconds of everything but the solve.
+    others : seconds of everything but the solve.
     solve : seconds of the solve without a time limit; None if not known.
     """
     most = inf if settings.time_limit is None else settings.time_limit
     least = min(most, inf if solve is None else solve)
-    return None if least == inf else beside + least
+    return None if least == inf else others + least
 
 
 def _steps(settings: RunSettings, row: type[MethodOptions], scene: Scene) -> int | None:
@@ -157,7 +157,7 @@ def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bea
         if row.is_dynamics and settings.duration is not None and (length := settings.values["time_step"]):
             steps = min(int(np.ceil(settings.duration / length)), steps or 2**62)
         step = STEP_SECONDS * spheres
-        seconds = _limited(settings, PROCESS_SECONDS, None if steps is None else steps * step * count)
+        seconds = _seconds_in_all(settings, PROCESS_SECONDS, None if steps is None else steps * step * count)
         return Cost(row.name, seconds, step, steps, PROCESS_BYTES + STEPPED_BYTES * spheres)
     along = bool((np.count_nonzero(network.normal, axis=1) == 1).all())
     alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0

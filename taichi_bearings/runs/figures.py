@@ -108,7 +108,7 @@ def draw_snapshot(
     Raises InputError if the run has no snapshots or does not reach that time.
     """
     structure = structure_of(answer, replica)
-    at, nearest = _nearest(structure.answer, time)
+    at, nearest = _nearest_snapshot(structure.answer, time)
     moment = moment_of(structure, structure.snapshots[nearest], slip_threshold)
     threshold = moment.threshold or 0.0
     title, note = f"{describe(moment.scene)}, $t = {mathematics(at)}$", ""
@@ -121,7 +121,7 @@ def draw_snapshot(
     return draw_spins(moment, page, title, note)
 
 
-def _nearest(answer: Solution, time: float) -> tuple[float, int]:
+def _nearest_snapshot(answer: Solution, time: float) -> tuple[float, int]:
     """Return the simulated time and the number of the snapshot that is nearest to a given time. Raises InputError if
     there are no snapshots, or if the run does not reach that time.
 

@@ -299,7 +299,7 @@ def packing_of(
     """
     seeds = settings.seeds if seeds is None else seeds
     if settings.packing is None:
-        return Packing.together([_lattice(replace(settings, seed=seed)) for seed in seeds])
+        return Packing.together([_lattice_as_packing(replace(settings, seed=seed)) for seed in seeds])
     found = Packing.read(settings.packing, settings.contacts) if found is None else found
     _refuse_twice(settings, found)
     if settings.has_table:
@@ -353,7 +353,7 @@ def _draws_nothing(settings: RunSettings, found: Mapping[str, object]) -> bool:
     return set(COEFFICIENTS[: len(settings.drawn)]) <= found.keys() and settings.initial != "random"
 
 
-def _lattice(settings: RunSettings) -> Packing:
+def _lattice_as_packing(settings: RunSettings) -> Packing:
     """Return a square or cubic lattice as a packing, with the coefficients that a scene with these settings has."""
     names = ("periodic", "seed", "law", "driven", "spin_top", "spin_bottom", "top", "bottom", *SIZES)
     others = {key: getattr(settings, key) for key in names} | settings.drawn
@@ -404,7 +404,7 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
         if device:
             runtime.start(**device)
         first = settings.initial if start is None else start
-        found = _stepped(packing, method, first, settings, **others)
+        found = _solved_by_steps(packing, method, first, settings, **others)
     if settings.torque is not None and found.status is not Status.INTERRUPTED and not found.interrupted:
         free = replace(settings, torque=None, slip_threshold=None)
         alone = {name: others[name] for name in others if name == "density"}  # checkpoints are of the first solve
@@ -416,7 +416,7 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
     return replace(found, state=state, proven=proven, slip_threshold=threshold)
 
 
-def _stepped(
+def _solved_by_steps(
     packing: Bearing,
     options: MethodOptions,
     start: str | np.ndarray,

@@ -235,7 +235,7 @@ def _solve_with_checkpoints(
 
     def complete() -> Result:
         """Write the files of the finished run into its directory, and return the result."""
-        with completed(path, _drawn(path)) as folder:
+        with completed(path, _files_of_pictures(path)) as folder:
             write_run(folder, found)
         return found
 
@@ -247,7 +247,7 @@ def _solve_with_checkpoints(
 PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")  # files that other commands draw into a run directory
 
 
-def _drawn(path: Path) -> list[str]:
+def _files_of_pictures(path: Path) -> list[str]:
     """Return the names of files in a run directory that show an earlier answer: figures, histograms, films and exports.
 
     path : the run directory.

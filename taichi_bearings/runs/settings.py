@@ -51,7 +51,7 @@ from taichi_bearings.text_lines import is_table
 from taichi_bearings.words import meant, shown
 
 
-def _times(value: Any) -> str:
+def _read_times(value: Any) -> str:
     """Return simulated times as a text, such as "0.1,0.2" or "log:1e-4,10,50" (start, stop, count); raise ValueError
     for anything else.
 
@@ -67,7 +67,7 @@ def _times(value: Any) -> str:
     return text
 
 
-def _state(value: object) -> tuple[float, ...]:
+def _read_bearing_state(value: object) -> tuple[float, ...]:
     """Return a bearing state as (A_x, A_y, A_z, C), or (A_z,) of discs: the spin A of a driven plane, 1/time, and the
     rate C at which it changes with the place. Raises ValueError for anything else.
 
@@ -78,11 +78,15 @@ def _state(value: object) -> tuple[float, ...]:
 
 
 BEARING_STATE = Kind(
-    _state, "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15", "AX,AY,AZ[;C]"
+    _read_bearing_state,
+    "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15",
+    "AX,AY,AZ[;C]",
 )
 PERIODIC_AXES = Kind(periodic_axes, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
 THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
-TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
+TIME_LIST = Kind(
+    _read_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES"
+)
 
 
 BETWEEN_PLANES = "planes"  # value of `driven` for a lattice between its bottom and its top plane

@@ -107,11 +107,11 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
         )
     if others and not solution.scene.law.holds:
         raise InputError(f"torque is {torque:g}; with the law viscous all driven bodies but the last must be at rest")
-    found = _found(_with_driven(solution), torque, lambda other: _with_driven(solve(other)))
+    found = _torque_findings(_with_driven(solution), torque, lambda other: _with_driven(solve(other)))
     return replace(solution, findings={**solution.findings, **found})
 
 
-def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
+def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
     """Return by name four findings on a torque on the top, (samples R,) each: `yields`, True if friction is proven not
     to hold it; `yield_torque` and `yield_torque_lower_bound`, force*length, proven bounds on the torque that friction
     holds; and `amplitude`, the factor by which the imposed motion is multiplied: 0 if the torque is held, not-a-number

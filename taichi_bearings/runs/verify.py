@@ -293,15 +293,15 @@ def _sizes(friction: np.ndarray) -> np.ndarray:
     return np.abs(friction) if friction.ndim == 2 else vector_length(np.moveaxis(friction, -1, 0))
 
 
-def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarray:
+def _differ(said: np.ndarray, true: np.ndarray, in_addition: float = 0.0) -> np.ndarray:
     """Return a mask, in the shape of the arrays, of the numbers that differ by more than rounding.
 
     said, true : arrays of equal shape to compare. They may differ by ROUNDED times `true`; not-a-number equals only
         not-a-number.
-    beside : absolute difference that is allowed in addition.
+    in_addition : absolute difference that is allowed as well.
     """
     with np.errstate(invalid="ignore"):
-        close = np.abs(said - true) <= ROUNDED * np.abs(true) + beside
+        close = np.abs(said - true) <= ROUNDED * np.abs(true) + in_addition
     found: np.ndarray = ~(close | (said == true) | (np.isnan(said) & np.isnan(true)))
     return found
 

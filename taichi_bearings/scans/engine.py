@@ -154,7 +154,7 @@ class LocalEngine:
         return len(self._units) < self.workers
 
     def sent(self, unit: Unit) -> Unit:
-        """Return a unit in the form in which it is sent to workers: here as it is."""
+        """Return a unit of samples in the form in which it is sent to workers: here unchanged."""
         return unit
 
     def submit(self, unit: Unit) -> None:

@@ -115,12 +115,12 @@ def _values_of_run(path: Path) -> Json:
     if not isinstance(summary, dict):
         raise InputError("summary.json does not hold a JSON object")
     for name, (kind, can_lack) in SUMMARY_KEYS.items():
-        if not _fits(summary.get(name), kind, can_lack):
+        if not _has_type(summary.get(name), kind, can_lack):
             raise InputError(f"the value of {name} in summary.json is missing or of the wrong type")
     return {name: summary.get(name) for name in SUMMARY_KEYS}
 
 
-def _fits(value: object, kind: type, can_lack: bool) -> bool:
+def _has_type(value: object, kind: type, can_lack: bool) -> bool:
     """Return True if a value, or each value of a list, has a type; whole numbers count as float.
 
     value : the value or list.
@@ -146,7 +146,7 @@ def _values_of_scan(path: Path) -> Json:
     states = Counter(status.decode(errors="replace") for status in last.values())
     failed = states.pop(FAILED, 0)
     shared = {name: fixed.get(name) for name in ("shape", "law", "method", "seed")}
-    shared = {name: value if _fits(value, int, True) else str(value) for name, value in shared.items()}
+    shared = {name: value if _has_type(value, int, True) else str(value) for name, value in shared.items()}
     samples = {"samples_asked": asked, "samples_done": states.total(), "samples_failed": failed}
     return {**shared, "scanned": list(scanned), **samples, "statuses": dict(states)}
 

@@ -255,7 +255,7 @@ def _engine(
     """
     analyse, states = bool(plan.wishes.get("analyse")), plan.wishes.get("keep_states")
     work = partial(solve_samples, analyse=analyse, states=(folder / STATES).absolute() if states else None)
-    allowed = partial(_allowed, sample_timeout=plan.wishes.get("sample_timeout"), analyse=analyse)
+    allowed = partial(_allowed_seconds, sample_timeout=plan.wishes.get("sample_timeout"), analyse=analyse)
     if client is None:
         return LocalEngine(work, _number_of_workers(missing, workers, analyse), allowed)
     from taichi_bearings.scans.cluster import DaskEngine
@@ -263,7 +263,7 @@ def _engine(
     return DaskEngine(client, work, allowed)
 
 
-def _allowed(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
+def _allowed_seconds(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
     """Return the seconds that a unit of samples, which are solved together, may take.
 
     unit : the samples.

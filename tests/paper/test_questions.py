@@ -138,7 +138,7 @@ def test_a_further_term_is_told_apart():
     rng = np.random.default_rng(8)
     sizes = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
     samples = {L: (L**0.8 - 4 * L**-0.4 + 2) ** 0.5 * rng.normal(size=40_000) for L in sizes}
-    plain, found = exponent(samples), exponent(samples, beside=(0.0, -0.4))
+    plain, found = exponent(samples), exponent(samples, further=(0.0, -0.4))
     assert plain.smallest > found.smallest == 8
     assert abs(found.value - 0.4) < 3 * found.error < 0.05
     assert found.amplitude == pytest.approx(1, abs=0.3)
@@ -283,6 +283,6 @@ def test_a_power_law_without_a_constant():
         L: np.stack([L**-0.3 * (x := rng.normal(size=2000)), x + 0.3 * rng.normal(size=2000)], axis=1)
         for L in (4, 6, 8, 12, 16)
     }
-    found = exponent(sides, lambda pairs: pairs[:, 0].var() / pairs[:, 1].var(), beside=())
+    found = exponent(sides, lambda pairs: pairs[:, 0].var() / pairs[:, 1].var(), further=())
     assert abs(found.value + 0.3) < 3 * found.error < 0.1
     assert found.offset == 0

@@ -60,7 +60,7 @@ def _in_common(truth: Minima, scene: Scene, sample: Sample, barrier: Decimal) ->
     size = np.array([own if moving else Decimal(1) for own, moving in zip(length, moves, strict=True)])
     direction = slips / size[:, None]
     basis = _freedom(sample, moves, direction)
-    changes = (basis[:, sample.up] - basis[:, sample.low]) * sample.felt  # (k, E, C)
+    changes = (basis[:, sample.up] - basis[:, sample.low]) * sample.makes_slip  # (k, E, C)
     along = ((changes * direction).sum(axis=2) / size)[:, moves]
     either = np.zeros(len(moves), dtype=bool)
     either[moves] = _can_rest(_orthonormal(along))
@@ -77,7 +77,7 @@ def _freedom(sample: Sample, moves: np.ndarray, direction: np.ndarray) -> np.nda
     """Basis (k, all spins) of changes that leave contacts at rest and slips along their directions; no driven one."""
     rows = []
     for low, up, felt, moving, (*sideways, along) in zip(
-        sample.low, sample.up, sample.felt, moves, direction, strict=True
+        sample.low, sample.up, sample.makes_slip, moves, direction, strict=True
     ):
         parts = np.flatnonzero(felt)
         weights = [] if moving and len(parts) < 2 else [(-along, *sideways)] if moving else np.eye(len(felt), dtype=int)

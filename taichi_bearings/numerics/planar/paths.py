@@ -42,11 +42,11 @@ class ShortestPaths:
 
 
 def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
-    """Return the shortest paths across B planar grids from the left to the right outside, distances from both, and the
-    shortest other path.
+    """Return for each of B planar grids of w columns and h rows the shortest path over its faces from the outside on
+    the left to that on the right, the distances of all faces from both, and the length of the shortest other path.
 
-    inner : lengths (B, w - 1, h - 2) of contacts along rows, without the end rows, whole numbers.
-    upward : lengths (B, w, h - 1) of contacts between rows, whole numbers.
+    inner : lengths (B, w - 1, h - 2) of steps across contacts along rows, without the end rows, whole numbers.
+    upward : lengths (B, w, h - 1) of steps across contacts between rows, whole numbers.
 
     Dijkstra's method finds the distances, and a tree of shortest paths from the left. The block of a node is the last
     node of the shortest path that one passes on the way to it in this tree. The shortest other path leaves the shortest
@@ -116,8 +116,8 @@ def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
     for all that is left of the grids, and one for what is right of them. Each contact is an edge between the two faces
     beside it. Edges only lead out of the last two nodes, so that no path passes through the outside.
 
-    inner, upward : lengths of the contacts, (B, w - 1, h - 2) along rows without the end rows, and (B, w, h - 1)
-        between rows.
+    inner, upward : lengths of the contacts of grids of w columns and h rows, (B, w - 1, h - 2) along rows without the
+        end rows, and (B, w, h - 1) between rows.
     """
     batch, columns, gaps = upward.shape
     shape = (batch, columns - 1, gaps)

@@ -102,7 +102,7 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
                 f"driven is {driven!r}, but x is periodic, so no walls stand at its ends; leave x out of periodic"
             )
         if axis not in closed:
-            body[_ends(place, axis, 1)], body[_ends(place, axis, -1)] = 1, 0
+            body[_at_end(place, axis, 1)], body[_at_end(place, axis, -1)] = 1, 0
         return body
     try:
         radius = float(size) if kind == "shaft" else np.nan
@@ -119,7 +119,7 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
             f"{named[0]} out of periodic"
         )
     for axis in (0, 1):
-        body[_ends(place, axis, 1) | _ends(place, axis, -1)] = 0
+        body[_at_end(place, axis, 1) | _at_end(place, axis, -1)] = 0
     middle = (place[:, :2].min(axis=0) + place[:, :2].max(axis=0)) / 2
     shaft = np.linalg.norm(place[:, :2] - middle, axis=1) <= radius * (1 + 1e-12)
     if not shaft.any() or (body[shaft] == 0).any():
@@ -129,7 +129,7 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
     return body
 
 
-def _ends(place: np.ndarray, axis: int, side: int) -> np.ndarray:
+def _at_end(place: np.ndarray, axis: int, side: int) -> np.ndarray:
     """Return a mask (spheres N,) of the spheres at the upper end of an axis (`side` 1) or at its lower end (`side` -1).
 
     place : (N, dimensions D), diameters.

@@ -81,7 +81,7 @@ def from_centers(
     length = _lengths(periodic, dimension, float(radius.max()) * (1 + share))
     contact, normal = _contacts(center, radius, share, length)
     driven = given.get("driven")
-    driven = _ends(center, radius, share, length) if driven is None else bodies(driven, count)
+    driven = _bodies_at_ends(center, radius, share, length) if driven is None else bodies(driven, count)
     spin = given.get("spin")
     spin = sides.spins(driven, dimension) if spin is None else spin
     return {"center": center, "contact": contact, "driven": driven, "spin": spin, "radius": radius, "normal": normal}
@@ -101,7 +101,7 @@ def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic
     center = places(found["center"])
     radius = sizes("radius", found["radius"], len(center), "sphere")
     driven = found.get("driven")
-    driven = _ends(center, radius, tolerance, np.zeros(1)) if driven is None else bodies(driven, len(center))
+    driven = _bodies_at_ends(center, radius, tolerance, np.zeros(1)) if driven is None else bodies(driven, len(center))
     spin = found.get("spin")
     spin = sides.spins(driven, center.shape[1]) if spin is None else spin
     return {**found, "radius": radius, "driven": driven, "spin": spin}
@@ -203,7 +203,7 @@ def _leads_up(shift: np.ndarray) -> np.ndarray:
     return up
 
 
-def _ends(center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarray) -> np.ndarray:
+def _bodies_at_ends(center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarray) -> np.ndarray:
     """Return the driven body of each sphere, (spheres N,): 0 for the lowest ones along the last axis, 1 for the
     highest, -1 for others.
 

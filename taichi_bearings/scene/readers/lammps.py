@@ -132,7 +132,8 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
 
 
 def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tuple[Frame, Frame]:
-    """Return one timestep of both dumps: the one that is asked for, or the last one that is complete in both.
+    """Return one timestep of both dumps, first of the atoms, then of their contacts: the one that is asked for, or the
+    last one that is complete in both.
 
     atoms, contacts : the two files.
     columns : names of the columns of contacts.
