@@ -50,25 +50,25 @@ class LazyGroup(click.Group):
     """
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
-        """Return the command that the first word names; for an unknown one the error names the command that was likely
-        meant.
+        """Return what click needs to run the command that the first of the `words` names; for an unknown one the error,
+        raised in the context of click, names the command that was likely meant.
         """
         if words and words[0] not in COMMANDS and not words[0].startswith("-"):
             context.fail(f"No such command {words[0]!r}{meant(words[0], COMMANDS)}")
         return super().resolve_command(context, words)
 
     def list_commands(self, context: click.Context) -> list[str]:
-        """Return the names of all commands."""
+        """Return the names of all commands, whatever the context of click."""
         return list(COMMANDS)
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
-        """Return the command with this name, imported now; None if there is none."""
+        """Return the command with this name, imported now; None if there is none. The context of click is not used."""
         if name not in COMMANDS:
             return None
         return importlib.import_module(f"taichi_bearings_cli.{name}").command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of commands of the help into `formatter`, group by group."""
+        """Write the list of commands of the help into `formatter`, group by group; the context of click is not used."""
         for title, names in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name, COMMANDS[name]) for name in names], col_max=12)

@@ -20,11 +20,13 @@ class Text(click.types.StringParamType):
     """The type of a text option; the shell completes it to one of the names or, without names, to a file."""
 
     def __init__(self, *names: str) -> None:
-        """Take the words to which the shell completes what is typed; without any it completes to a file."""
+        """Take the words (`names`) to which the shell completes what is typed; without any it completes to a file."""
         self.names = names
 
     def shell_complete(self, context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Return what the shell can complete the typed text `incomplete` to."""
+        """Return what the shell can complete the typed text `incomplete` to: names that begin with it, or files. Click
+        calls this with its own context and option, which are not used.
+        """
         if not self.names:
             return [CompletionItem(incomplete, type="file")]
         return [CompletionItem(name) for name in self.names if name.startswith(incomplete)]
@@ -34,7 +36,9 @@ class FileName(Text):
     """The type of a path; an option with an empty text is treated as not given."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
-        """Return the value as a path; None for an empty text, except for an argument, which is not optional."""
+        """Return the value as a path; None for an empty text, unless the parameter is an argument, which is not
+        optional. Click calls this for each value, with its own context.
+        """
         return Path(value) if value or isinstance(parameter, click.Argument) else None
 
 
@@ -42,7 +46,9 @@ class Choice(click.Choice):
     """A choice of words that suggests the one that was likely meant by a mistyped word."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
-        """Return the chosen word; for a mistyped one the error names the word that was likely meant."""
+        """Return the word that a value chooses; for a mistyped one the error names the word that was likely meant.
+        Click calls this for each value, with its own parameter and context.
+        """
         try:
             return super().convert(value, parameter, context)
         except click.BadParameter as error:
@@ -61,7 +67,7 @@ class SettingsCommand(click.Command):
     """
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
-        """Return all options: the settings of a run, the command's own, and --help-all."""
+        """Return all options of the command in a context of click: the settings of a run, its own, and --help-all."""
         everything = click.Option(
             ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_everything,
             help="Show all options, those that few people need too, and exit.",
@@ -69,8 +75,8 @@ class SettingsCommand(click.Command):
         return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context), everything]
 
     def parse_args(self, context: click.Context, words: list[str]) -> list[str]:
-        """Return the words that are left after the options; the error for an option that goes by another name here
-        says that name.
+        """Return those `words` of a command line that are left after the options, which go into the context of click;
+        the error for an option that has another name here says that name.
         """
         try:
             return super().parse_args(context, words)
@@ -80,7 +86,9 @@ class SettingsCommand(click.Command):
             raise
 
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options of the help into `formatter`, section by section."""
+        """Write the options of the help into `formatter`, section by section; the context of click says whether all are
+        wanted.
+        """
         sections = dict[str, list[tuple[str, str]]](
             (title, []) for title in ("What is solved", "How", "Files and output")
         )
@@ -99,7 +107,7 @@ EVERYTHING = "taichi_bearings_cli.everything"  # key in a context's `meta`: True
 
 
 def _show_everything(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Print the help with all options and exit, if `asked`: the callback of --help-all."""
+    """Print the help with all options and exit the context of the command, if `asked`: the callback of --help-all."""
     if asked:
         context.meta[EVERYTHING] = True
         click.echo(context.get_help())
@@ -107,7 +115,10 @@ def _show_everything(context: click.Context, _: click.Parameter, asked: bool) ->
 
 
 def _section_of(item: Option | None) -> str:
-    """Return the title of the help's section for an option; None stands for an option that is no setting of a run."""
+    """Return the title of the section of the help in which an option stands.
+
+    item : the setting of a run that the option gives; None for an option that is no such setting.
+    """
     if item is None:
         return "Files and output"
     owners = users_of(item)[0]
@@ -147,7 +158,8 @@ def _laws_of_methods() -> list[str]:
 def _click_option(key: str, item: Option, text: str) -> click.Option:
     """Return one setting as an option of the command line.
 
-    key : its name with underscores.
+    key : name of the setting, with underscores.
+    item : how its value is read, and which values are allowed.
     text : its help.
     """
     name = key.replace("_", "-")

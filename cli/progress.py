@@ -19,8 +19,8 @@ Display = partial(progress.Display, STARTED)  # its times begin with the process
 
 
 def in_lines(text: str, err: bool = False) -> str:
-    """Return a report as it is to be printed: for a terminal long lines are broken between words, with the next lines
-    indented; else it is unchanged.
+    """Return a report for printing: for a terminal long lines are broken between words, with the next lines indented;
+    else it is unchanged.
 
     text : the report.
     err : True if it is printed on stderr.

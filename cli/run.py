@@ -128,6 +128,7 @@ def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], a
     scene : path of the scene file or run directory, None without one.
     resumed : value of --resume, which cannot be combined with --dry-run.
     given : the options that the user gave, by name.
+    as_json : True to print one JSON object.
     """
     from taichi_bearings.errors import InputError
     from taichi_bearings.runs.run import prepare
@@ -273,7 +274,9 @@ def _of_a_sample(
 
     summary : summary of the run. The other arguments are the sample's columns in the order of OF_A_SAMPLE; None where a
         number is not finite or not known.
+    power, gap : its power, energy/time, and its relative gap.
     proof : "proven", None, or words that say why the lower bound is not proven.
+    slipping, slipless : numbers of contacts in these states.
     others : numbers of contacts: tied, undecided, with unproven state, and all.
     """
     *doubtful, unproven, contacts = (number or 0 for number in others)

@@ -126,7 +126,9 @@ def disregard_next() -> None:
 
 
 def _is_own() -> bool:
-    """Return True if a signal that has come is one that this process has sent to itself."""
+    """Return True if the signal that has just come is one that this process has sent to itself, and count it as
+    come.
+    """
     global _own_signals
     if _own_signals == 0:
         return False

@@ -31,7 +31,7 @@ class NotEnoughMemory(InputError, MemoryError):
 
 def free_bytes() -> float:
     """Return the memory that this process may still get, in bytes; infinite where that is not known."""
-    free = told_bytes("/proc/meminfo", "MemAvailable", math.inf)
+    free = bytes_by_linux("/proc/meminfo", "MemAvailable", math.inf)
     with suppress(OSError, ValueError):  # "max" is no number
         limit, used = ((CGROUP / name).read_text() for name in ("memory.max", "memory.current"))
         free = min(free, int(limit) - int(used))
@@ -46,12 +46,12 @@ def free_bytes() -> float:
     return free
 
 
-def told_bytes(file: str, name: str, unknown: float = math.nan) -> float:
-    """Return a number of bytes that Linux tells.
+def bytes_by_linux(file: str, name: str, unknown: float = math.nan) -> float:
+    """Return an amount of memory, bytes, that Linux reports.
 
     file : "/proc/meminfo", on the machine, or "/proc/self/status", on this process.
     name : name of the number there, such as "MemAvailable" or "VmHWM", the most memory that the process has had.
-    unknown : returned where the system does not tell.
+    unknown : what is returned where the system has no such file or number.
     """
     with suppress(OSError, StopIteration, ValueError):
         lines = Path(file).read_text().splitlines()

@@ -30,7 +30,7 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
 
-from .harness import Found, Times, in_turns
+from .harness import Measurements, Times, in_turns
 
 FRICTION = 0.55  # coefficient at all contacts of the other codes: the mean of ours
 PEER_STEP = 5e-5  # time step of the other codes: half of the largest that is stable for their leapfrog methods
@@ -115,7 +115,7 @@ def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up
     }  # fmt: skip
 
 
-def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
+def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Measurements:
     """Yield a row for each code (this one and others that are installed): the processor time of a time step on a
     lattice, from two kinds of initial spins. Other codes run in processes of their own.
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from taichi_bearings import runtime
 from taichi_bearings.api import solve
 from taichi_bearings.errors import InputError
-from taichi_bearings.memory import told_bytes
+from taichi_bearings.memory import bytes_by_linux
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, in_our_style, label_in_plain_text, new_figure
 from taichi_bearings.runs.cost import refuse_too_large
 from taichi_bearings.runs.lattice_run import build_scene
@@ -25,7 +25,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import InteriorPoint
 
-from .harness import Found, Row, Times, clocked
+from .harness import Measurements, Row, Times, clocked
 from .methods import relative
 from .peers import conic_programme, find_peers
 
@@ -39,7 +39,7 @@ FEWEST = 3  # lattices, so that a fit can be judged
 COLUMNS = {"seconds_processor": "processor time", "memory": "memory"}  # of a row, and their name
 
 
-def measure(side: int, program: str, seed: int, threads: int) -> Found:
+def measure(side: int, program: str, seed: int, threads: int) -> Measurements:
     """Yield a row for a cubic lattice of the paper, solved in this process: wall and processor time of a solve, and the
     memory that it took, GB. A sentence is yielded instead if the lattice is too large for the program.
 
@@ -60,14 +60,14 @@ def measure(side: int, program: str, seed: int, threads: int) -> Found:
         refuse_too_large(InteriorPoint, scene)
         once = partial(_by_us, scene, threads)
     answers = list[Row]()
-    before, call = told_bytes(OF_PROCESS, "VmRSS"), lambda _: answers.append(once())
+    before, call = bytes_by_linux(OF_PROCESS, "VmRSS"), lambda _: answers.append(once())
     found = [clocked(call)]
     if found[0][1] < BRIEF:  # the first one has compiled
         found = [clocked(call) for _ in range(ROUNDS)]
     times = Times(*np.array(found).T)
     yield {
         "what": program, "shape": shape, "spheres": prod(shape), "threads": threads, **times.row,
-        "memory": (told_bytes(OF_PROCESS, "VmHWM") - before) / 1e9, **answers[-1],
+        "memory": (bytes_by_linux(OF_PROCESS, "VmHWM") - before) / 1e9, **answers[-1],
     }  # fmt: skip
 
 

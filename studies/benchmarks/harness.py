@@ -30,7 +30,7 @@ from ..report import duration, environment, load, markdown, scaled, short
 
 T = TypeVar("T")
 Row = dict[str, Any]
-Found = Iterator[Row | str]  # rows, and sentences on what is left out and why
+Measurements = Iterator[Row | str]  # rows, and sentences on what is left out and why
 LONGEST = 2**20  # most repetitions in one call
 TEXT = "report.md"
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table lists
@@ -175,7 +175,7 @@ class Benchmark:
     """
 
     title: str
-    tasks: Callable[[Plan], Iterator[tuple[str, Callable[[], Found]]]]
+    tasks: Callable[[Plan], Iterator[tuple[str, Callable[[], Measurements]]]]
     missing: Callable[[], dict[str, str]] = dict
     faults: Callable[[list[Row]], list[str]] = lambda rows: []
     findings: Callable[[list[Row]], list[str]] = lambda rows: []
@@ -236,7 +236,7 @@ def _add_to_report(report: Report, name: str, found: Row | str) -> None:
         report.rows.setdefault(name, []).append(found)
 
 
-def elsewhere(find: Callable[..., Found], *arguments: Any) -> Found:
+def elsewhere(find: Callable[..., Measurements], *arguments: Any) -> Measurements:
     """Yield the rows that `find(*arguments)` yields in a process of its own, one after the other. Raises BearingsError
     if that process raises one or dies.
     """
@@ -257,7 +257,7 @@ def elsewhere(find: Callable[..., Found], *arguments: Any) -> Found:
         process.kill()
 
 
-def _serve(pipe: Connection, find: Callable[..., Found], arguments: Sequence[Any]) -> None:
+def _serve(pipe: Connection, find: Callable[..., Measurements], arguments: Sequence[Any]) -> None:
     """Send the rows that `find(*arguments)` yields through the pipe, then None; a BearingsError is sent like a row. It
     is run by the process that :func:`elsewhere` starts.
     """

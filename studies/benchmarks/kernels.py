@@ -22,7 +22,7 @@ from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.words import counted
 
 from .baselines import Arrays, CSweep, NumpySweep
-from .harness import Found, Plan, Row, timed
+from .harness import Measurements, Plan, Row, timed
 
 NUMPY, C = "NumPy sweep", "C sweep"
 BYTES = {2: 800.0, 3: 1800.0}  # most memory a sphere, with all candidates of a lattice, by its dimension
@@ -45,7 +45,7 @@ class Candidate(NamedTuple):
     seconds_compile: float | None = None
 
 
-def measure(plan: Plan, precision: str, threads: int) -> Found:
+def measure(plan: Plan, precision: str, threads: int) -> Measurements:
     """Yield a row for each kernel and lattice, measured in this process, and a sentence for each lattice that does not
     fit into memory.
 

@@ -33,7 +33,7 @@ from taichi_bearings.solvers import METHODS, MethodOptions
 from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 
-from .harness import TARGETS, Found, Row, in_turns
+from .harness import TARGETS, Measurements, Row, in_turns
 from .peers import TOLERANCES, ConicProgramme, Peer, conic_programme, find_peers
 
 TIGHTEST = 1e-14  # gap asked of every method; rounding ends it earlier
@@ -50,7 +50,7 @@ MOST_COLUMNS = 3
 LEAST = 1e-17  # lower end of the grey band, below all errors in double precision
 
 
-def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, rounds: int) -> Found:
+def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, rounds: int) -> Measurements:
     """Yield a row for each method and conic solver on one scene, and a sentence for each method that is left out.
 
     settings : settings of the scene; their time limit is that of each method (of a conic solver: for each tolerance).

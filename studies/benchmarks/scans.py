@@ -23,7 +23,7 @@ from taichi_bearings.scans.sample import solve_samples
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 
-from .harness import Found, Times, in_turns
+from .harness import Measurements, Times, in_turns
 from .peers import ConicProgramme, Peer, conic_programme, find_peers
 
 TOLERANCE = 1e-8  # relative gap asked of both
@@ -82,7 +82,7 @@ def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
     return found
 
 
-def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Found:
+def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Measurements:
     """Yield a row for each program (this one and, if it is installed, Clarabel): the seconds that it takes for a sample
     of a scan, measured in rounds in which each solves the same `number` samples.
 

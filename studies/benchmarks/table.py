@@ -16,7 +16,7 @@ from taichi_bearings.solvers import METHODS
 
 from . import dynamics, growth, kernels, methods, scans
 from .baselines import find_compiler
-from .harness import Benchmark, Found, Plan, elsewhere
+from .harness import Benchmark, Measurements, Plan, elsewhere
 from .peers import find_peers
 
 SMALL = (((32, 32), "coulomb"), ((8, 8, 8), "coulomb"), ((32, 32), "viscous"))
@@ -44,7 +44,7 @@ FULL = Plan(
 PLANS = {"quick": QUICK, "usual": USUAL, "full": FULL}
 
 
-def _kernels(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+def _kernels(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
     """Yield the parts of the benchmark of kernels: for each precision and number of threads in the plan a name and a
     function that yields its rows.
     """
@@ -52,7 +52,7 @@ def _kernels(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
         yield f"{precision}, threads {threads}", partial(elsewhere, kernels.measure, plan, precision, threads)
 
 
-def _methods(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+def _methods(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
     """Yield the parts of the benchmark of methods: for each scene of the plan a name and a function that yields its
     rows.
     """
@@ -62,7 +62,7 @@ def _methods(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
         yield f"of {'x'.join(map(str, shape))} {law}", partial(elsewhere, *what)
 
 
-def _scans(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+def _scans(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
     """Yield the parts of the benchmark of scans: for each lattice of the plan a name and a function that yields its
     rows.
     """
@@ -71,7 +71,7 @@ def _scans(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
         yield f"of {'x'.join(map(str, shape))}", partial(scans.measure, shape, samples, min(3, plan.rounds), workers)
 
 
-def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
     """Yield the parts of the benchmark of dynamics: for each lattice of the plan a name and a function that yields its
     rows.
     """
@@ -79,7 +79,7 @@ def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
         yield f"of {'x'.join(map(str, shape))}", partial(elsewhere, dynamics.measure, shape, plan.rounds, plan.steps)
 
 
-def _growth(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
+def _growth(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
     """Yield the parts of the benchmark of growth: for each lattice of the plan, small ones first, and each program a
     name and a function that yields its row.
     """

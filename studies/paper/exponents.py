@@ -22,7 +22,7 @@ from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_fi
 from .claims import Effort
 from .drawing import draw_deviations, draw_growth, name_sizes
 from .fits import exponent, growing_skewness, skewness, skewness_of_least
-from .samples import Found, Table, drawn
+from .samples import StudyResult, Table, drawn
 from .sweeps import crossings
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
@@ -66,7 +66,7 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
     return found
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Find the lightest cuts of random lattices; return table, figure and values for the claims.
 
     Some cuts have held ends (they begin and end in the middle of both sides), for several lengths of the cut; others
@@ -93,7 +93,7 @@ def study(folder: Path, effort: Effort) -> Found:
         "held": held, "free": free, "pinned": held[held.length >= long], "free_length": FREE,
         "law_of_tracy_and_widom": TRACY_WIDOM, "law_of_gumbel": GUMBEL, "weight": weight, "middle": middle,
     }  # fmt: skip
-    return Found({".csv": Table.of(rows)}, draw_exponents, named)
+    return StudyResult({".csv": Table.of(rows)}, draw_exponents, named)
 
 
 def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
 
 from .claims import Effort
-from .samples import Found, Table, joined, relax, solved
+from .samples import StudyResult, Table, joined, relax, solved
 
 SHAPE, CUBE = (10, 10), (10, 10, 10)
 PAPER_OTHERS = 17 / 1000  # share of the paper's samples that did not end at the minimum cut
@@ -54,7 +54,7 @@ BOTTOMS = (0.5, -0.5)  # spin of the bottom over that of the top
 STARTS = ("random", "zero")
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Compute viscous states, minimum cuts with the descents to them, minima by the interior-point method, and
     relaxations; return tables, figure and values for the claims.
 
@@ -91,7 +91,7 @@ def study(folder: Path, effort: Effort) -> Found:
         "paper_others": PAPER_OTHERS, "above": cut.above[shown],
         "viscous": np.abs(viscous.spin[shown]), "coulomb": np.abs(minimum.spin[shown]),
     }  # fmt: skip
-    return Found({".csv": joined(spins, "law"), "-samples.csv": exact}, draw_configurations, named)
+    return StudyResult({".csv": joined(spins, "law"), "-samples.csv": exact}, draw_configurations, named)
 
 
 def contacts_between(scene: Scene, above: np.ndarray) -> np.ndarray:

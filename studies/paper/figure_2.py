@@ -26,7 +26,7 @@ from taichi_bearings.stages import each, stage
 from taichi_bearings.words import counted
 
 from .claims import Effort
-from .samples import SAME, Found, Run, Table, curves, joined, minima_of, relax, relax_rigidly
+from .samples import SAME, Run, StudyResult, Table, curves, joined, minima_of, relax, relax_rigidly
 
 SHAPE, LARGER = (3, 3, 3), (6, 6, 6)
 STARTS = {"random": "random spins", "minimum-cut": "the minimum cut"}
@@ -40,7 +40,7 @@ SEEN = View(20, -60)  # elevation and azimuth from which spheres are seen, degre
 ARROW, LEAST_ARROW = 0.84, 0.02  # length of the arrow of the imposed spin; smaller spins have no arrow
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Follow samples from random spins and from the minimum cut, and find the minima of more samples; return tables,
     figure and values for the claims.
 
@@ -66,7 +66,7 @@ def study(folder: Path, effort: Effort) -> Found:
         for name, both in dynamics.items()
     }
     named["fastest"] = scene.fastest
-    return Found({".csv": joined(courses, "dynamics")}, draw_relaxation, named)
+    return StudyResult({".csv": joined(courses, "dynamics")}, draw_relaxation, named)
 
 
 def names_of(

@@ -25,7 +25,7 @@ from taichi_bearings.scene.scene import of_lattice
 
 from .claims import Effort
 from .network import PRACTICALLY_ALL, sample_of
-from .samples import Found, Table, certified, measured
+from .samples import StudyResult, Table, certified, measured
 
 SHAPE, SPIN_BOTTOM = (10, 10, 10), 0.1
 MOST_SAMPLES = 40
@@ -33,7 +33,7 @@ PLANES = 3  # most planes of Fig. 4
 TOWARDS_READER = (1, -1, 1)  # sign, for planes across x, y and z, of the direction of that axis towards the reader
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Find the minima of samples of the paper's size, for Fig. 3; return the spheres of the path of the one that is
     shown, the figure, and values for the claims.
 
@@ -48,10 +48,10 @@ def study(folder: Path, effort: Effort) -> Found:
         "table": table, "spanning": table[table.spans], "practically": PRACTICALLY_ALL,
         "free": int((~scene.lattice.is_driven).sum()), "contacts": scene.lattice.contacts,
     }  # fmt: skip
-    return Found({".csv": spheres}, lambda _: draw_network(shown), named)
+    return StudyResult({".csv": spheres}, lambda _: draw_network(shown), named)
 
 
-def planes(folder: Path, effort: Effort) -> Found:
+def planes(folder: Path, effort: Effort) -> StudyResult:
     """Find for Fig. 4 the lattice planes that are drawn, and which contacts of the path lie in them; return the figure
     and values for the claims.
 
@@ -63,7 +63,7 @@ def planes(folder: Path, effort: Effort) -> Found:
     chosen = planes_of(path) if len(path) else ()
     held = [(path[:-1, axis] == index) & (path[1:, axis] == index) for axis, index in chosen]
     named = {"spanning": table[table.spans], "planes": chosen, "held": np.any(held, axis=0)}
-    return Found({}, lambda _: draw_plane_cuts(shown), named)
+    return StudyResult({}, lambda _: draw_plane_cuts(shown), named)
 
 
 @lru_cache(maxsize=1)  # of both figures

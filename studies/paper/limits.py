@@ -22,7 +22,7 @@ from .claims import Effort
 from .drawing import draw_means, draw_row, name_sizes
 from .fits import Limit, limit
 from .network import LARGE, sample_of
-from .samples import Found, Table, measured, planned
+from .samples import StudyResult, Table, measured, planned
 
 QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 24, "limits-largest": 32}
 """The scan files by name, and the largest side of their samples that the quick form takes."""
@@ -34,7 +34,7 @@ OF_SPANNING = ("path_over_height", "busiest_link_share")
 COLUMNS = ("value", "error", "systematic", "smallest", "sizes", "goodness", "amplitude", "follows")
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Solve the samples of all scans, extrapolate their shares to infinite size, and return tables, figure and values
     for the claims.
 
@@ -51,7 +51,7 @@ def study(folder: Path, effort: Effort) -> Found:
         for system, of_system in limits.items()
         for quantity, of in of_system.items()
     ]
-    return Found({".csv": table, "-limits.csv": Table.of(rows)}, draw_limits, names_of(of_systems, limits))
+    return StudyResult({".csv": table, "-limits.csv": Table.of(rows)}, draw_limits, names_of(of_systems, limits))
 
 
 def with_ratios(table: Table) -> Table:

@@ -21,7 +21,7 @@ from taichi_bearings.runs.settings import RunSettings
 
 from .claims import Effort
 from .drawing import draw_means, name_sizes
-from .samples import Found, Table, measured, shared_numbers
+from .samples import StudyResult, Table, measured, shared_numbers
 
 SHARE_OF_SAMPLES = {3: 1.0, 4: 1.0, 6: 0.5, 8: 0.25, 10: 0.2, 16: 0.1, 24: 0.025, 32: 0.025}
 """For each side of the cube, the number of samples as a share of those of the effort."""
@@ -39,7 +39,7 @@ VIEWED: dict[str, Callable[[Structure], Any]] = {
 """Numbers of network and domains that are compared between thresholds, and functions that return them."""
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Solve cubes of several sizes, each sample to its certified minimum. Return table, figure and values for the
     claims.
 
@@ -52,7 +52,7 @@ def study(folder: Path, effort: Effort) -> Found:
         for seed in effort.seeds(int(share * effort.samples))
     ]
     table = measured(chosen, numbers_of, folder / "network.jsonl")
-    return Found({".csv": table}, draw_sizes, names_of(table))
+    return StudyResult({".csv": table}, draw_sizes, names_of(table))
 
 
 def names_of(table: Table) -> dict[str, Any]:

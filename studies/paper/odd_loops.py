@@ -43,7 +43,7 @@ from taichi_bearings.solvers.packings import solve_packing
 from .claims import Effort
 from .drawing import draw_means, name_sizes
 from .fits import Collapse, collapse, line_through
-from .samples import Found, Table, drawn
+from .samples import StudyResult, Table, drawn
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 BLOCK = 5  # samples that are drawn together
@@ -185,8 +185,8 @@ Curves = Mapping[int, Mapping[int, np.ndarray]]  # by size L and number n of odd
 
 
 def well_sampled(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
-    """Return the lattice sizes with at least ENOUGH samples for each number of odd contacts, as a dictionary like
-    `curves`, without the entries for no odd contact.
+    """Return those entries of `curves` that can be fitted: of lattice sizes with at least ENOUGH samples for each
+    number of odd contacts, without the entries for no odd contact.
 
     curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares
         (samples,) of discs that roll with the top.
@@ -243,7 +243,7 @@ def crowded(curves: Curves) -> dict[str, Any] | None:
     return {"value": -float(slope), "error": float(error), "goodness": goodness, "points": len(points)}
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Find the minima of bearings for several lattices, sizes, numbers of odd contacts and spins of the bottom; return
     table, figure and values for the claims.
 
@@ -291,7 +291,7 @@ def study(folder: Path, effort: Effort) -> Found:
         "confined": {lattice: confined(rolling[lattice]) for lattice in discs},
         "crowded": {lattice: crowded(rolling[lattice]) for lattice in discs},
     }  # fmt: skip
-    return Found({".csv": Table.of(rows)}, draw_odd_loops, named)
+    return StudyResult({".csv": Table.of(rows)}, draw_odd_loops, named)
 
 
 @in_our_style

@@ -24,7 +24,7 @@ from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
 
 from .claims import Effort
-from .samples import TIMES, Found, Run, curves, joined, relax, solved
+from .samples import TIMES, Run, StudyResult, curves, joined, relax, solved
 
 SHAPE, START = (3, 3, 3), "random"
 RUNS = 8
@@ -68,7 +68,7 @@ def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
     return np.asarray(time[np.where(late.any(axis=0), np.minimum(last + 1, len(late) - 1), 0)])
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Follow the samples under all variants, and find their minima under all normal forces; return tables, figure and
     values for the claims.
 
@@ -95,7 +95,7 @@ def study(folder: Path, effort: Effort) -> Found:
         for name, run in runs.items()
     }  # fmt: skip
     more = {"stretch": scenes[FORCE].coefficient * (FORCE / STIFFNESS), "seed": effort.seed}
-    return Found({".csv": joined(rows, "variant")}, draw_parameters, named | more)
+    return StudyResult({".csv": joined(rows, "variant")}, draw_parameters, named | more)
 
 
 def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """Computes the figures and claims of the paper anew and judges them: `bearings reproduce`.
 
 A study is a module with a function `study(folder, effort)`. It makes its samples, as many as the effort says, and
-returns their tables, the figure and the values that its claims use (:class:`.samples.Found`); finished samples are kept
-in the folder until the study ends. The sentences, limits and rules of its claims stand in claims/FIGURE.toml.
+returns their tables, the figure and the values that its claims use (:class:`.samples.StudyResult`); finished samples
+are kept in the folder until the study ends. The sentences, limits and rules of its claims stand in claims/FIGURE.toml.
 """
 
 import importlib

@@ -151,7 +151,7 @@ def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
 
 
 @dataclass(frozen=True)
-class Found:
+class StudyResult:
     """What a study returns: everything that its figure, its CSV files and the verdicts on its claims are made from.
 
     tables : what is written as CSV, by the end of the file name, such as "-samples.csv".

@@ -29,7 +29,7 @@ from taichi_bearings.solvers import GradientDescent, InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 
 from .claims import Effort
-from .samples import Found, Part, Table, computed, joined, solved
+from .samples import Part, StudyResult, Table, computed, joined, solved
 
 SHAPE, SPIN_BOTTOM = (32, 32, 32), 0.1
 SHARE_OF_SAMPLES = 0.04  # minima that are found, over the samples of the effort
@@ -71,7 +71,7 @@ class Ending:
         return float(high - low)
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Follow descents of the first sample for 10^4, 10^5 and 10^6 iterations, and find the minima of some samples;
     return table, figure and values for the claims.
 
@@ -88,7 +88,7 @@ def study(folder: Path, effort: Effort) -> Found:
     descents, minima = endings[: len(lengths)], endings[len(lengths) :]
     decades = [by_decade(descent, minima[0]) for descent in descents]
     table = joined({f"{of.iterations}": table for of, table in zip(descents, decades, strict=True)}, "iterations")
-    return Found({".csv": table}, draw_decades, names_of(descents, minima))
+    return StudyResult({".csv": table}, draw_decades, names_of(descents, minima))
 
 
 def names_of(descents: Sequence[Ending], minima: Sequence[Ending]) -> dict[str, Any]:

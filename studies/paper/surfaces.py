@@ -25,7 +25,7 @@ from taichi_bearings.scene.scene import of_lattice
 from .claims import Effort
 from .drawing import draw_deviations, draw_growth, draw_means, mean_and_error, name_sizes
 from .fits import exponent
-from .samples import Found, Table, drawn, measured, planned, shared_numbers
+from .samples import StudyResult, Table, drawn, measured, planned, shared_numbers
 
 SIDEWAYS = 0.5**0.5  # weight of a contact along x or y over that of one along z, for a jump along x + y
 ROUGHNESS, ENERGY = 0.41, 0.84  # zeta and theta of surfaces
@@ -90,7 +90,7 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Find cut surfaces for several sizes and lowest frictions, and minima for several sides and heights; return
     tables, figure and values for the claims.
 
@@ -119,7 +119,7 @@ def study(folder: Path, effort: Effort) -> Found:
         "weight": weight,
     }  # fmt: skip
     rows = Table.of([row_of(point, of) for point, of in found.items()])
-    return Found({".csv": rows, "-minima.csv": minima}, draw_surfaces, named)
+    return StudyResult({".csv": rows, "-minima.csv": minima}, draw_surfaces, named)
 
 
 def row_of(point: tuple[int, float], found: Mapping[str, np.ndarray]) -> dict[str, Any]:

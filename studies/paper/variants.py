@@ -27,7 +27,7 @@ from taichi_bearings.scene.scene import of_lattice
 from .claims import Effort, Share
 from .drawing import draw_row
 from .network import BULK, PRACTICALLY_ALL
-from .samples import Found, Table, joined, measured, shared_numbers
+from .samples import StudyResult, Table, joined, measured, shared_numbers
 
 Variants = Mapping[str, Mapping[str, Any]]
 """Settings of a run, by the name of the variant."""
@@ -58,7 +58,7 @@ RATES = {  # C of the top beside A = (1, 1, 0), for the lattice spacing 1
 DRIVINGS: Variants = {REFERENCE: {}, **SAME, **OTHER, HEIGHT: {"direction": (0.0, 0.0, 1.0)}, **RATES}
 
 
-def distributions(folder: Path, effort: Effort) -> Found:
+def distributions(folder: Path, effort: Effort) -> StudyResult:
     """Solve samples for several distributions of the friction, each to its certified minimum. Return table, figure and
     values for the claims.
 
@@ -68,10 +68,10 @@ def distributions(folder: Path, effort: Effort) -> Found:
     variants = {name: {"distribution": name} for name in (*SPREAD, *TIED, EQUAL)}
     seeds = effort.seeds(max(1, int(SHARE_OF_SAMPLES * effort.samples)))
     found = samples_of(variants, seeds, spread_numbers, folder / "distributions.jsonl")
-    return Found({".csv": joined(found, "distribution")}, draw_distributions, names_of_distributions(found))
+    return StudyResult({".csv": joined(found, "distribution")}, draw_distributions, names_of_distributions(found))
 
 
-def drivings(folder: Path, effort: Effort) -> Found:
+def drivings(folder: Path, effort: Effort) -> StudyResult:
     """Solve samples for several drivings (motions that are imposed on bottom and top), each to its certified minimum.
     Return table, figure and values for the claims.
 
@@ -81,7 +81,7 @@ def drivings(folder: Path, effort: Effort) -> Found:
     seeds = effort.seeds(max(1, min(MOST_SAMPLES, effort.samples // 4)))
     tables = samples_of(DRIVINGS, seeds, driven_numbers, folder / "drivings.jsonl")
     found = beside_reference(tables)
-    return Found({".csv": joined(found, "driving")}, draw_drivings, names_of_drivings(found))
+    return StudyResult({".csv": joined(found, "driving")}, draw_drivings, names_of_drivings(found))
 
 
 def samples_of(

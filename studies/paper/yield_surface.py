@@ -34,7 +34,7 @@ from taichi_bearings.solvers.stopping import StopRule
 from .claims import Effort
 from .drawing import draw_means, name_sizes
 from .fits import exponent, limit
-from .samples import Found, Part, Table, computed, solved
+from .samples import Part, StudyResult, Table, computed, solved
 
 SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.25, 24: 0.05}  # by side of the cube, share of the effort's samples
 QUICK_SIDES = (4, 6, 8)
@@ -86,7 +86,7 @@ def power_and_torque(settings: RunSettings) -> dict[str, Any]:
     return {"power": structure.power, "lower_bound": structure.lower_bound, "torque": list(map(float, torque))}
 
 
-def study(folder: Path, effort: Effort) -> Found:
+def study(folder: Path, effort: Effort) -> StudyResult:
     """Find the least power and the torque of samples of several sizes under all directions; return table, figure and
     values for the claims.
 
@@ -107,7 +107,7 @@ def study(folder: Path, effort: Effort) -> Found:
     torques = dict(zip(("torque_x", "torque_y", "torque_c"), found.torque.T, strict=True))
     rows = Table({**columns, "power": found.power, "lower_bound": found.lower_bound, **torques})
     named = names_of(np.array(points), found.power.reshape(len(points), -1), found.torque.reshape(len(points), -1, 3))
-    return Found({".csv": rows}, draw_yield_surface, named)
+    return StudyResult({".csv": rows}, draw_yield_surface, named)
 
 
 def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[str, Any]:

@@ -89,9 +89,9 @@ class Lists:
         return np.concatenate([self.size, one, [self.numbers_row], self.ends, self.start, self.incident])
 
     def parts(self, spec: ListSpec) -> list[tuple[FieldSpec, Rows]]:
-        """Return for each kind of fields its spec and the place of its rows in memory, in the first copy of the
-        network: fields of spheres (C, 1, N spheres), of contacts (C, 1, E contacts), and "numbers", the constants of
-        kernels (C components, 1). C is the number of components.
+        """Return three pairs: names and numbers of components of some fields, and where their rows lie in memory, in
+        the first copy of the network. The fields are those of the N spheres, each an array (C components, 1, N); those
+        of the E contacts, (C, 1, E); and "numbers", (C, 1), the constants that kernels read.
 
         spec : fields of spheres, and fields of contacts: names and numbers of components.
         """

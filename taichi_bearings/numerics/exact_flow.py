@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.numerics.minimum_cut import largest_flow, led_to
+from taichi_bearings.numerics.minimum_cut import largest_flow, reachable_from
 
 ROUND_BITS = 57  # most bits of the flows of one round, all parts together
 SHORT = 2**59  # if the totals of capacities are below this, all sums fit into 64 bits
@@ -112,7 +112,7 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
         # the next bound: capacity of the cut behind the nodes that the source still reaches
         over = np.stack([units[0] - sent, units[1] + sent]) > 0
         row, column = np.concatenate([pairs, pairs[::-1]], axis=1)[:, over.ravel()]
-        above = led_to(nodes, row, column, np.flatnonzero(units[2] > into))
+        above = reachable_from(nodes, row, column, np.flatnonzero(units[2] > into))
         low, high = above[pairs]
         crossing = np.where(low & ~high, left.there, np.where(high & ~low, left.back, 0)).astype(kind)
         cut = _summed(crossing, of_pair, count, kind)

@@ -308,10 +308,10 @@ def within_reach(ends: np.ndarray, left_over: np.ndarray, start: int, least: int
     left_over : (2, edges) capacity from the first node to the second, and back.
     """
     row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left_over.ravel() > least]
-    return led_to(int(ends.max()) + 1, row, column, np.array([start]))
+    return reachable_from(int(ends.max()) + 1, row, column, np.array([start]))
 
 
-def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) -> np.ndarray:
+def reachable_from(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Return a mask (nodes,), True for nodes that can be reached along arcs from any of the nodes `starts`.
 
     nodes : number of nodes.

@@ -360,7 +360,7 @@ def _of_layout_1(
 
 # columns of the history that a dynamics with an energy balance has
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
-_Found = tuple[Bearing, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple[int, ...]]
+_Contents = tuple[Bearing, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple[int, ...]]
 """What a file holds: the scene or packing; the data sets; a function that returns a data set of the contacts by name,
 (R, E, *parts); the shape of arrays over the spheres; and that of a vector, (3,) or () in 2D."""
 
@@ -368,7 +368,7 @@ _Found = tuple[Bearing, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple
 OWN_COEFFICIENTS = ("run.h5", "coefficients.npz")  # files that runs write: no names of where coefficients come from
 
 
-def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
+def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Contents:
     """Return the scene on a lattice that a file holds, and four things with which its data sets are read:
 
     * the reader of data sets;
@@ -393,7 +393,7 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
     return scene.drawn_from(drawn), arrays, partial(arrays.of_contacts, lattice), shape, () if len(shape) == 2 else (3,)
 
 
-def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], settings: RunSettings) -> _Found:
+def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], settings: RunSettings) -> _Contents:
     """Return the packing that a file holds, and four things with which its data sets are read:
 
     * the reader of data sets;

@@ -117,7 +117,9 @@ def _source_of_scan(scan: StoredScan) -> Source:
         return table[name]
 
     def disorder() -> list[Any]:
-        """Return names of the disorder of each sample with a result."""
+        """Return for each sample with a result a name of its disorder, equal for samples with the same coefficients in
+        one system.
+        """
         document = parse_toml(str(scan.attributes["scan"]))  # keys that all samples share
         alike = RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
         return disorder_of({name: values[own] for name, values in table.items()}, alike)

@@ -26,7 +26,7 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.numerics.double_double import Pair, subtract, two_product
 from taichi_bearings.numerics.exact_flow import exact_flow
 from taichi_bearings.numerics.graphs import odd_pieces, pieces
-from taichi_bearings.numerics.minimum_cut import led_to
+from taichi_bearings.numerics.minimum_cut import reachable_from
 from taichi_bearings.scene.packing import Packing
 
 MANTISSA_BITS = 53
@@ -253,7 +253,7 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
         # with the smallest upper side, or for `largest` with the smallest lower side
         middle, upper, backwards = rounds[count][2:]
         if largest.any():
-            upper = np.where(largest, ~led_to(len(least), *backwards), upper)
+            upper = np.where(largest, ~reachable_from(len(least), *backwards), upper)
         least = np.where(open_ & upper, middle, least)
         most = np.where(open_ & ~upper, middle - 1, most)
         count += 1
@@ -287,7 +287,7 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
     inner, into, out = exact_flow(ends, weight, source, sink)
     left = np.concatenate([weight - inner, weight + inner]) > 0
     row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left]
-    upper = led_to(len(least), row, column, np.flatnonzero(source > into))
+    upper = reachable_from(len(least), row, column, np.flatnonzero(source > into))
     return least, most, middle, upper, (column, row, np.flatnonzero(sink > out))
 
 
