@@ -70,11 +70,11 @@ def command(packing: Path | None, as_json: bool) -> None:
         report = {"packing": str(packing), "dimension": one.dimension, **found, "bearing_state": bearing}
     labels = {key: LABELS.get(key, key.replace("_", " ")) for key in report}
     widest = max(map(len, labels.values()))
-    lines = [f"{labels[key]:{widest}}  {_word(value)}" for key, value in report.items()]
+    lines = [f"{labels[key]:{widest}}  {_value_in_words(value)}" for key, value in report.items()]
     answer(report, as_json, lambda: "\n".join(lines))
 
 
-def _word(value: Any) -> str:
+def _value_in_words(value: Any) -> str:
     """Return a value of the report as a text: yes or no, lists separated by commas, "-" for None, a dictionary of
     device names as "DEVICE: NAME, NAME; ...".
     """

@@ -103,7 +103,7 @@ def real(value: Any) -> float:
     return number
 
 
-def _signed(value: object) -> float:
+def _moderate_number(value: object) -> float:
     """Return a value as a float that is 0 or of a size between LEAST_NUMBER and MOST_NUMBER; else ValueError."""
     number = real(value)
     if number and not LEAST_NUMBER <= abs(number) <= MOST_NUMBER:
@@ -202,7 +202,7 @@ class OneOf(Kind):
 LEAST_NUMBER, MOST_NUMBER = 1e-15, 1e15  # squares and products of such numbers stay far from overflow, in f32 too
 TEXT = Kind(_text, "a text in UTF-8", "TEXT")
 FILE = Kind(_text, "the name of a file, in UTF-8", "FILE")
-REAL = Kind(_signed, "0 or a number of size 1e-15 to 1e15", "NUMBER")
+REAL = Kind(_moderate_number, "0 or a number of size 1e-15 to 1e15", "NUMBER")
 POSITIVE = Kind(bounded(real, LEAST_NUMBER, MOST_NUMBER), "a positive number from 1e-15 to 1e15", "NUMBER")
 NOT_NEGATIVE = Kind(bounded(real, 0, MOST_NUMBER), "0 or a positive number up to 1e15", "NUMBER")
 COUNT = whole(1, 2**31)

@@ -75,11 +75,11 @@ class TerminalLine:
                 handle.update({"text/plain": self.line()}, raw=True)
             handle.update({"text/plain": ""}, raw=True)
         else:
-            with _live(self.line):
+            with _line_on_terminal(self.line):
                 self._over.wait()
 
 
-def _live(line: Callable[[], str]) -> Any:
+def _line_on_terminal(line: Callable[[], str]) -> Any:
     """Return a context that shows the line on a terminal.
 
     line : function that returns the text, called at each writing.

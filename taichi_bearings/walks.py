@@ -307,7 +307,7 @@ class _Record:
                 if at is None:
                     at = given_kinds.get(type(value))
                 places.append(self._place(value) if at is None else at)
-            self._note(name, places, tuple(named), result)
+            self._add_step(name, places, tuple(named), result)
         return self._needed()
 
     def _needed(self) -> Walk:
@@ -331,7 +331,7 @@ class _Record:
         calls = [(names[name], tuple([moved[at] for at in places]), named) for name, places, named in found]
         return list(names), list(self._constants), calls
 
-    def _note(self, name: str, places: list[int], named: tuple[str, ...], result: Any) -> None:
+    def _add_step(self, name: str, places: list[int], named: tuple[str, ...], result: Any) -> None:
         """Add one step to the walk, the list of calls of Taichi's core that build a kernel, and note under which
         numbers later steps find its result. Objects are recognised by their id; if the result is a list or tuple,
         taking each item is a step of its own.
@@ -369,7 +369,7 @@ class _Record:
         if id(value) in self._places:
             return self._places[id(value)]
         if kind in (list, tuple):
-            self._note(LIST, [self._place(item) for item in value], (), value)
+            self._add_step(LIST, [self._place(item) for item in value], (), value)
             return self._places[id(value)]
         if hasattr(kind, "__members__") and getattr(self._core, kind.__name__, None) is kind:
             return self._constant((MEMBER, kind.__name__, value.name))
@@ -379,8 +379,8 @@ class _Record:
         """Return the place (a negative number, by which the recorded calls refer to it) of a constant of the walk; a
         constant gets a new place when it is first seen.
 
-        described : its sort (PLAINLY, KIND or MEMBER) and what `_made` makes it of. Its text is part of the key, so
-            that equal numbers of different types, and the two zeros, are different constants.
+        described : its sort (PLAINLY, KIND or MEMBER) and what `_constant_from` makes it of. Its text is part of the
+            key, so that equal numbers of different types, and the two zeros, are different constants.
         """
         first = -1 - len(self._given)
         return first - self._constants.setdefault((*described, repr(described)), len(self._constants))
@@ -416,7 +416,7 @@ def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
     """
     names, constants, calls = walk
     values = [core.DebugInfo(), config, kernel, kernel.ast_builder()]
-    values += [_made(core, *described[:-1]) for described in constants]
+    values += [_constant_from(core, *described[:-1]) for described in constants]
     tools: list[Any] = [{LIST: _listed, ITEM: getitem}.get(name) or attrgetter(name)(core) for name in names]
     for tool, places, named in calls:
         given = [values[at] for at in places]
@@ -432,7 +432,7 @@ def _listed(*values: Any) -> list[Any]:
     return list(values)
 
 
-def _made(core: Any, sort: int, value: Any, more: Any = None) -> Any:
+def _constant_from(core: Any, sort: int, value: Any, more: Any = None) -> Any:
     """Return a constant of a walk (a value that recorded calls of the core take), from how it is stored.
 
     sort : `PLAINLY`, `KIND` or `MEMBER`.

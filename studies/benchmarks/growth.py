@@ -55,10 +55,10 @@ def measure(side: int, program: str, seed: int, threads: int) -> Measurements:
         if prod(shape) > MOST_OF_PEERS:
             yield f"{program}: lattices of more than {MOST_OF_PEERS} spheres are left out"
             return
-        once = _by_clarabel(scene, threads)
+        once = _solver_by_clarabel(scene, threads)
     else:
         refuse_too_large(InteriorPoint, scene)
-        once = partial(_by_us, scene, threads)
+        once = partial(_solved_by_us, scene, threads)
     answers = list[Row]()
     before, call = bytes_by_linux(OF_PROCESS, "VmRSS"), lambda _: answers.append(once())
     found = [clocked(call)]
@@ -71,7 +71,7 @@ def measure(side: int, program: str, seed: int, threads: int) -> Measurements:
     }  # fmt: skip
 
 
-def _by_us(scene: Scene, threads: int) -> Row:
+def _solved_by_us(scene: Scene, threads: int) -> Row:
     """Solve a scene by this program, and return the relative gap that is proven (`proven_gap`) and the share of
     contacts whose state is proven (`proven`).
 
@@ -82,7 +82,7 @@ def _by_us(scene: Scene, threads: int) -> Row:
     return {"proven_gap": float(result.gap), "proven": 1 - float(result.unproven) / scene.lattice.contacts}
 
 
-def _by_clarabel(scene: Scene, threads: int) -> Callable[[], Row]:
+def _solver_by_clarabel(scene: Scene, threads: int) -> Callable[[], Row]:
     """Return a function that solves a scene by Clarabel and returns the relative gap that is proven of the answer. Of
     Clarabel's linear solvers it uses faer, the quickest for many unknowns, if that is installed. Raises InputError if
     Clarabel is not installed.

@@ -274,7 +274,7 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
         """
         means = {L: np.array([drawn(v).mean() for v in curves[L].values()]) for L in sizes}
         courses = {L: CubicSpline(np.log(list(curves[L])), means[L]) for L in sizes}
-        misfits = [_apart(courses, means, errors, a) for a in trials]
+        misfits = [_mean_square_distance(courses, means, errors, a) for a in trials]
         return float(trials[np.argmin(misfits)]), min(misfits)
 
     def fitted(sizes: Sequence[int]) -> tuple[float, float, float]:
@@ -295,7 +295,7 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
     return Collapse(value, error, beyond, sizes[chosen], fits, misfit)
 
 
-def _apart(
+def _mean_square_distance(
     courses: Mapping[int, CubicSpline], means: Mapping[int, np.ndarray], errors: Mapping[int, np.ndarray], a: float
 ) -> float:
     """Return the mean square distance of each point of a curve from every other curve, in units of the errors;

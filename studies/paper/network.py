@@ -161,7 +161,7 @@ def draw_sizes(named: Any) -> Figure:
     ):
         draw_means(panel, of.by(name), color=colour, ms=4, lw=1, capsize=2, label=label)
     sides = list(table.by("side"))
-    _spanning(axes[0, 2], sides, list(table.by("spans_seen").values()))
+    _draw_spanning(axes[0, 2], sides, list(table.by("spans_seen").values()))
     for panel in (*axes[0], *axes[1, :2]):
         name_sizes(panel, sides, "side of the cube, $L$")
         panel.legend()
@@ -171,11 +171,11 @@ def draw_sizes(named: Any) -> Figure:
     axes[1, 0].legend(loc="upper left")
     axes[0, 2].legend(loc="upper left")
     axes[1, 1].set(ylim=(0, None), ylabel="spheres")
-    _by_threshold(axes[1, 2], table[table.side == sides[-1]])
+    _draw_by_threshold(axes[1, 2], table[table.side == sides[-1]])
     return figure
 
 
-def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> None:
+def _draw_spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> None:
     """Draw against the size the share of samples whose slipless contacts join bottom and top: by the proven contact
     states, and if contacts slower than some threshold are taken for slipless.
 
@@ -192,7 +192,7 @@ def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> N
     axes.set(ylabel="samples that span", ylim=(-0.03, 1.04))
 
 
-def _by_threshold(axes: Any, largest: Any) -> None:
+def _draw_by_threshold(axes: Any, largest: Any) -> None:
     """Draw numbers of the slipless network and of rigid domains, means over samples, against the slip threshold below
     which contacts are taken for slipless.
 

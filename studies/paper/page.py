@@ -63,7 +63,7 @@ def typeset(text: str) -> str:
     return re.sub(r"\^(-?\d+)", lambda found: found[1].translate(SUPERSCRIPTS), text)
 
 
-def _words(text: str) -> str:
+def _html_text(text: str) -> str:
     """Return a text with proper symbols, escaped for HTML."""
     return escape(typeset(text))
 
@@ -88,7 +88,7 @@ def _row(cells: Iterable[str], kind: str = "td") -> str:
 
 def _facts(facts: Mapping[str, Any]) -> str:
     """Return the HTML of a list of facts, values by name; empty values are left out."""
-    rows = (f"<dt>{escape(key)}</dt><dd>{_words(str(text))}</dd>" for key, text in facts.items() if text != "")
+    rows = (f"<dt>{escape(key)}</dt><dd>{_html_text(str(text))}</dd>" for key, text in facts.items() if text != "")
     return f'<dl class="facts">{"".join(rows)}</dl>'
 
 
@@ -107,12 +107,12 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
     yield "<h2>All claims</h2><table><thead>"
     yield _row(("claim", "paper", "here", "samples", "rests on", "verdict"), "th") + "</thead><tbody>"
     for name, figure in report["figures"].items():
-        head = f'<a href="#{name}">{name}: {_words(figure["title"])}</a>'
+        head = f'<a href="#{name}">{name}: {_html_text(figure["title"])}</a>'
         yield f'<tr class="figure"><th colspan="6">{head}</th></tr>'
         for number, claim in enumerate(figure["claims"], start=1):
-            words = [_words(claim[key]) for key in ("claim", "paper", "ours")]
+            words = [_html_text(claim[key]) for key in ("claim", "paper", "ours")]
             words[0] = f'<a href="#{name}-{number}">{words[0]}</a>'
-            yield _row((*words, f"{claim['samples']:,}", _words(claim["kind"]), _verdict(claim)))
+            yield _row((*words, f"{claim['samples']:,}", _html_text(claim["kind"]), _verdict(claim)))
     yield "</tbody></table>"
 
 
@@ -123,11 +123,11 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
     figure : entry of the figure in the report.
     picture : bytes of its PNG, or None if there is none.
     """
-    yield f'<section class="figure" id="{name}"><h2>{name}: {_words(figure["title"])}</h2>'
+    yield f'<section class="figure" id="{name}"><h2>{name}: {_html_text(figure["title"])}</h2>'
     if picture is not None:
         data = base64.b64encode(picture).decode("ascii")
-        yield f'<img alt="{_words(figure["title"])}" src="data:image/png;base64,{data}">'
-        yield f'<p class="note">Shown: {_words(figure["shown"])}</p>'
+        yield f'<img alt="{_html_text(figure["title"])}" src="data:image/png;base64,{data}">'
+        yield f'<p class="note">Shown: {_html_text(figure["shown"])}</p>'
     for number, claim in enumerate(figure["claims"], start=1):
         facts = {
             "paper": claim["paper"],
@@ -138,8 +138,8 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
             "chosen after the data": claim["chosen_after_the_data"],
         }
         style = escape(claim["verdict"]).replace(" ", "-")
-        yield f'<article class="{style}" id="{name}-{number}"><h3>{_words(claim["claim"])}</h3>'
-        yield f'{_verdict(claim)}{_facts(facts)}<p class="finding">{_words(claim["finding"])}</p></article>'
+        yield f'<article class="{style}" id="{name}-{number}"><h3>{_html_text(claim["claim"])}</h3>'
+        yield f'{_verdict(claim)}{_facts(facts)}<p class="finding">{_html_text(claim["finding"])}</p></article>'
     yield "</section>"
 
 

@@ -190,12 +190,12 @@ def draw_yield_surface(named: Any) -> Figure:
         ):
             normal, reached = directions[here][:, pair], power[here]
             corners = [np.linalg.solve(normal[k : k + 2], reached[k : k + 2]) for k in range(len(here) - 1)]
-            _closed(panel, np.array(corners), "-", color=color, lw=0.4)
-            _closed(panel, torque[here][:, pair], "o-", color=color, ms=2, lw=0.9, label=f"L = {side}")
+            _draw_closed(panel, np.array(corners), "-", color=color, lw=0.4)
+            _draw_closed(panel, torque[here][:, pair], "o-", color=color, ms=2, lw=0.9, label=f"L = {side}")
     x = power[0]
     angle = np.linspace(0, 2 * np.pi, 200)
     axes[0, 0].plot(x * np.cos(angle), x * np.sin(angle), ":", color=GREY, lw=0.8)
-    _closed(axes[0, 0], np.array([[x, 0], [x, x], [0, x]]), "--", color=GREY, lw=0.8)
+    _draw_closed(axes[0, 0], np.array([[x, 0], [x, x], [0, x]]), "--", color=GREY, lw=0.8)
     for panel, name in zip(axes[0], "yc", strict=True):
         panel.set(xlabel="$T_x / (F_n R L^2)$", ylabel=f"$T_{name} / (F_n R L^2)$", aspect="equal")
     axes[0, 0].set_title("(a) rotation about x and y")
@@ -225,7 +225,7 @@ def draw_yield_surface(named: Any) -> Figure:
     return figure
 
 
-def _closed(panel: Any, points: np.ndarray, *look: Any, **more: Any) -> None:
+def _draw_closed(panel: Any, points: np.ndarray, *look: Any, **more: Any) -> None:
     """Draw a closed curve: a quarter, which leads from one axis to the other, and its mirror images in both axes. A
     mean bearing has these symmetries.
 

@@ -263,7 +263,7 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
     return change
 
 
-def _scene(changes: Callable[[Scene, Any], dict[str, Any]]) -> Change:
+def _on_scene(changes: Callable[[Scene, Any], dict[str, Any]]) -> Change:
     """Return a function that changes parameters of the scene of a case.
 
     changes : function that returns the new parameters by name, from the scene and the value of the axis.
@@ -350,7 +350,7 @@ def _sides(case: Case, value: str, row: Row) -> Case:
     return replace(case, scene=scene, is_layered=True, settings={"start": "random"})
 
 
-def _option(key: str) -> Change:
+def _change_of_option(key: str) -> Change:
     """Return a function that changes a case (a sample and how it is solved): it sets an option of the method.
 
     key : name of the option.
@@ -416,23 +416,23 @@ AXES = {
         Axis("radius-scale", "scale of R", SCALES, partial(_LENGTH, name="radius")),
         Axis("spin-scale", "scale of omega_T", SCALES, partial(_RATE, name="spin_top")),
         Axis("viscosity", "scale of the viscosity", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12),
-             _scene(lambda scene, value: {"viscosity": tuple(value * of_axis for of_axis in scene.viscosity)}),
+             _on_scene(lambda scene, value: {"viscosity": tuple(value * of_axis for of_axis in scene.viscosity)}),
              lambda row: row.law == "coulomb-viscous"),
         Axis("driving", "1 - omega_B / omega_T", ("2", "1e-1", "1e-4", "1e-8", "1e-12", "1e-15", "an ulp", "equal"),
-             _scene(_nearly_equal)),
+             _on_scene(_nearly_equal)),
         Axis("direction", "y over x of the direction", (1.0, 1e-3, 1e-6, 1e-9, 1e-12, 1e-15, 0.0),
-             _scene(lambda _, value: {"direction": (1.0, value, 0.0)}), _has_spheres),
+             _on_scene(lambda _, value: {"direction": (1.0, value, 0.0)}), _has_spheres),
         Axis("rate", "C of the top", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12),
-             _scene(lambda _, value: {"top": (1.0, 1.0, 0.0, value), "bottom": (0.0,) * 4}), _has_spheres),
-        Axis("common-state", "state added to both planes", (0.0, 1.0, 1e3, 1e6, 1e9, 1e12), _scene(_common_state),
+             _on_scene(lambda _, value: {"top": (1.0, 1.0, 0.0, value), "bottom": (0.0,) * 4}), _has_spheres),
+        Axis("common-state", "state added to both planes", (0.0, 1.0, 1e3, 1e6, 1e9, 1e12), _on_scene(_common_state),
              _has_spheres),
-        Axis("pivot", "part of A that cancels nothing", (0.1, 1e-4, 1e-8, 1e-12, 2.0**-52, 0.0), _scene(_pivot),
+        Axis("pivot", "part of A that cancels nothing", (0.1, 1e-4, 1e-8, 1e-12, 2.0**-52, 0.0), _on_scene(_pivot),
              _has_spheres),
         Axis("rings", "periodic sides", tuple(RINGS), _rings),
         Axis("sides", "spheres", tuple(SIDES), _sides, patience=5.0),
-        Axis("stiffness", "K_t", tuple(10.0**k for k in range(1, 10)), _option("stiffness"),
+        Axis("stiffness", "K_t", tuple(10.0**k for k in range(1, 10)), _change_of_option("stiffness"),
              lambda row: _has_friction(row) and _has_options("stiffness")(row)),
-        Axis("damping", "A_t", (0.0, *(10.0**k for k in range(-1, 8))), _option("damping"),
+        Axis("damping", "A_t", (0.0, *(10.0**k for k in range(-1, 8))), _change_of_option("damping"),
              lambda row: _has_friction(row) and _has_options("damping")(row)),
         Axis("time-step", "time step over the stability bound", (1e-2, 0.5, 0.9, 0.99, 1.0, 1.01, 1.1, 2.0, 10.0, 1e3),
              lambda case, value, row: replace(case, options={"time_step": value * _stable_step(case)}),

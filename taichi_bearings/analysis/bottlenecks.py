@@ -184,7 +184,7 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
     sites, edges = len(network.body), network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
     passed = network.free.ravel()
-    found = [_between(neighbours, passed, edges, *ends) for ends in _ends_of_pairs(network)]
+    found = [_loads_between(neighbours, passed, edges, *ends) for ends in _ends_of_pairs(network)]
     pairs, far = sum(one.pairs for one in found), sum(one.pairs * one.mean_distance for one in found)
     link, sphere = (np.sum([np.zeros(n), *v], axis=0) for n, v in (
         (edges, [one.link for one in found]), (sites, [one.sphere for one in found])
@@ -192,7 +192,7 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
     return Betweenness(link, sphere, pairs, far / max(1, pairs), all(one.is_exact for one in found))
 
 
-def _between(
+def _loads_between(
     neighbours: "_Neighbours", passed: np.ndarray, edges: int, starts: np.ndarray, targets: np.ndarray, pairs: int
 ) -> Betweenness:
     """Return the loads of links and spheres, which say how many shortest paths between two driven bodies run through
@@ -241,7 +241,7 @@ def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.nd
     touched = [network.touched_of(body).tolist() for body in network.driven_nodes]
     for number, own in enumerate(touched[:-1]):
         others = [sphere for of in touched[number + 1 :] for sphere in of]
-        spanning = _all_of(touching[sphere] for sphere in own) & _all_of(touching[sphere] for sphere in others)
+        spanning = _union(touching[sphere] for sphere in own) & _union(touching[sphere] for sphere in others)
         low, high = ({sphere: touching[sphere] & spanning for sphere in side} for side in (own, others))
         counts = Counter(low.values()), Counter(high.values())
         pairs = sum(n * m for one, n in counts[0].items() for other, m in counts[1].items() if one & other)
@@ -249,7 +249,7 @@ def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.nd
         yield (bottom, top, pairs) if len(bottom) <= len(top) else (top, bottom, pairs)
 
 
-def _all_of(sets: Iterable[frozenset[int]]) -> frozenset[int]:
+def _union(sets: Iterable[frozenset[int]]) -> frozenset[int]:
     """Return the union of the sets."""
     return frozenset[int]().union(*sets)
 

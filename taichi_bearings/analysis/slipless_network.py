@@ -213,9 +213,9 @@ class SliplessNetwork:
         while nodes[-1] != start:
             nodes.append(before[nodes[-1]])
         inner = [int(np.flatnonzero(self.body == node)[0]) for node in nodes[-2:0:-1]]
-        return np.array([self._beside(inner[0], start), *inner, self._beside(inner[-1], stop)])
+        return np.array([self._driven_neighbour(inner[0], start), *inner, self._driven_neighbour(inner[-1], stop)])
 
-    def _beside(self, sphere: int, body: int) -> int:
+    def _driven_neighbour(self, sphere: int, body: int) -> int:
         """Return the number of a sphere of a driven body that a slipless contact joins to a free sphere; there must be
         one.
 

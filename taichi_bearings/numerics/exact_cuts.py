@@ -70,7 +70,7 @@ def whole_numbers(values: np.ndarray) -> np.ndarray:
     return found
 
 
-def _whole(weight: np.ndarray) -> np.ndarray:
+def _as_whole_numbers(weight: np.ndarray) -> np.ndarray:
     """Return the weights of edges as whole numbers of Python (dtype object) with the same ratios, exactly.
 
     weight : (edges,) floats; or such whole numbers, which are returned as they are.
@@ -92,7 +92,7 @@ def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: fl
     always = taken & (np.minimum(*ends) == 0) & (np.maximum(*ends) == last)
     taken &= ~always
     # an edge without capacity from the first to the last node, so that both are there
-    pairs, size = np.append(ends[:, taken], [[0], [last]], axis=1), np.append(_whole(weight[taken]), [0])
+    pairs, size = np.append(ends[:, taken], [[0], [last]], axis=1), np.append(_as_whole_numbers(weight[taken]), [0])
     # a largest flow; the edges at either end alone bound what it can carry
     at_most = min(int(size[(pairs == end).any(axis=0)].sum()) for end in (0, last))
     source, sink = np.zeros((2, nodes), dtype=object)

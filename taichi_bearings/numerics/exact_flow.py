@@ -64,12 +64,12 @@ def exact_flow(
     short = max([0, int(source.sum()), int(sink.sum()), *total]) < SHORT
     kind = np.int64 if short else object
     left = _Residual(*(values.astype(kind) for values in (total, total, source, sink)))
-    _take_largest_flow(left, pairs, _parts(nodes, pairs[:, total > 0]))
+    _take_largest_flow(left, pairs, _connected_parts(nodes, pairs[:, total > 0]))
     flow = _flow_by_edge(total - left.there, capacity, own, ends[0] > ends[1])
     return flow.astype(kind), source - left.fed, sink - left.drained
 
 
-def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
+def _connected_parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
     """Return the number (nodes,) of the connected part of a graph that each node belongs to.
 
     nodes : number of nodes.
@@ -93,7 +93,7 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
     count, nodes = int(part.max(initial=-1)) + 1, len(part)
     kind = left.there.dtype
     # no more can flow in a part than its nodes are fed, or drain
-    bound = np.minimum(*(_summed(values, part, count, kind) for values in (left.fed, left.drained)))
+    bound = np.minimum(*(_sums_by_owner(values, part, count, kind) for values in (left.fed, left.drained)))
     of_pair = part[pairs[0]]
     while (open_ := bound > 0).any():
         # leading bits of all capacities, in a unit 2^shift of each part
@@ -115,13 +115,13 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
         above = reachable_from(nodes, row, column, np.flatnonzero(units[2] > into))
         low, high = above[pairs]
         crossing = np.where(low & ~high, left.there, np.where(high & ~low, left.back, 0)).astype(kind)
-        cut = _summed(crossing, of_pair, count, kind)
-        cut = cut + _summed(np.where(above, left.drained, left.fed).astype(kind), part, count, kind)
-        sums = _summed(into.astype(kind) << shift[part], part, count, kind)
+        cut = _sums_by_owner(crossing, of_pair, count, kind)
+        cut = cut + _sums_by_owner(np.where(above, left.drained, left.fed).astype(kind), part, count, kind)
+        sums = _sums_by_owner(into.astype(kind) << shift[part], part, count, kind)
         bound = np.where(open_, np.minimum(bound - sums, cut), 0).astype(kind)
 
 
-def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -> np.ndarray:
+def _sums_by_owner(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -> np.ndarray:
     """Return for each of `count` groups the sum (count,) of its values.
 
     values : (numbers,), what is summed.

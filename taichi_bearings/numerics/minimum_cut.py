@@ -121,7 +121,7 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
         sample = tuple(values[[replica]] for values in weight)
         others = []
         for axis, values in enumerate(sample):
-            for contact in np.argwhere(_parted(cut.above[replica], axis, lattice) & (values[0] > 0)):
+            for contact in np.argwhere(_joins_both_sides(cut.above[replica], axis, lattice) & (values[0] > 0)):
                 spared = tuple(part[0].copy() for part in sample)
                 spared[axis][tuple(contact)] = np.inf
                 others.append(cut_lattice(spared).above)
@@ -136,7 +136,9 @@ def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarr
     weight : one array (R, *contacts) for each axis.
     """
     replicas, lattice = range(len(above)), Lattice.of(weight)
-    parts = ([values[r][_parted(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight))
+    parts = (
+        [values[r][_joins_both_sides(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight)
+    )
     found: np.ndarray = np.sum(list(parts), axis=0)
     return found
 
@@ -248,7 +250,7 @@ def graph_cut(
     return GraphCut(above, joined & ~(from_bottom | from_top), flow, float(unit), units)
 
 
-def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
+def _joins_both_sides(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
     """Return a mask of the shape of the contacts along an axis, True where their two spheres lie on different sides.
 
     above : (*N) mask of the spheres on one of the sides.
@@ -370,7 +372,7 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
     if (
         pairs.shape[1] < ends.shape[1] and capacity.ndim == 1
     ):  # rings of two spheres have two contacts between the same pair
-        return _shared_out(ends, capacity, pairs, own.ravel(), at_most)
+        return _flow_of_parallel_edges(ends, capacity, pairs, own.ravel(), at_most)
     row, column = np.concatenate([ends, ends[::-1]], axis=1).astype(np.int32)  # the only indices SciPy 1.11 takes
     left_over = np.broadcast_to(capacity, ends.shape).ravel()  # of both directions
     at_start = left_over[: ends.shape[1]].copy()
@@ -387,7 +389,9 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
         at_most = min(at_most - (int(result.flow_value) << shift), cut)
 
 
-def _shared_out(ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: np.ndarray, at_most: int) -> np.ndarray:
+def _flow_of_parallel_edges(
+    ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: np.ndarray, at_most: int
+) -> np.ndarray:
     """Return a largest flow (edges,) by SciPy where several edges join the same two nodes: the flow of each pair of
     nodes is found first; then each edge of the pair takes what it can.
 

@@ -79,8 +79,8 @@ class Sheet:
         inside = center[:, across] == index if plane else np.ones(lattice.sites, dtype=bool)
         contact = np.flatnonzero((lattice.axis != across) & inside[lattice.ends[0]])
         kept = [axis for axis in range(lattice.dimension) if axis != across]
-        place, depth = _seen(center[inside][:, kept], view)
-        half = _seen(np.eye(lattice.dimension)[lattice.axis[contact]][:, kept] / 2, view)[0]
+        place, depth = _on_paper(center[inside][:, kept], view)
+        half = _on_paper(np.eye(lattice.dimension)[lattice.axis[contact]][:, kept] / 2, view)[0]
         grid = tuple(lattice.shape[axis] for axis in kept)
         return cls(
             np.flatnonzero(inside), place, np.full(len(place), 0.47), np.zeros(len(place)), depth,
@@ -97,7 +97,7 @@ class Sheet:
         view : from where it is seen.
         """
         radius, ends = network.radius, network.contact
-        (place, depth), (normal, _) = _seen(network.center, view), _seen(network.normal, view)
+        (place, depth), (normal, _) = _on_paper(network.center, view), _on_paper(network.normal, view)
         way = radius[ends][..., None] * np.stack([normal, -normal])
         rim = np.where(network.free, 0.1 if network.dimension == 2 else 0.3, 0.8)
         margin = 0.05 * float(np.median(radius))  # rims are drawn half outside
@@ -196,7 +196,7 @@ class Sheet:
         axes.add_collection(LineCollection(list(lines), rasterized=len(lines) > MOST_LINES, **look))
 
 
-def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
+def _on_paper(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
     """Return places (..., 2) on paper, and depths (...) towards the reader, of points.
 
     points : (..., 2), which stay as they are with depth 0, or (..., 3).

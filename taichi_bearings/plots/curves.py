@@ -179,7 +179,7 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
         axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
     whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
     threshold = f"; slip threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
-    outside = f"({_outside(histogram)}{threshold})"
+    outside = f"({_unbinned_in_words(histogram)}{threshold})"
     style.put_title(figure, f"{histogram.slipping:,} slipping contacts{whose}{outside}", page)
     return figure
 
@@ -202,7 +202,7 @@ def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Pag
     for (value, found), colour in zip(histograms.items(), style.shades(len(histograms)), strict=True):
         empty, centre, error = found.count == 0, _centre(found), found.density_error
         density = np.where(empty, np.nan, found.density)  # no line leads over empty bins
-        label = f"{as_text(value)}: {found.slipping:,} slipping, {_outside(found)}; {found.census}"
+        label = f"{as_text(value)}: {found.slipping:,} slipping, {_unbinned_in_words(found)}; {found.census}"
         axes.plot(centre, density, "o-", ms=2.5, lw=1.2, color=colour, label=label)
         low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale
         axes.fill_between(centre, low, density + error, color=colour, alpha=0.2, linewidth=0)
@@ -223,7 +223,7 @@ def _label(histogram: PowerHistogram) -> str:
     return "power of a contact, " + over(POWER_SYMBOL, MATHEMATICS[histogram.units], "")
 
 
-def _outside(histogram: PowerHistogram) -> str:
+def _unbinned_in_words(histogram: PowerHistogram) -> str:
     """Return in words how many contacts are in no bin of a histogram: those that are slipless, tied (slip at some
     minima only) or undecided.
     """

@@ -227,7 +227,7 @@ def save(figure: Figure, path: Path) -> None:
 SPEED_OF = {True: r"\omega_T", False: r"\omega_B"}  # symbol of the spin of the top (True) and of the bottom
 
 
-def _spaced(unit: str) -> str:
+def _printed_unit(unit: str) -> str:
     """Return a unit as figures print it; nothing for pure numbers."""
     return "" if unit == "1" else unit.replace("/", " / ").replace("*", " · ")
 
@@ -305,7 +305,7 @@ def over(symbol: str, unit: str, without: str) -> str:
     return rf"${symbol}\,/\,({unit})$" if "R" in unit else rf"${symbol}\,/\,{unit}$"
 
 
-SYMBOLS = {name: (row.symbol, _spaced(row.unit)) for name, row in COLUMNS.items() if row.symbol}
+SYMBOLS = {name: (row.symbol, _printed_unit(row.unit)) for name, row in COLUMNS.items() if row.symbol}
 """Symbol and unit of those columns of a scan that have a symbol; the others are called by their names."""
 
 
@@ -321,7 +321,7 @@ def column_label(name: str) -> str:
     """
     parts = name.split("/")
     if not all(part in SYMBOLS for part in parts):
-        unit = _spaced(COLUMNS[name].unit) if name in COLUMNS else ""
+        unit = _printed_unit(COLUMNS[name].unit) if name in COLUMNS else ""
         words = " / ".join(part.replace("_", " ") for part in parts)
         return as_text(words + (f" ({unit})" if unit else ""))
     symbols, units = zip(*(SYMBOLS[part] for part in parts), strict=True)

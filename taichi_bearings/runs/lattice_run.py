@@ -282,7 +282,7 @@ def solve_job(
             for most in (FIRST_SPLITTINGS, MOST_SPLITTINGS) if wide else (MOST_SPLITTINGS,):
                 left = StopRule(stop.tolerance, min(stop.iterations, most), seconds)
                 other = solve(one.scene, OperatorSplitting().build(), one.spin, left, monitors, settings.slip_threshold)
-                better = _better(one, other, settings.tolerance)
+                better = _better_answer(one, other, settings.tolerance)
                 if better.gap.max() <= settings.tolerance or other.interrupted:
                     break
                 if better.method == one.method and most == FIRST_SPLITTINGS < stop.iterations:
@@ -307,7 +307,7 @@ def solve_job(
     return under_torque(solution, settings.torque, again)
 
 
-def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
+def _better_answer(first: Solution, second: Solution, tolerance: float) -> Solution:
     """Return the better of two answers to one sample. Both get the forces that prove the higher of their two lower
     bounds. The second answer is returned only if it alone is within the tolerance, or if its gap is less than half of
     the other.

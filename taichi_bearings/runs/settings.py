@@ -476,11 +476,11 @@ WISHES = {  # options of a scan that apply to every sample
 
 def settings_table() -> dict[str, Option]:
     """Return the options of a run by key: those of every run, then those of the methods, in the order of these."""
-    return _table(tuple(METHODS.values()))
+    return _options_by_key(tuple(METHODS.values()))
 
 
 @lru_cache(maxsize=8)
-def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
+def _options_by_key(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
     """Return the options of a run by key. If several methods have an option with different defaults, its default here
     is None.
 

@@ -56,7 +56,7 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
         raise InputError(f"the bottom has the spin {driven}; with --torque and the law viscous it must be at rest")
 
 
-def _with_driven(found: Solution) -> Solution:
+def _with_driven_contacts(found: Solution) -> Solution:
     """Return a copy of an answer in which power, objective and lower bound include contacts between driven spheres. In
     packings such contacts can slip.
 
@@ -107,7 +107,7 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
         )
     if others and not solution.scene.law.holds:
         raise InputError(f"torque is {torque:g}; with the law viscous all driven bodies but the last must be at rest")
-    found = _torque_findings(_with_driven(solution), torque, lambda other: _with_driven(solve(other)))
+    found = _torque_findings(_with_driven_contacts(solution), torque, lambda other: _with_driven_contacts(solve(other)))
     return replace(solution, findings={**solution.findings, **found})
 
 
@@ -123,7 +123,7 @@ def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[st
     """
     scene = solution.scene
     if scene.sides[1]:
-        return _beside_driven(scene, torque, solve)
+        return _findings_above_driven_bottom(scene, torque, solve)
     friction = _by_friction(solution, solve)
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
     if scene.law.holds:
@@ -147,7 +147,7 @@ def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[st
     }
 
 
-def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.ndarray]:
+def _findings_above_driven_bottom(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.ndarray]:
     """Return by name four findings on a torque on the top, (samples R,) each, if the bottom turns, too.
 
     * yields: True if the torque exceeds `yield_torque`.

@@ -167,7 +167,7 @@ class NewProof:
         )
         with_torque = self.run.asked.torque
         try:
-            return found if with_torque is None else under_torque(found, with_torque, _no_other)
+            return found if with_torque is None else under_torque(found, with_torque, _refuse_to_solve)
         except _NeedsAnother:
             return found
 
@@ -248,7 +248,7 @@ class NewProof:
         is proven.
         """
         stored, new = self.run.solution, dict(found_in(self.solution, JUDGED_CONTACTS))
-        wrong = {f"another {row.text} than spins, friction and coefficients give": _differ(row.of(stored), value)
+        wrong = {f"another {row.text} than spins, friction and coefficients give": _differences(row.of(stored), value)
                  for row, value in new.items()}  # fmt: skip
         driven = self.known == DRIVEN
         wrong["friction, though absent or between driven spheres"] = driven & (_sizes(stored.friction) > 0)
@@ -280,7 +280,7 @@ class _NeedsAnother(Exception):
     """Raised if the findings on a torque would need another solve, which a verification does not make."""
 
 
-def _no_other(_: object) -> Solution:
+def _refuse_to_solve(_: object) -> Solution:
     """Raise _NeedsAnother in place of solving a scene, since verifying makes no new solve. The argument is not used."""
     raise _NeedsAnother
 
@@ -293,7 +293,7 @@ def _sizes(friction: np.ndarray) -> np.ndarray:
     return np.abs(friction) if friction.ndim == 2 else vector_length(np.moveaxis(friction, -1, 0))
 
 
-def _differ(said: np.ndarray, true: np.ndarray, in_addition: float = 0.0) -> np.ndarray:
+def _differences(said: np.ndarray, true: np.ndarray, in_addition: float = 0.0) -> np.ndarray:
     """Return a mask, in the shape of the arrays, of the numbers that differ by more than rounding.
 
     said, true : arrays of equal shape to compare. They may differ by ROUNDED times `true`; not-a-number equals only
@@ -355,12 +355,12 @@ def _contradicted_attributes(said: Mapping[str, Any], numbers: Mapping[str, Any]
             yield f"{name} is said to be {shown(said[name])}; there are {count} samples"
             continue
         for number, pair in enumerate(zip(given, true, strict=True)):
-            if not _allowed(name, *pair):
+            if not _agrees(name, *pair):
                 where = _of_sample(number, len(true))
                 yield f"{where}the {name.replace('_', ' ')} is said to be {shown(pair[0])}; it is {pair[1]!r}"
 
 
-def _allowed(name: str, said: Any, true: Any) -> bool:
+def _agrees(name: str, said: Any, true: Any) -> bool:
     """Return True if the value of an attribute agrees with the true one: in type, and for numbers up to rounding.
 
     name : name of the attribute.
@@ -382,4 +382,4 @@ def _allowed(name: str, said: Any, true: Any) -> bool:
         return False
     beside = 4 * EPS if name == "gap" else 0.0
     off = (said - true) * OUTWARDS.get(name, 0)
-    return off >= 0 and not _differ(np.float64(said), np.float64(true), beside)
+    return off >= 0 and not _differences(np.float64(said), np.float64(true), beside)

@@ -323,7 +323,7 @@ class _Course:
         for finished in run_samples(units, engine):
             self.progress.seconds = time.monotonic() - self.began
             if finished:
-                self._keep(finished, work, journal)
+                self._record_finished(finished, work, journal)
                 continue
             running, workers = engine.running, max(engine.workers, 1)
             self.progress.running = [unit[0] for unit in running]
@@ -336,7 +336,7 @@ class _Course:
                 written = time.monotonic()
                 self.due = written + max(REWRITE, 50 * (written - began))
 
-    def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
+    def _record_finished(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
         """Record finished samples in the journal and count them. A failure does not replace an earlier result.
 
         finished : their records.

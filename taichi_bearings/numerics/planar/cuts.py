@@ -93,9 +93,11 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
         crossed[unsure], sideways_tied[unsure, :, 1:-1], upward_tied[unsure] = equal_paths(
             inner[unsure], upward[unsure], unit[unsure], path.pick(unsure)
         )
-        tied = _any(sideways_tied[unsure]) | _any(upward_tied[unsure])
+        tied = _any_in_grid(sideways_tied[unsure]) | _any_in_grid(upward_tied[unsure])
         beyond = np.maximum(next_weight[unsure], np.nextafter(weight[unsure], np.inf))
-        beyond[_any(inner[unsure] == 0) | _any(upward[unsure] == 0)] = np.nan  # other ways across absent contacts
+        beyond[_any_in_grid(inner[unsure] == 0) | _any_in_grid(upward[unsure] == 0)] = (
+            np.nan
+        )  # other ways across absent contacts
         next_weight[unsure] = np.where(tied, weight[unsure], beyond)
     above = np.zeros((batch, columns, gaps + 1), dtype=bool)
     np.logical_xor.accumulate(crossed, axis=2, out=above[..., 1:])  # each crossing of the path changes the side
@@ -112,7 +114,7 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
     )
 
 
-def _any(values: np.ndarray) -> np.ndarray:
+def _any_in_grid(values: np.ndarray) -> np.ndarray:
     """Return (grids,) True for the grids in which some of the values (grids, columns, rows) are true."""
     return np.asarray(values.any(axis=(1, 2)))
 

@@ -76,7 +76,7 @@ class _Heap:
         self.inside: dict[tuple[int, ...], list[int]] = {}
         self.spots, self.radii = list[list[float]](), list[float]()
 
-    def _lists(self, place: np.ndarray, away: int) -> list[list[int]]:
+    def _numbers_in_cells(self, place: np.ndarray, away: int) -> list[list[int]]:
         """Return the numbers of the spheres near a place: for each cell of the grid that is not empty and at most
         `away` cells from that of the place, a list in ascending order.
 
@@ -95,7 +95,7 @@ class _Heap:
         place : (dimensions D,), coordinates.
         away : spheres are taken from all cells of the grid that are at most so many cells from that of the place.
         """
-        found = [number for numbers in self._lists(place, away) for number in numbers]
+        found = [number for numbers in self._numbers_in_cells(place, away) for number in numbers]
         return np.sort(np.array(found, dtype=np.int64))
 
     def _cell(self, place: np.ndarray) -> tuple[int, ...]:
@@ -130,7 +130,7 @@ class _Heap:
         """Return True if a sphere of radius `size` at a place (dimensions D,) overlaps one of those from number `since`
         on by more than rounding; this takes less time than arrays where there are few of them."""
         here, width = place.tolist(), float(self.sides[0])
-        for numbers in self._lists(place, 1):
+        for numbers in self._numbers_in_cells(place, 1):
             for number in reversed(numbers):
                 if number < since:
                     break
@@ -162,7 +162,7 @@ class _Heap:
             middle, held = pairs.touching(size + new, reach)
             above = place[-1] + middle[:, -1] > 0
             middle, held = middle[above], held[above]
-            free = _clear(middle, vector, reach * (1 - CLAIMED_OVERLAP))
+            free = _overlap_nothing(middle, vector, reach * (1 - CLAIMED_OVERLAP))
             for offset, others in zip(middle[free], held[free], strict=True):
                 self.made += 1
                 there = place + offset
@@ -199,7 +199,7 @@ class _Pairs:
         self.vector, self.size = vector, np.linalg.norm(vector, axis=1)
         self.unit = vector / self.size[:, None]
         if vector.shape[1] == 3:
-            self.others = _two_of(len(vector))
+            self.others = _all_pairs(len(vector))
             one, two = self.others.T
             self.cosine = (self.unit[one] * self.unit[two]).sum(axis=1)
             self.sine = np.sqrt(np.maximum(1 - self.cosine**2, 0.0))
@@ -246,12 +246,12 @@ def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 @lru_cache
-def _two_of(count: int) -> np.ndarray:
+def _all_pairs(count: int) -> np.ndarray:
     """Return all pairs of numbers below `count`, (pairs, 2), the smaller one first."""
     return np.column_stack(np.triu_indices(count, 1))
 
 
-def _clear(middle: np.ndarray, vector: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def _overlap_nothing(middle: np.ndarray, vector: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Return a mask (places,) of the places where a new sphere overlaps no other one.
 
     middle : (places, dimensions D), the places.

@@ -78,7 +78,7 @@ def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
     seed += [(c / a, 1 - of_lower, of_lower, 1.0), (a - d / a, of_upper, of_upper, -1.0)]
     found, new = np.empty((0, 4)), _folded(np.array([disc for disc in seed if disc[2] >= least]).reshape(-1, 4), a)
     while len(new):
-        new = _unlike(found, new, SAME_DISC * least)
+        new = _new_discs(found, new, SAME_DISC * least)
         found = np.concatenate([found, new])
         new = np.concatenate([_folded(_reflected(new, *circle, a, least), a) for circle in circles])
     return found, a
@@ -94,7 +94,7 @@ def _folded(discs: np.ndarray, a: float) -> np.ndarray:
     return np.column_stack([np.where(x > a, 2 * a - x, x), discs[:, 1:]])
 
 
-def _unlike(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
+def _new_discs(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
     """Return those new discs, each once, that are not among the discs found already.
 
     found, new : (spheres N, 4), columns x, y, radius and sense of turning.

@@ -152,24 +152,24 @@ class _Reader:
         wanted : function that is given the names of all columns and returns the names of those to read; the first
             `whole` of them hold whole numbers.
         """
-        self._next("ITEM: TIMESTEP")
-        self._next("a timestep")
+        self._next_line("ITEM: TIMESTEP")
+        self._next_line("a timestep")
         kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
         if items and kind != items:
-            raise self._wrong(f'the line "ITEM: NUMBER OF {items}" is expected')
-        count = _integer(self.path, self.line + 1, self._next("a number"), 0, most)
-        text = self._next(f"ITEM: BOX BOUNDS or ITEM: {kind}").decode("latin-1").strip()
+            raise self._error_at_line(f'the line "ITEM: NUMBER OF {items}" is expected')
+        count = _integer(self.path, self.line + 1, self._next_line("a number"), 0, most)
+        text = self._next_line(f"ITEM: BOX BOUNDS or ITEM: {kind}").decode("latin-1").strip()
         box = None
         if text.startswith("ITEM: BOX BOUNDS"):
             box = self._box(text[len("ITEM: BOX BOUNDS") :].split())
-            text = self._next(f"ITEM: {kind} and names of columns").decode("latin-1").strip()
+            text = self._next_line(f"ITEM: {kind} and names of columns").decode("latin-1").strip()
         if not text.startswith(f"ITEM: {kind} "):
-            raise self._wrong(f'the line "ITEM: {kind}" with the names of the columns is expected')
+            raise self._error_at_line(f'the line "ITEM: {kind}" with the names of the columns is expected')
         names = text[len(f"ITEM: {kind}") :].split()
         line, table = self.line, self._rows(names, count, wanted(names), whole)
         return Frame(self.path, step, names, box, table, line, self.is_rounded)
 
-    def _next(self, expected: str) -> bytes:
+    def _next_line(self, expected: str) -> bytes:
         """Return the next line; raise CutOff if the file or the timestep ends before it.
 
         expected : what the line should be, for the message.
@@ -184,7 +184,7 @@ class _Reader:
             )
         return line
 
-    def _wrong(self, expected: str) -> FileError:
+    def _error_at_line(self, expected: str) -> FileError:
         """Return the error for the line read last, which is not what it should be.
 
         expected : words for that.
@@ -197,10 +197,10 @@ class _Reader:
         begin : words that must follow "ITEM: ", or "".
         expected : what the line should be, for the message.
         """
-        words = self._next(expected).decode("latin-1").strip()
+        words = self._next_line(expected).decode("latin-1").strip()
         found = words[len(f"ITEM: {begin}") :].split()
         if not words.startswith(f"ITEM: {begin}") or not found:
-            raise self._wrong(f'the line "{expected}" is expected')
+            raise self._error_at_line(f'the line "{expected}" is expected')
         return found
 
     def _box(self, words: list[str]) -> Box:
@@ -210,12 +210,14 @@ class _Reader:
         """
         flags, kind = words[-3:], " ".join(words[:-3])
         if FLAGS.get(len(words)) != kind or any(len(flag) != 2 or set(flag) - set("pfsm") for flag in flags):
-            raise self._wrong('the line "ITEM: BOX BOUNDS" must end with three boundary flags, such as "pp ff pp"')
+            raise self._error_at_line(
+                'the line "ITEM: BOX BOUNDS" must end with three boundary flags, such as "pp ff pp"'
+            )
         width = {"": 2, "xy xz yz": 3, "abc origin": 4}[kind]
-        rows = [self._numbers(self._next("bounds"), list(range(width)), width, 0) for _ in range(3)]
+        rows = [self._numbers(self._next_line("bounds"), list(range(width)), width, 0) for _ in range(3)]
         box = Box.of_bounds(np.array(rows), [flag == "pp" for flag in flags] if flags else None)
         if box is None:
-            raise self._wrong(
+            raise self._error_at_line(
                 "the last of three lines with the bounds of the box is expected; each must have a lower and a larger "
                 "upper bound"
             )
@@ -242,7 +244,9 @@ class _Reader:
             if any(not (value.is_integer() and 0 <= value <= MOST_INTEGER) for value in numbers[:whole]):
                 raise ValueError
         except ValueError:
-            raise self._wrong(f"a row of {width} numbers is expected, with whole ones for ids and types") from None
+            raise self._error_at_line(
+                f"a row of {width} numbers is expected, with whole ones for ids and types"
+            ) from None
         if not self.is_rounded and any(b"e" in words[place].lower() for place in places[:whole]):
             self.is_rounded = True
         return numbers
@@ -261,11 +265,13 @@ class _Reader:
             raise FileError(f"{self.path} must have exactly one column {lacking[0]}; its columns are {columns}")
         places, values = [names.index(name) for name in wanted], array("d")
         for number in range(count):
-            line = self._next(f"row {number + 1} of {count}")
+            line = self._next_line(f"row {number + 1} of {count}")
             values.extend(self._numbers(line, places, len(names), whole))
         with suppress(CutOff):  # of a timestep that follows
             after = next(self.lines, b"ITEM: ")
             if not after.startswith(b"ITEM: ") and after.strip():
                 self.line += 1
-                raise self._wrong(f'the line "ITEM: TIMESTEP" must follow the {count} rows that the header announces')
+                raise self._error_at_line(
+                    f'the line "ITEM: TIMESTEP" must follow the {count} rows that the header announces'
+                )
         return np.frombuffer(values, dtype=np.float64).reshape(count, len(wanted))

@@ -125,7 +125,9 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
     body = _bodies(number, asked, table[:, 1].astype(np.int64))
     center = _centers(frame, places, table[:, 1 + kinds + sizes :][:, : len(places)], asked)
     found: dict[str, Any] = {"center": center, "driven": body, "radius": _radii(frame, table[:, 1 + kinds], asked)}
-    spin = _imposed(body, asked.spin, asked.dimension) if asked.spin is not None else table[:, -len(asked.rates) :]
+    spin = (
+        _imposed_spins(body, asked.spin, asked.dimension) if asked.spin is not None else table[:, -len(asked.rates) :]
+    )
     found["spin"] = spin if asked.dimension == 3 else spin.reshape(-1)
     _refuse_sizes(frame, order, found["radius"])
     return found | _contacts(rows, frame, number, found, asked)
@@ -277,12 +279,12 @@ def _contacts(
     force, row, count = rows.table[:, 2:], np.arange(len(rows.table)), len(rows.table)
     has_forces, is_vector = force.shape[1] > 0, force.shape[1] > 1
     if has_forces:
-        force = force if is_vector else _pressing(rows, force[:, 0], count)[:, None]
+        force = force if is_vector else _pressing_forces(rows, force[:, 0], count)[:, None]
         row, force = row[force.any(axis=1)], force[force.any(axis=1)]
-    contact = _matched(rows, row, frame, number)
+    contact = _contacts_by_ids(rows, row, frame, number)
     normal = _normals(rows, row, contact, number, frame, spheres, asked)
     if is_vector:
-        pressing = _pressing(rows, -np.einsum("ed,ed->e", force[:, : normal.shape[1]], normal), count)
+        pressing = _pressing_forces(rows, -np.einsum("ed,ed->e", force[:, : normal.shape[1]], normal), count)
         acts = pressing > 0
         contact, normal, force = contact[acts], normal[acts], pressing[acts, None]
     return {"contact": contact, "normal": normal} | ({"normal_force": force[:, 0]} if has_forces else {})
@@ -353,7 +355,7 @@ def _periods(frame: Frame, asked: Asked) -> np.ndarray:
     return periods[periods.any(axis=1)]
 
 
-def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
+def _pressing_forces(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
     """Return the normal forces (contacts,) that press spheres together: those given, with 0 in place of forces that
     pull. A warning says how many rows are left out since no such force acts.
 
@@ -373,7 +375,7 @@ def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
     return np.where(force > 0, force, 0.0)
 
 
-def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> np.ndarray:
+def _contacts_by_ids(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> np.ndarray:
     """Return the contacts (contacts E, 2) as numbers of spheres, from the ids of atoms in a dump.
 
     rows : timestep of the dump of contacts.
@@ -427,7 +429,7 @@ def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
     return body
 
 
-def _imposed(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.ndarray:
+def _imposed_spins(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.ndarray:
     """Return the imposed spins of driven atoms, (spheres N, 3) or (N,) for discs, 1/time; 0 for others.
 
     body : (N,), driven body of each atom, -1 for free ones.
