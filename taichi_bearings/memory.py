@@ -70,7 +70,8 @@ def refuse_beyond(needed: float, what: str) -> None:
 
 
 def collect_cycles_seldom() -> None:
-    """Have Python look for unreachable cycles of objects after 20 000 new ones, not after its usual 700.
+    """Have Python look for unreachable cycles of objects after 20 000 new ones only; the usual number is 700, or 2 000
+    in newer versions.
 
     A program that loads its modules makes many objects and no such cycles; looking through them again and again takes
     a tenth of the start.

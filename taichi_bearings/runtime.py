@@ -133,7 +133,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
     arch : "cpu", "cuda", "vulkan" or "metal" (an error where there is none, never a silent fall-back), or "auto" (a
         real GPU if there is one).
     precision : "f64" or "f32", the type of every field.
-    threads : CPU threads, 0 for all that this process may use.
+    threads : CPU threads, 0 for all that this process may use; no more than MOST_THREADS are used.
     debug : have Taichi check indices.
 
     Raises DeviceError if the device is absent, or if the runtime already runs with another choice.

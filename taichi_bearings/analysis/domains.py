@@ -62,7 +62,7 @@ class RigidDomains:
     spread : largest difference, over all components, between the spin of a sphere and the mean of its domain (or the
         top's spin where it is locked to that): 0 but for rounding.
     lock : (D, C), values of `Lock`: to which driven bodies slipless contacts join the domain, one bit for each.
-    jump : (D, C), spin of the top in the layers of each domain, as `staggered`.
+    jump : (D, C), spin of the top plane in the layers of each domain, counted like `staggered`.
     bodies : names of the driven bodies.
 
     For a packing spins are sign * radius * spin, length/time, with signs by which neighbours differ.
