@@ -238,7 +238,7 @@ def _read_functions_once(reader: Any) -> None:
         return result
 
     def position(used: Any, node: Any) -> str:
-        """Return where in the source an expression stands; the text is made once and stored in the node.
+        """Return file, line and source of an expression in Taichi's words, made once and then stored in the node.
 
         used : the context of the compilation.
         node : node of the syntax tree.

@@ -32,9 +32,10 @@ CLAIMED_FACTOR, CLAIMED_BYTES = (
 
 @contextlib.contextmanager
 def writing(what: object, inside: bool = False) -> Iterator[None]:
-    """Turn an OSError inside the block into a WriteError: `what` cannot be written.
+    """Turn an OSError inside the `with` block into a WriteError that says what cannot be written.
 
-    inside : `what` is a folder; the error names what in it cannot be written.
+    what : the file or folder that the block writes, for the message.
+    inside : `what` is a folder; the message names the file in it that cannot be written.
     """
     try:
         yield

@@ -164,7 +164,7 @@ def reproduce(
     Raises InputError or FileError before anything is computed.
     """
     chosen = choose_figures(names)
-    before = {"figures": {}, "missing": []} if force else _standing(folder, effort)
+    before = {"figures": {}, "missing": []} if force else _earlier_report(folder, effort)
     done = {name: found for name, found in before["figures"].items() if all(map(Path.exists, _files(name, folder)))}
     asked = {*chosen, *before["figures"], *before["missing"]}
     missing = [name for name in FIGURES if name in asked and name not in done]
@@ -192,9 +192,11 @@ def _files(name: str, folder: Path) -> list[Path]:
     return [folder / file for file in FIGURES[name].files]
 
 
-def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
+def _earlier_report(folder: Path, effort: Effort) -> dict[str, Any]:
     """Return what the report in a folder has: `figures`, its finished figures as plain data by name, and `missing`,
     the names of others that were asked for; both empty without a report.
+
+    effort : the effort that is asked for now.
 
     Raises FileError if the report is of another effort or version, or cannot be read.
     """

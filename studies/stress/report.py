@@ -43,6 +43,9 @@ NOTHING = "#ffffff"  # colour of a cell that was not tried
 def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
     """Open the report in a folder, to solve and judge these cells; no other process can write there meanwhile.
 
+    folder : of the report; a new or empty one starts a report, and one with a report is continued.
+    cells : all cells that the report should have.
+
     Raises FileError if another process works there, or the folder holds something else.
     """
     names = {file.name for file in folder.iterdir() if file.name[0] != "."} if folder.is_dir() else set()
@@ -64,7 +67,7 @@ class Sweep:
         program.
 
         folder : folder of the report.
-        cells : all that it should have.
+        cells : all cells that the report should have.
         """
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
         known = read_journal(folder / JOURNAL)

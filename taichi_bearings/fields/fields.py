@@ -132,10 +132,10 @@ class Fields:
         return values, None
 
     def part(self, number: int) -> "Fields":
-        """Return the fields of one of several samples of a network that stand one after the other in `Lists`; they are
-        parts of the same memory.
+        """Return the fields of one sample, where these are of several that stand one after the other in `Lists`; both
+        share their memory.
 
-        number : number of the sample.
+        number : which sample, from 0.
         """
         found = copy(self)
         found._place = {

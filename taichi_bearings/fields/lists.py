@@ -78,13 +78,14 @@ class Lists:
 
     @property
     def numbers_row(self) -> int:
-        """Length of a row of constants: each sample has one number in it, a block apart."""
+        """Length of a row that holds a constant of each sample: one number for a sample, at the start of a block."""
         return self.block * self.copies
 
     @property
     def measures(self) -> np.ndarray:
-        """Integers that kernels need: lengths of the rows of spheres and of contacts, of all copies and then
-        of one, the length of a row of numbers; and the lists themselves."""
+        """Integers that kernels need: lengths of the rows of spheres and of contacts, of all samples and then of one;
+        `numbers_row`; and the lists themselves: ends of contacts, and for each sphere the contacts on it.
+        """
         one = [length // self.copies for length in self.size]
         return np.concatenate([self.size, one, [self.numbers_row], self.ends, self.start, self.incident])
 

@@ -49,8 +49,8 @@ class Source:
     """The samples of a run or a scan.
 
     path : path of its file.
-    reasons : (asked,), why each sample has no result; "" for the S that have one.
-    whole_column : function that returns the values (asked,) of a scalar by its name, or raises InputError.
+    reasons : (samples asked,), why each sample has no result; "" for the S that have one.
+    whole_column : function that returns the values (samples asked,) of a scalar by its name, or raises InputError.
     contacts : (samples S,), number of contacts that are not between driven spheres.
     counts : function that returns the distributions of power, from the number of bins a decade and the unit of power
         (S,).

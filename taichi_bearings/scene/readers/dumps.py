@@ -135,10 +135,10 @@ class _Reader:
     """
 
     def __init__(self, path: Path, lines: Iterator[bytes], line: int) -> None:
-        """Begin to read.
+        """Begin to read a dump at one of its lines.
 
         path : path of the file, for messages.
-        lines : the lines that follow.
+        lines : the lines from there on.
         line : number of lines before.
         """
         self.path, self.lines, self.line, self.is_rounded = path, lines, line, False
