@@ -244,8 +244,8 @@ class NewProof:
         yield from _contradicted_attributes(attributes, held, stored.scene.replicas)
 
     def _contacts(self) -> Iterator[str]:
-        """Yield sentences on arrays of contacts that do not follow from spins and coefficients, or that claim more than
-        is proven.
+        """Yield sentences on arrays of contacts that do not follow from spins, friction and coefficients, or that claim
+        more than is proven.
         """
         stored, new = self.run.solution, dict(found_in(self.solution, JUDGED_CONTACTS))
         wrong = {f"another {row.text} than spins, friction and coefficients give": _differences(row.of(stored), value)
@@ -380,6 +380,6 @@ def _agrees(name: str, said: Any, true: Any) -> bool:
     is_number = isinstance(said, (int, float)) and (type(said) is type(true) or type(said) is float)
     if not is_number:
         return False
-    beside = 4 * EPS if name == "gap" else 0.0
+    in_addition = 4 * EPS if name == "gap" else 0.0
     off = (said - true) * OUTWARDS.get(name, 0)
-    return off >= 0 and not _differences(np.float64(said), np.float64(true), beside)
+    return off >= 0 and not _differences(np.float64(said), np.float64(true), in_addition)
