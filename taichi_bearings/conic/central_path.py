@@ -223,7 +223,7 @@ class Path:
         self._viscous: Viscous = None
         # (S,) each, after a step: sum of friction * slip; that less the work of the forces; price of unbalanced torques
         self._power, self._excess = np.zeros((2, samples))
-        self._price: np.ndarray | None = None
+        self._gaps, self._price = [np.inf] * samples, list[float]()  # relative gaps; prices over the cost, if known
 
     @property
     def used(self) -> np.ndarray:
@@ -286,7 +286,8 @@ class Path:
         step = self._refined(step)
         along, dual_along = step.within(STEP_SHARE)
         found = rows.run(kernels.take, (step.slot, step.slot), along, dual_along)
-        self._power, self._excess, self._price = found[kernels.POWER_FOUND], found[kernels.EXCESS], None
+        self._power, self._excess = found[kernels.POWER_FOUND], found[kernels.EXCESS]
+        self._gaps, self._price = (self._excess / self._power).tolist(), []
         self._spins_before, self._spins = self._spins, self._spins + along * step.spins
         return taken
 
@@ -377,7 +378,7 @@ class Path:
                 slip = rows.two(kernels.SLIP) + rows.two(_in(step.slot, kernels.CHANGE))
                 rows.two(kernels.FORCE)[:] -= self._viscosity * slip
             self._imbalance(kernels.FORCE, self._spins + step.spins)
-            size = np.abs(rows.spins).max(axis=0, initial=0.0)
+            size = np.abs(rows.spins.T.copy()).max(axis=1, initial=0.0)
             going &= (size > STEP_TORQUE) & (size < last / 2)
             if not going.any():
                 break
@@ -439,7 +440,7 @@ class Path:
         """
         if self._viscosity is not None:
             return self.iterate(sample).gap
-        return float(self._excess[sample] / self._power[sample])
+        return self._gaps[sample]
 
     def price_of_torques(self, sample: int) -> float:
         """Return the most that unbalanced torques take from the lower bound of a sample, over its cost: the sum of
@@ -449,11 +450,11 @@ class Path:
         """
         if self._viscosity is not None:
             return self.iterate(sample).price_of_torques
-        if self._price is None:
+        if not self._price:
             self._rows.torques(kernels.DUAL)
             left = self._rows.spins[: len(self._rows.place)].T
-            self._price = np.abs(left).copy().sum(axis=1) / self._power
-        return float(self._price[sample])
+            self._price = (np.abs(left).copy().sum(axis=1) / self._power).tolist()
+        return self._price[sample]
 
     def iterate(self, sample: int) -> Iterate:
         """Return the point of its central path at which sample number `sample` is."""

@@ -3,6 +3,7 @@
 "To settle the states" of a sample is to find out which contacts slip at its minimum (resolution.py).
 """
 
+import math
 import time
 from collections import deque
 from dataclasses import dataclass, replace
@@ -116,8 +117,8 @@ class Descent:
                     began = time.perf_counter()
                     taken = path.step()
                     self.step_seconds = time.perf_counter() - began
+                    self._judge({place: sample for place, (sample, _) in going.items()}, path, taken)
                     for place, (sample, last) in list(going.items()):
-                        self._judge(sample, path, place, bool(taken[place]))
                         if sample.done or sample.at_end or sample.steps == last:
                             self._leave(path, place, going.pop(place)[0])
                         if sample.at_end:
@@ -162,28 +163,31 @@ class Descent:
         if the second trial comes well before double precision ends."""
         return self.small and self._small_gap / RETRY_FACTOR > LEAST_SECOND_GAP
 
-    def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
-        """Update a sample after a step: its number of steps and relative gap, and whether it is done (`done`) or its
-        contact states are to be settled next (`at_end`). In both cases the point of the path is stored in it.
+    @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
+    def _judge(self, samples: dict[int, Sample], path: Path, taken: np.ndarray) -> None:
+        """Update samples after a step: their numbers of steps and relative gaps, and whether they are done (`done`) or
+        their contact states are to be settled next (`at_end`). In both cases the point of the path is stored.
 
-        path, place : the path on which it is, and its place among the samples there.
-        taken : False if the step could not be taken; then the sample is done, at the point before.
+        samples : the samples on the path, by their place there.
+        path : the path on which they are, side by side.
+        taken : mask of the places; False if the step could not be taken: then the sample is done, at the point before.
         """
-        gap = self._gap(sample, path, place) if taken else np.nan
-        sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
-        sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
-        sample.at_end = sample.gap < max(self._near(sample), SETTLING_GAP if self.settles and sample.done else 0.0)
-        if sample.done or sample.at_end:
-            sample.iterate = path.iterate(place) if accepted else path.before(place)
-        if sample.at_end:
-            sample.before = path.before(place) if accepted else None
+        for place, sample in samples.items():
+            gap = self._gap(sample, path, place) if taken[place] else np.nan
+            sample.steps, accepted = sample.steps + 1, math.isfinite(gap)
+            sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
+            sample.at_end = sample.gap < max(self._near(sample), SETTLING_GAP if self.settles and sample.done else 0.0)
+            if sample.done or sample.at_end:
+                sample.iterate = path.iterate(place) if accepted else path.before(place)
+            if sample.at_end:
+                sample.before = path.before(place) if accepted else None
 
     def _near(self, sample: Sample) -> float:
         """Return the relative gap below which the next trial to settle the contact states of a sample comes; 0 if there
         is none before the path ends. In large samples a trial that fails is repeated when the gap has fallen by
         RETRY_FACTOR; in small ones there are two trials at most."""
         again = sample.tried / RETRY_FACTOR
-        if self.small and np.isfinite(sample.tried):
+        if self.small and math.isfinite(sample.tried):
             again = 0.0 if self._is_last(sample.tried) else self.settles_at / RETRY_FACTOR
         return min(self.settles_at, again) if self.settles else 0.0
 
@@ -193,7 +197,6 @@ class Descent:
         with other samples, take less time than following the last decades of the path alone."""
         return not self._tries_twice or gap < self.settles_at / RETRY_FACTOR
 
-    @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
         """Return the relative gap of a sample after a step, (cost - lower bound) / cost; not finite if it cannot be
         computed.

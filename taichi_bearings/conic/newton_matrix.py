@@ -75,8 +75,11 @@ class NewtonMatrix:
             written: slice | np.ndarray = slice(pattern.entries)
             count = pattern.entries
             if parts and cholesky.engine is Engine.BLOCK:  # hardly any entries of a dense block are not 0
-                written, entry = np.unique(np.append(pattern.diagonal, entry), return_inverse=True)
-                entry, count = entry.reshape(-1)[pattern.size :], len(written)
+                is_written = np.zeros(count, dtype=bool)
+                is_written[pattern.diagonal] = is_written[entry] = True
+                written, number_of = np.flatnonzero(is_written), np.empty(count, dtype=np.int64)
+                number_of[written] = np.arange(len(written))
+                entry, count = number_of[entry], len(written)
             places[own] = end + entry
             self._choleskys.append(cholesky)
             self._entries.append((written, slice(end, end + count)))

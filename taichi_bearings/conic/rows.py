@@ -248,18 +248,19 @@ class ContactRows:
 
 
 @lru_cache
-def compile_passes(samples: int = 1) -> None:
+def compile_passes(samples: int = 1, costly: bool = False) -> None:
     """Compile the kernels of a Newton step, by running them on a system of two contacts: they are the same for all
     systems.
 
     samples : number of samples side by side, 1 or LANES.
+    costly : True to compile also those that are used where a factorisation takes long.
     """
     felt = np.array([[True, True], [False, True]])
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
     spins = aligned_zeros(samples, kernels.BLOCK).reshape(1, samples)
     rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), spins)
     passes = kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take
-    for kernel in passes if samples > 1 else (*passes, kernels.between_steps):
+    for kernel in (*passes, kernels.between_steps) if costly else passes:
         rows.run(kernel)
     rows.torques(kernels.FORCE)
 

@@ -302,9 +302,10 @@ def panel(
     # the triangle at the diagonal first, then the rows below it, PANEL vectors at a time
     first = corner(numbers, shape, j, wide)
     i, end = (j + wide) // unit, (own + tables[at + BORDER] + unit - 1) // unit
-    while i + PANEL <= end:
-        block(numbers, vectors, unit, shape, j, i, first, wide, PANEL)
-        i += PANEL
+    if ti.static(wide > 1):  # few columns come alone: no more code for them, which takes every process time to load
+        while i + PANEL <= end:
+            block(numbers, vectors, unit, shape, j, i, first, wide, PANEL)
+            i += PANEL
     while i < end:
         block(numbers, vectors, unit, shape, j, i, first, wide, 1)
         i += 1
