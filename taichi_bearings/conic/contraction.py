@@ -8,6 +8,7 @@ components; D dimensions; a Pair is a sum of two doubles (high, low).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,28 +35,43 @@ class Owners:
     spins: np.ndarray
     contacts: np.ndarray
 
+    @cached_property
+    def _of_contacts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mask (samples,) of the samples that have contacts, and index of the first contact of each of these."""
+        return _begins(self.samples, self.contacts)
+
+    @cached_property
+    def _of_spins(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mask (samples,) of the samples that have spins, and index of the first spin of each of these."""
+        return _begins(self.samples, self.spins)
+
     def largest(self, values: np.ndarray) -> np.ndarray:
         """Return for each sample the largest of the values that belong to its contacts, (samples,); 0 for a sample
         without contacts.
 
         values : numbers (n,), or vectors (d, n) with up to d components, on n contacts; none negative."""
-        return _largest(self.samples, self.contacts, values if values.ndim == 1 else values.max(axis=0))
+        found, (some, first) = np.zeros(self.samples), self._of_contacts
+        if len(first):
+            found[some] = np.maximum.reduceat(values if values.ndim == 1 else values.max(axis=0), first)
+        return found
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
         """Return for each sample the largest of the values that belong to its spins, (samples,); 0 if it has none.
 
         values : (unknowns,), none negative."""
-        return _largest(self.samples, self.spins, values)
+        found, (some, first) = np.zeros(self.samples), self._of_spins
+        if len(first):
+            found[some] = np.maximum.reduceat(values, first)
+        return found
 
     def smallest(self, values: np.ndarray) -> np.ndarray:
         """Return for each sample the smallest of the values that belong to its contacts, (samples,); infinite for a
         sample without contacts.
 
         values : (n,), numbers on n contacts."""
-        begins, found = np.searchsorted(self.contacts, np.arange(self.samples + 1)), np.full(self.samples, np.inf)
-        some = begins[1:] > begins[:-1]
-        if some.any():
-            found[some] = np.minimum.reduceat(values, begins[:-1][some])
+        found, (some, first) = np.full(self.samples, np.inf), self._of_contacts
+        if len(first):
+            found[some] = np.minimum.reduceat(values, first)
         return found
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
@@ -63,18 +79,16 @@ class Owners:
         return self.largest(chosen) > 0
 
 
-def _largest(samples: int, owner: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the largest of the values of each sample, (samples,), 0 if it has none.
+def _begins(samples: int, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a mask (samples,) of the samples that own something, and for each of these the index of the first that it
+    owns.
 
     samples : number of samples.
-    owner : (k,), number of the sample of each value, ascending.
-    values : (k,), the values, none negative.
+    owner : (k,), number of the sample that owns each of k things, ascending.
     """
-    begins, found = np.searchsorted(owner, np.arange(samples + 1)), np.zeros(samples)
+    begins = np.searchsorted(owner, np.arange(samples + 1))
     some = begins[1:] > begins[:-1]
-    if some.any():
-        found[some] = np.maximum.reduceat(values, begins[:-1][some])
-    return found
+    return some, begins[:-1][some]
 
 
 class Contraction:

@@ -259,7 +259,8 @@ def _factorise_raising(
     first : index in DIAGONAL_SHIFTS of the first addition to try, of all matrices.
     """
     numbers, shift, tried = factor.entries[diagonal], np.zeros(len(wanted)), first
-    regular, hopeless = np.zeros(len(wanted), dtype=bool), ~(wanted & np.isfinite(numbers).all(axis=0))
+    is_finite = np.isfinite(numbers).T.copy().all(axis=1)  # sample by sample, which is faster
+    regular, hopeless = np.zeros(len(wanted), dtype=bool), ~(wanted & is_finite)
     for tried in range(first, len(DIAGONAL_SHIFTS)):
         shift[~regular] = DIAGONAL_SHIFTS[tried]
         if shift.any():
