@@ -11,11 +11,11 @@ from taichi_bearings_cli.progress import ScanDisplay
 from taichi_bearings.copies import begun_early
 from taichi_bearings.errors import InputError, printable
 from taichi_bearings.progress import duration
-from taichi_bearings.runs.settings import WISHES
+from taichi_bearings.runs.settings import SCAN_OPTIONS
 from taichi_bearings.words import counted
 
 
-@click.command(params=options_in(WISHES))
+@click.command(params=options_in(SCAN_OPTIONS))
 @click.argument("scan", metavar="SCAN", type=FILE_PATH)
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
@@ -108,7 +108,7 @@ def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> i
         raise _without_folder(scan)
     folder, workers = folder or default_run_path("scan"), asked["workers"] or 0
     part = Part.parse(asked["part"]) if one_part else None
-    plan = read_plan(path, asked["overrides"], {name: asked[name] for name in WISHES if asked[name] is not None})
+    plan = read_plan(path, asked["overrides"], {name: asked[name] for name in SCAN_OPTIONS if asked[name] is not None})
     if dry_run:
         expected = study.estimate(plan, folder, workers, part)
         answer(expected, as_json, lambda: describe_estimate(expected))

@@ -455,7 +455,7 @@ def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return methods, tuple(name for name, law in LAWS.items() if item.laws is None or item.laws(law))
 
 
-WISHES = {  # options of a scan that apply to every sample
+SCAN_OPTIONS = {  # options of a scan that apply to every sample
     "analyse": Option(
         None, TRUTH,
         "Add the numbers of `bearings analyse` for every sample, as columns. [default: as in "

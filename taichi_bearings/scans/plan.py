@@ -1,7 +1,7 @@
 """Reads which samples a scan consists of: a TOML file with the keys of a run, and lists, ranges and grids of them.
 
-*Wishes* (`runs.settings.WISHES`) are options of the scan itself that change no result, such as keeping full states. An
-*axis* of the grid is a key, or several keys that advance together.
+*Options of the scan* (`runs.settings.SCAN_OPTIONS`) change no result; to keep full states is one. An *axis* of the grid
+is a key, or several keys that advance together.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from taichi_bearings.runs.run_file import file_of, refuse_run
 from taichi_bearings.runs.settings import (
     MOST_SETTINGS_TEXT,
     NAMED_FILES,
-    WISHES,
+    SCAN_OPTIONS,
     RunSettings,
     parse_assignment,
     placed,
@@ -58,13 +58,13 @@ class Sample:
         return f"{words} ({self.key})" if words else self.key
 
 
-def _wishes_in(document: Json) -> Json:
-    """Remove the options of the scan itself (WISHES, which change no result) from the content of a scan file, and
+def _scan_options_in(document: Json) -> Json:
+    """Remove the options of the scan itself (SCAN_OPTIONS, which change no result) from the content of a scan file, and
     return them by name. Raise InputError for values that are not allowed.
 
     document : keys and values of the file, changed in place.
     """
-    return {name: item.read(name, document.pop(name)) for name, item in WISHES.items() if name in document}
+    return {name: item.read(name, document.pop(name)) for name, item in SCAN_OPTIONS.items() if name in document}
 
 
 @dataclass(frozen=True)
@@ -74,27 +74,27 @@ class ScanPlan:
     scanned : names of the settings that vary.
     samples : all samples.
     settings : the scan as TOML, without the options of the scan itself.
-    wishes : options of the scan itself that were given, by name; they change no result.
+    options : options of the scan itself that were given, by name; they change no result.
     """
 
     scanned: tuple[str, ...]
     samples: tuple[Sample, ...]
     settings: str
-    wishes: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
         """The scan as TOML."""
-        return toml_text(self.wishes) + self.settings
+        return toml_text(self.options) + self.settings
 
     def going_on_in(self, folder: Path) -> "ScanPlan":
-        """Return the plan completed by options of the scan (WISHES) that were given before: they are taken from
+        """Return the plan completed by options of the scan (SCAN_OPTIONS) that were given before: they are taken from
         scan.toml in the folder where this plan gives none.
         """
         file = folder / "scan.toml"
-        known = _wishes_in(read_toml(file)) if file.is_file() else {}
-        known |= self.wishes
-        return replace(self, wishes={name: known[name] for name in WISHES if name in known})
+        known = _scan_options_in(read_toml(file)) if file.is_file() else {}
+        known |= self.options
+        return replace(self, options={name: known[name] for name in SCAN_OPTIONS if name in known})
 
 
 def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
@@ -118,7 +118,7 @@ def written(value: object) -> Any:
 
 
 def read_plan(
-    path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, object] = MappingProxyType({})
+    path: Path, overrides: Sequence[str] = (), options: Mapping[str, object] = MappingProxyType({})
 ) -> ScanPlan:
     """Return the plan that a scan file describes.
 
@@ -127,13 +127,13 @@ def read_plan(
         table ``[[scan.zip]]`` advance together. Without ``[scan]`` there is one sample.
     overrides : ``key=value`` fixes a key for all samples, ``scan.key=list or range`` scans it; values as in TOML, other
         words are texts.
-    wishes : options of the scan itself, by name; they win over the file and the overrides.
+    options : options of the scan itself, by name; they win over the file and the overrides.
 
     Raises InputError in one sentence.
     """
     document, axes = _read(path, overrides)
-    document, scanned, table = document | dict(wishes), tuple(key for axis in axes for key in axis), settings_table()
-    own = _wishes_in(document)
+    document, scanned, table = document | dict(options), tuple(key for axis in axes for key in axis), settings_table()
+    own = _scan_options_in(document)
     for key in scanned:
         if key in table and table[key].not_scanned:
             raise InputError(f"{key} cannot be scanned: {table[key].not_scanned}")
@@ -143,7 +143,7 @@ def read_plan(
         if key in document:
             raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
     text = _text(document, axes)
-    if len(text) > MOST_SETTINGS_TEXT - 1000:  # which wishes may take
+    if len(text) > MOST_SETTINGS_TEXT - 1000:  # the rest is for the options of the scan
         raise InputError(
             f"{path} with its values written out takes {len(text):,} bytes, and at most {MOST_SETTINGS_TEXT:,} are "
             "read; use ranges instead of lists"

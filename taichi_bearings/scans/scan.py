@@ -94,11 +94,11 @@ def missing_samples(
 
     def is_kept(sample: Sample) -> bool:
         """Return True if the folder has all that is asked for of this sample."""
-        record, wishes, state = records.get(sample.key), plan.wishes, state_path(folder / STATES, sample.key)
-        if record is None or parts.is_failed(record) or (wishes.get("analyse") and not parts.is_analysed(record)):
+        record, options, state = records.get(sample.key), plan.options, state_path(folder / STATES, sample.key)
+        if record is None or parts.is_failed(record) or (options.get("analyse") and not parts.is_analysed(record)):
             return False
-        if not wishes.get("keep_states") or not state.is_file():
-            return not wishes.get("keep_states")
+        if not options.get("keep_states") or not state.is_file():
+            return not options.get("keep_states")
         from taichi_bearings.runs.run_file import read_run
 
         try:
@@ -153,7 +153,7 @@ def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | 
     refuse_unused(plan, folder)
     plan = plan.going_on_in(folder)
     missing, _ = missing_samples(plan, folder, part)
-    analyse = bool(plan.wishes.get("analyse"))
+    analyse = bool(plan.options.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
     seconds = cost.seconds_in_all(missing, number, analyse) + cost.WORKER_START if missing else 0.0
     return {
@@ -253,9 +253,9 @@ def _engine(
     workers : largest number of processes; 0 for one a processor.
     client : connection to a Dask cluster; None for this machine.
     """
-    analyse, states = bool(plan.wishes.get("analyse")), plan.wishes.get("keep_states")
+    analyse, states = bool(plan.options.get("analyse")), plan.options.get("keep_states")
     work = partial(solve_samples, analyse=analyse, states=(folder / STATES).absolute() if states else None)
-    allowed = partial(_allowed_seconds, sample_timeout=plan.wishes.get("sample_timeout"), analyse=analyse)
+    allowed = partial(_allowed_seconds, sample_timeout=plan.options.get("sample_timeout"), analyse=analyse)
     if client is None:
         return LocalEngine(work, _number_of_workers(missing, workers, analyse), allowed)
     from taichi_bearings.scans.cluster import DaskEngine
@@ -318,7 +318,7 @@ class _Course:
         journal : the journal, opened for appending.
         stopped : event that Ctrl-C or SIGTERM sets.
         """
-        analyse, missing = bool(self.plan.wishes.get("analyse")), list(self.missing.values())
+        analyse, missing = bool(self.plan.options.get("analyse")), list(self.missing.values())
         units, work = cost.units_of(missing, analyse, engine.workers or 1), cost.WorkLeft(missing, analyse)
         for finished in run_samples(units, engine):
             self.progress.seconds = time.monotonic() - self.began

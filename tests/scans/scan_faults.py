@@ -54,9 +54,9 @@ def tell_environment(tasks):
     return [{"key": task.key, "scalars": {"status": "told", "value": os.environ.get(task.key)}} for task in tasks]
 
 
-def asking(plan, **wishes):
-    """The plan with these wishes beside the numbers of `run`."""
-    return replace(plan, wishes=wishes)
+def asking(plan, **options):
+    """The plan with these options of the scan beside the numbers of `run`."""
+    return replace(plan, options=options)
 
 
 class Here:
@@ -65,14 +65,14 @@ class Here:
     workers = 0
 
     def __init__(self, analyse=False, states=None):
-        self.wishes, self.running, self.outcomes = (analyse, states), [], []
+        self.options, self.running, self.outcomes = (analyse, states), [], []
 
     @property
     def has_room(self):
         return not self.outcomes
 
     def submit(self, unit):
-        self.outcomes.append(Outcome(unit, solve_samples(unit, *self.wishes)))
+        self.outcomes.append(Outcome(unit, solve_samples(unit, *self.options)))
 
     def collect(self, seconds):
         outcomes, self.outcomes = self.outcomes, []

@@ -157,7 +157,7 @@ def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
     report = scan(asking(five, analyse=False, keep_states=False), folder, engine=Here())
     assert (report["lacking"], report["unanalysed"]) == (0, 1)
     assert np.isnan(read_scan(folder).table["power_minimum_cut"]).sum() == 1
-    assert read_plan(folder / "scan.toml").wishes == {"analyse": False, "keep_states": False, "sample_timeout": 50}
+    assert read_plan(folder / "scan.toml").options == {"analyse": False, "keep_states": False, "sample_timeout": 50}
 
 
 def test_samples_that_fail_cost_nothing_but_themselves(plan_of, tmp_path, caplog):
