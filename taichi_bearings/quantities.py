@@ -305,9 +305,9 @@ FINDINGS = _named(
     [
         Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
         Quantity("driven_power", "energy/time",
-                 "packings: power dissipated by contacts between two driven spheres, not part of the power"),
-        Quantity("slipless_motions", "1", "packings: number of independent motions without slip that free spheres have"
-                 " while the driven ones rest; spheres that no contacts connect to a driven one do not count"),
+                 "power dissipated by contacts between two driven spheres, not part of the power"),
+        Quantity("slipless_motions", "1", "number of independent motions without slip that the free spheres have"
+                 " while the driven ones rest, without spheres that are not connected to a driven one"),
         Quantity("cut_is_unique", "1",
                  "whether every other cut (interface between spheres that turn with the bottom and with the top) has "
                  "more power than the minimum cut"),

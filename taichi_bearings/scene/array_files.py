@@ -69,6 +69,7 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
                 members = {name: name if name in there else short_name(name) for name in (*names, *optional)}
                 _refuse_lack(path, [members[name] for name in names], there)
                 return {name: _member(path, stored, f"{m}.npy", most) for name, m in members.items() if m in there}
+        _refuse_text(path)
         with open_checked(path) as file:
             _refuse_lack(path, names, file)
             found = [name for name in (*names, *optional) if name in file]
@@ -81,6 +82,17 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         raise FileError(
             f"{path} cannot be read as npy, npz or HDF5: it is damaged, truncated or of another kind"
         ) from None
+
+
+def _refuse_text(path: Path) -> None:
+    """Raise FileError if the first line of a file is text, as in a table of numbers.
+
+    path : the file.
+    """
+    with opened(path) as file:
+        begin = file.read(64).split(b"\n")[0].rstrip(b"\r")
+    if begin and begin.isascii() and begin.decode().replace("\t", " ").isprintable():
+        raise FileError(f"{path} is a text file; arrays are read from npy, npz or HDF5 files")
 
 
 def _refuse_lack(path: Path, names: Iterable[str], there: Collection[str]) -> None:

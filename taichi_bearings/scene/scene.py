@@ -290,6 +290,18 @@ class Scene(Bearing):
             given = getattr(self, name)
             object.__setattr__(self, name, bearing_state(name, (0.0,) if given is None else given, dimension))
 
+    def _fits_exchanged(self, coefficients: tuple[np.ndarray, ...]) -> bool:
+        """Return True if the coefficients fit a lattice with free sides once those along x and y are exchanged.
+
+        coefficients : one array for each axis, with a leading axis of samples if there are several.
+        """
+        dimension = len(coefficients)
+        shapes = [list(values.shape[-dimension:]) for values in (coefficients[1], coefficients[0], *coefficients[2:])]
+        if any(len(shape) != dimension for shape in shapes):
+            return False
+        sites = [[n + (axis == other) for other, n in enumerate(shape)] for axis, shape in enumerate(shapes)]
+        return all(shape == sites[0] for shape in sites)
+
     def _check(self, kind: str, coefficients: tuple[np.ndarray, ...]) -> None:
         """Raise InputError if coefficients have a wrong shape or a value out of range.
 
@@ -300,7 +312,8 @@ class Scene(Bearing):
             name, one = AXIS_NAMES[axis], self.lattice.contact_shape(axis)
             if values.shape != (len(self.seeds), *one) and (values.shape != one or self.replicas > 1):
                 expected = one if self.replicas == 1 else (self.replicas, *one)
-                raise InputError(f"{kind} along {name} have shape {values.shape}; this lattice needs {expected}")
+                hint = "; x and y may be exchanged" if self._fits_exchanged(coefficients) else ""
+                raise InputError(f"{kind} along {name} have shape {values.shape}; this lattice needs {expected}{hint}")
             bad = ~((values == 0) | (values >= LEAST_COEFFICIENT) & (values <= MOST_COEFFICIENT))
             if bad.any():
                 where = tuple(int(i) for i in np.argwhere(bad)[0])

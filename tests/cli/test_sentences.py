@@ -99,6 +99,9 @@ def test_missing_arrays_are_named(refused, tmp_path):
     assert refused("run", "--coefficients", "flat.npz").endswith("flat.npz lacks the array z")
     assert refused("run", "--shape", "3,4,5", "--coefficients", "flat.npz").endswith("flat.npz lacks the array z")
     assert refused("run", "--coefficients", "tall.npz").endswith("tall.npz lacks the array x")
+    np.savetxt(tmp_path / "table.csv", arrays["x"][0], delimiter=",")
+    said = refused("run", "--coefficients", "table.csv")
+    assert said.endswith("table.csv is a text file; arrays are read from npy, npz or HDF5 files")
     words = ("run", "--coefficients", "dry.npz", "--law", "coulomb-viscous")
     assert refused(*words).endswith("dry.npz lacks the arrays x_viscosity, y_viscosity, z_viscosity")
 

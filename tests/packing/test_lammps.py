@@ -171,6 +171,14 @@ def test_what_is_no_dump_is_one_sentence_with_its_line(tmp_path, atoms, contacts
     assert "\n" not in str(told.value)
 
 
+def test_spins_must_be_in_the_dump_or_given(tmp_path):
+    atoms = ATOMS.replace(" omegax omegay omegaz", " a b c")
+    assert atoms != ATOMS
+    with pytest.raises(tb.InputError, match=r"no column omegax; give spin, .* spin=\{0: \(0, 0, 0\), 1: \(1, 1, 0\)\}"):
+        read(tmp_path, atoms)
+    assert read(tmp_path, atoms, spin={0: (0, 0, 7)}).spin.tolist() == [[0, 0, 0], [0, 0, 0], [0, 0, 7]]
+
+
 def test_what_is_asked_for_must_be_there(tmp_path):
     for others, words in [
         ({"step": 100, "driven_types": {1: 0}}, "timestep 100 must be complete in both .* it is missing or cut off"),
@@ -178,6 +186,7 @@ def test_what_is_asked_for_must_be_there(tmp_path):
         ({"driven_types": {3: 0}}, "driven names 3, but the dump has no atom or type of that number"),
         ({"driven": {10: 0}}, "either driven .* or driven_types"),
         ({"spin": {1: (0, 0, 1)}}, "spin lacks body 0"),
+        ({"spin": {0: 0, 1: 1}}, "spin of body 0 is 0; it must be three numbers"),
         ({"dimension": 4}, "dimension is 4"),
     ]:
         with pytest.raises(tb.InputError, match=words):

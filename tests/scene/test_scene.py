@@ -28,6 +28,18 @@ def test_coefficients_of_another_shape_are_refused():
         Scene((x, y, z.swapaxes(0, 1)))
 
 
+def test_coefficients_along_x_and_y_that_are_exchanged_are_recognised():
+    x, y = (values[0] for values in make_scene((3, 5)).coefficients)
+    with pytest.raises(InputError, match=r"this lattice needs \(4, 3\); x and y may be exchanged"):
+        Scene((y, x))
+    x, y, z = (values[0] for values in make_scene((3, 4, 5)).coefficients)
+    with pytest.raises(InputError, match="x and y may be exchanged"):
+        Scene((y, x, z))
+    with pytest.raises(InputError) as told:
+        Scene((x, y, z.swapaxes(0, 1)))
+    assert "exchanged" not in str(told.value)
+
+
 def test_only_frustrated_components_are_carried():
     assert make_scene((3, 3, 4)).minimum_spin_axes == (0, 1)
     assert make_scene((3, 3, 4), direction=(1, 0, 0)).minimum_spin_axes == (0,)

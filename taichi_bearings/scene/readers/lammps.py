@@ -88,7 +88,15 @@ class Asked:
         """Return the names of all columns of atoms that are read.
 
         names : columns of the dump.
+
+        Raises InputError if the dump has no spins and none are given.
         """
+        if lacking := [name for name in self.rates if name not in names]:
+            example = "{0: (0, 0, 0), 1: (1, 1, 0)}" if self.dimension == 3 else "{0: 0, 1: 1}"
+            raise InputError(
+                f"the dump of the atoms has no column {lacking[0]}; give spin, the imposed spin of each body, such as "
+                f"spin={example}"
+            )
         return ["id", *self.kinds, *self.size(names), *self.place(names), *self.rates]
 
 
@@ -435,10 +443,15 @@ def _imposed_spins(body: np.ndarray, spin: Mapping[int, Any], dimension: int) ->
     body : (N,), driven body of each atom, -1 for free ones.
     spin : imposed spin by number of the body.
     dimension : 2 or 3.
+
+    Raises InputError for a body without spin, and for a spin that is not a vector, or of discs not a number.
     """
     values = np.zeros((len(body), 3) if dimension == 3 else len(body))
     for own in np.unique(body[body >= 0]).tolist():
         if own not in spin:
             raise InputError(f"spin lacks body {own}; it must give the spin of each driven body")
+        if np.shape(spin[own]) != values.shape[1:]:
+            needed = "three numbers" if dimension == 3 else "one number"
+            raise InputError(f"spin of body {own} is {shown(spin[own])}; it must be {needed}")
         values[body == own] = spin[own]
     return values
