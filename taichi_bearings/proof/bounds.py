@@ -148,7 +148,8 @@ class Bounds:
             beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(soft)).upper(), 0.0))
         cost = network.by_sample((beyond * beyond / network.slope.at(soft)).signed(0.5), soft)
         least = work / Enclosure.exact(worst) - cost
-        lower = least.lower()
+        # Where components mix and the upper bound is 0, the box says nothing; but there no power is below 0.
+        lower = np.minimum(least.lower(), upper)
         apart = np.where(network.impossible, np.inf, (potential - least).upper())
         return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, proof, left.max(axis=0), price.upper(),
                    unknown, friction if network.mixes else [])  # fmt: skip

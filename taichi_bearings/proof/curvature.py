@@ -319,8 +319,10 @@ def bearable(
             for end in network.graph.contact[:, contacts.own[some]]:
                 residual += np.bincount(end, off[slot, some], len(residual))
         residual[~network.free] = 0.0
-        # These torques add up to 0 on each free domain, or a driven sphere of the domain takes the rest. Forces along a
-        # tree of its contacts balance them, none larger than the sum of their sizes over the domain.
+        # At the minimum these torques add up to 0 on each free domain: resting contacts pull on it at both ends, which
+        # cancels, and the slipping ones leave no slope. On other domains a driven sphere takes the rest. So forces
+        # along a tree of the contacts of a domain balance them, none larger than the sum of their sizes over the
+        # domain.
         domain = motion.domain[k]
         added_by_domain[k] = np.bincount(domain, residual)[domain] * UP
     # Compare the stored friction and what is added to it, a vector of the components, with the friction limit.

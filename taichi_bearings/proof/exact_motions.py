@@ -20,7 +20,8 @@ The proof
 4. What friction on these contacts may be needed to exert torques r that they can exert at all. It is proven that |K x|
    >= s |x / unit| for all x that are 0 on J, with a unit for each unknown. Some friction f = K x exerts r, and x may be
    taken to be 0 on J, as motions of the kernel make no slip. Then |f|^2 = r . x <= |unit r| |x / unit|, so |f| is no
-   larger than |unit r| / s.
+   larger than |unit r| / s. Here r is all of the torques, in the range of K^T. A bound on r but for a part along
+   motions of the kernel is not enough: units are 0 on J, and r may be elsewhere (borne.py, step 4).
 5. In the same way spins that let contacts with driven spheres roll follow from each imposed spin.
 
 Contacts join free spheres to *parts*. A part that has no more conditions than unknowns outside J needs no such proof

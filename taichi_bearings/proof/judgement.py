@@ -164,7 +164,7 @@ class Judgement:
 
         The reported objective, a nearest double, may lie below the upper bound. Then this bound is scaled down by the
         same ratio. So the gap of the reported numbers never looks smaller than the proven one."""
-        lower = np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
+        lower = np.maximum(self._reported(self.bounds.lower, -np.inf), 0.0)
         upper, objective = self.upper_bound, self.objective
         share = np.divide(objective, upper, out=np.ones_like(upper), where=np.isfinite(upper) & (upper > objective))
         lowered = np.where(share < 1, np.nextafter(lower * np.nextafter(share, 0.0), 0.0), lower)

@@ -15,9 +15,11 @@ Symbols
 The proof
 1. At a minimum the nodes with u above almost any number between two imposed values are one side of a lightest cut of
    this step. A contact slips if its ends are on different sides of such a cut.
-2. Friction in balance leaves little unused on lightest cuts. An edge from below to above such a cut has mu F_n - f <= E
-   / step, one from above to below mu F_n + f <= E / step. So if mu F_n - f > E / step and the upper end is above, then
-   the lower end is above, too: "above" follows along such edges.
+2. Friction leaves little unused on lightest cuts. By step 5 each of them belongs to a minimum, at which the sum of mu
+   F_n |slip| - f slip over all edges is at most E (theorem 5; torques that f leaves over are paid for in E, as this
+   minimum lies in the box). No term is negative, and an edge across the cut slips by at least the step. So an edge from
+   below to above such a cut has mu F_n - f <= E / step, one from above to below mu F_n + f <= E / step. Hence, if mu
+   F_n - f > E / step and the upper end is above, then the lower end is above, too: "above" follows along such edges.
 3. Nodes that follow from driven ones above are above every lightest cut, and so for those below. Nodes that follow from
    each other are on one side. That decides contacts one by one.
 4. Where cuts tie, the contacts that are left are decided in whole numbers (numerics/exact_cuts.py): which are in all

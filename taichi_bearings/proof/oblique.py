@@ -31,9 +31,13 @@ The proof
    that. (This is meant with B at the nearest spins in V; a factor covers what the one at hand may differ from it.) With
    a step of Newton's method as z hardly any torque is left for tau: stiff contacts bear most of r.
 3. This minimum in V is a minimum over all spins, if T can bear what S leaves to it. The friction of S at the minimum is
-   known closely. The potential has no slope within V, so some friction on T balances the torques; the floors of step 1
-   bound how far it is from the friction of T at hand. If it stays below mu F_n at each contact of T, then it is optimal
-   friction below its limit, and T slips at no minimum (theorem 4). So all minima are in V, where there is only one.
+   known closely. The potential has no slope within V, so what the friction of T at hand leaves over is balanced by some
+   correction of it. The loose spheres touch loose contacts only, whose rows of K there are independent: so the
+   correction of these is what their spheres ask for, at most unit |torques| / floor. What it brings to the other
+   spheres is added to the torques there. These are orthogonal to each motion that rolls exactly, as loose spheres can
+   join any such motion without slip. So the exactly rolling contacts can balance them, with at most |unit torques| / s
+   (exact_motions.py, step 4). If |friction at hand| + correction stays below mu F_n at each contact of T, this is
+   optimal friction below its limit, and T slips at no minimum (theorem 4). So all minima are in V, where there is one.
 
 Example. A free ball touches one driven ball at which it rolls (T, mu F_n = 3) and another one along which it slips with
 |y| = 1 (S, mu F_n = 1). The contact of T leaves the ball one freedom: to turn about the normal of T. This motion x
@@ -463,7 +467,8 @@ class Centre:
         # 3, as the curvature that counts is that in V. It is at least 0.8 of |B x|^2 where slips are a quarter longer
         #    there, times (1 - 8^-1/2)^2 as directions lose tau |x|^2 / 8 at most (checked below), which is at most
         #    |B x|^2 / 8: that is 0.334 |B x|^2, more than a third;
-        # 1.5, as |B z| and |B x| are taken of B as doubles have it: what it misses is below tau^1/2 / 2;
+        # 1.5, as |B z| and |B x| are taken of B as doubles have it. What it misses has a norm d below tau^1/2 / 2:
+        #    the proof of tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues (`_floor_by_guess`);
         # 4 / 3, to spare.
         distance = (to_v + 12 * largest[ends].max(axis=0) * reach[sample] * UP**2 + TINY) * UP
         relative_change, loss = self._relative_to_slip(distance), np.zeros(len(scale))

@@ -27,10 +27,11 @@ spheres in one component is a *part*.
 1. Condition a holds, without any rounding, where all driven spheres that a part touches ask for one spin, up to the
    signs by which neighbours differ; a part with a loop of an odd number of contacts can only stand still.
 2. For b start from the friction F of X at hand. It misses K^T F* on a sphere by no more than r: what F leaves over
-   there, and |F* - F| of its other contacts (`known_friction`). G takes r along a tree of contacts of the part to a
-   driven sphere, or, without one, to where all of it cancels, as that of F* does. What cannot cancel in a part with odd
-   loops goes around such a loop, half of it each way. So no force changes by more than 3/2 of the sum of r over the
-   part.
+   there, and |F* - F| of its other contacts (`known_friction`). G takes r along a tree of contacts of the part to its
+   root, with no force above the sum of r over the part. The root is next to a driven sphere, or, without one, what
+   arrives there cancels, as friction of X, F* less F, can balance it. In a part with odd loops it may not cancel: the
+   root is put on such a loop, and half of the rest goes around it each way. So no force changes by more than 3/2 of the
+   sum of r over the part.
 3. Start with all contacts that have friction left, and remove those that may have to bear too much, until none does.
 
 Example. A free disc touches a still disc (mu F_n = 3) and one that turns with u = 1 (mu F_n = 1, eta = 1), along which

@@ -211,9 +211,11 @@ def floor_by_contact(network: JudgedNetwork, number: np.ndarray, contacts: np.nd
     number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
     contacts : (E,) mask of the contacts.
 
-    Why the second is true: let M give the slips along the two components that are not left out, and friction f exert
-    the torques K^T f = M^T g with two numbers g for each contact. Slips along these two fix the whole slip, which is no
-    shorter; so f, which is across its normal, is no larger than g. And |M^T g|^2 >= tau times the sum of (g / unit)^2.
+    Why. Let M give two components of each slip, y' = M x, and let tau be a floor of |M^T g|^2 over the sum of (g /
+    unit)^2. The shortest spins with given y' are x = M^T (M M^T)^-1 y', so |x|^2 <= sum of (unit y')^2 / tau. The two
+    components fix the whole slip y = P y' of a contact, as it is across its normal, and |P y'| >= |y'|. Friction f
+    exerts K^T f = M^T P^T f = M^T g with g = P^T f. As f is across the normal as well, f = P a for some a, and |g| >=
+    |f|, since no singular value of P is below 1. So |f| / unit is at most |r| over the root of tau.
     """
     unit, slips = np.ones(len(contacts)), _Slips.of(network, number, contacts)
     if isinstance(slips, np.ndarray):

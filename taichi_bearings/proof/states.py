@@ -24,10 +24,12 @@ The proof that S slips and T rests
 1. Over motions that keep every domain in one piece the power is a convex function with a single minimum, close to these
    spins (curvature.py).
 2. At that minimum every contact of S still slips and exerts its friction along the slip; this is known closely. What
-   the contacts of T bear, as the file says, balances it up to E_D, the sum of the torques left over in a domain D. Each
-   domain is in balance as a whole, or held by a driven plane. So forces along the contacts that join it, none larger
-   than E_D, take away what is left over. If then every contact of T stays inside its friction disc, the result is in
-   balance and admissible, and it agrees with the law at every contact: the minimum of step 1 is one of the whole power.
+   the contacts of T bear, as the file says, balances it up to E_D, the sum of the torques left over in a domain D.
+   These torques cancel in each domain, or a driven plane holds it: T pulls both ends of its contacts alike, which are
+   in one domain, and the power has no slope along a free domain. So forces along a tree of the contacts that join it,
+   none larger than E_D, take away what is left over. If then every contact of T stays inside its friction disc, the
+   result is in balance and admissible, and it agrees with the law at every contact: the minimum of step 1 is one of the
+   whole power.
 3. All minima share all optimal forces (equations.md, 7): where the friction is below its limit nothing slips. So T
    rests at every minimum. Every minimum then is one of step 1, where there is only one, and S slips at it.
 
@@ -222,9 +224,13 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
 
 
 def _has_one_minimum(states: np.ndarray) -> bool | None:
-    """Return True if there is only one minimum, False if there are several, None if that is not known.
+    """Return True if all minima have the same slips, False if not, None if that is not known.
 
-    states : (E,), states of all contacts. Those that are TIED slip at some minima only, so there are several."""
+    If two minima have different slips, these change in proportion along the line through both. The line can be followed
+    at the same power until the first slip is 0; this contact is TIED. So without such contacts the slips are the same,
+    though contacts that slip at every minimum might do so at several speeds.
+
+    states : (E,), states of all contacts."""
     return False if (states == TIED).any() else None if (states == UNDECIDED).any() else True
 
 
@@ -235,12 +241,12 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
     The proof has two steps. (1) Near the stored spins there is one minimum at which the contacts that rest now still
     rest. (2) Friction below their limits can balance the torques of the slipping contacts there. Samples of a lattice
     are tried all at once, and if that fails half by half; one by one where friction limits are repeated, so that there
-    may be several minima. Packings are proven elsewhere (`_by_tiny_slips`).
+    may be several minima. Packings are proven elsewhere (`_of_packings`).
 
     network : the R samples with stored spins and friction."""
     count = network.count
     if not network.graph.still_is_exact:
-        return _by_tiny_slips(network)
+        return _of_packings(network)
     if count == 1:
         states = _with_ties(network.motion)
         return [states] if isinstance(states, States) else _all_undecided(network, states)
@@ -248,7 +254,7 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
         parts = [network.some(slice(number, number + 1)) for number in range(count)]
     else:
         if len(network.free) <= PROVEN_AT_ONCE and isinstance(
-            _near(network.motion, Slipping.of(network.motion)), tuple
+            _one_minimum(network.motion, Slipping.of(network.motion)), tuple
         ):
             return _samples(network, _as_stored(network.motion), "", True)
         parts = _halves(network)
@@ -260,7 +266,7 @@ def _halves(network: JudgedNetwork) -> list[JudgedNetwork]:
     return [network.some(slice(None, network.count // 2)), network.some(slice(network.count // 2, None))]
 
 
-def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
+def _of_packings(network: JudgedNetwork) -> list[States]:
     """Return the states of R samples of a packing (discs, or normals along the axes), with friction alone, in which
     minima may slip along several spin components.
 
@@ -274,7 +280,7 @@ def _by_tiny_slips(network: JudgedNetwork) -> list[States]:
     if network.count > 1:
         known = _by_domains(network, still)
         if isinstance(known, str):
-            return [states for half in _halves(network) for states in _by_tiny_slips(half)]
+            return [states for half in _halves(network) for states in _of_packings(half)]
         return _samples(network, known, "", None)
     # First as if spins were known in twice the precision.
     doubt = ""
@@ -297,7 +303,7 @@ def _with_ties(motion: Motion) -> States | str:
     for several in (True, False) if repeats else (False, True):
         if several and (tied := tied_states(motion, contacts)) is not None:
             return States(*tied, "minima tie in ways that are not known closely enough")
-        if not several and isinstance(near := _near(motion, contacts), tuple):
+        if not several and isinstance(near := _one_minimum(motion, contacts), tuple):
             return States(_as_stored(motion), True)
         doubt = doubt if several else str(near)
     return doubt
@@ -357,7 +363,7 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
     motion = _in_domains(network, rests)
     if isinstance(motion, str):
         return motion
-    near = _near(motion, Slipping.of(motion))
+    near = _one_minimum(motion, Slipping.of(motion))
     return near if isinstance(near, str) else _as_stored(motion)
 
 
@@ -399,7 +405,7 @@ def _repeats(motion: Motion) -> bool:
     return bool(((np.diff(values[order]) == 0) & (np.diff(sample[order]) == 0)).any())
 
 
-def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
+def _one_minimum(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
     """Prove that a network has one minimum near its stored spins, at which certain contacts rest. Several samples are
     treated as one network of separate parts.
 
@@ -440,6 +446,9 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
     sum over contacts of mu F_n |slip| - F . slip is at most the upper less the lower bound. A contact near its friction
     limit has at least mu F_n b^2 / (2 |slip|) of this sum, where b is the part of its slip across F; another one at
     least (mu F_n - |F|) |slip|. Together these are a quadratic form of the spins, whose least eigenvalue bounds them.
+
+    The form of the given slips is at most the excess as well: the given spins have no larger potential than that from
+    which `Springs.reach` bounds spins, so the torques left over are paid for at these, too.
 
     bounds : bounds on the power of the sample, with its spins and friction, in which forces of fictitious springs have
         balanced all torques. Without such springs (`unknown` is None) nothing is proven."""

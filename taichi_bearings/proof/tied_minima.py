@@ -45,12 +45,14 @@ The proof
    may be pulled by turning contacts, too, whose pull is not known exactly; it is in balance because the whole slipless
    domain is, and all its other firm domains are. Contacts of T bear the rest, inside all discs (curvature.py,
    `bearable`). So T rests at every minimum (theorem 4).
-4. *All minima.* They share this friction. So they differ from u* by motions that keep T at rest, turn no slip of S, and
-   let C slip only along its friction. These are motions of welded domains (of locked ones) as a whole, and motions of a
-   domain along the line between two others. Contacts at which the latter act are left undecided. There are no further
-   ones, if the power has curvature in all directions with one locked domain of each welded one held (curvature.py,
-   `rises`). So minima are all motions y of welded domains for which no contact of S and C slips backwards: t + y_upper
-   - y_lower >= 0, with signs.
+4. *All minima.* They share this friction. So each differs from u* by a motion that keeps T at rest, turns no slip of S,
+   and lets C slip only along its friction, forward. But for the sign at C, two kinds of motions do so: of welded
+   domains (of locked ones) as a whole, and of a domain along the line between two others. There are no further ones.
+   For such motions can be subtracted until one locked domain of each welded one stands still, and each domain between
+   two others in its held component. What is left turns no slip of S either, so the power has no curvature along it; but
+   it is proven to have curvature along every motion with these domains held (curvature.py, `rises`). So nothing is
+   left. Contacts at which motions between two others act are left undecided. All others have the minima of motions y of
+   welded domains for which no contact of S and C slips backwards: t + y_upper - y_lower >= 0, with signs.
 5. *States.* These are constraints of shortest paths. A contact is an edge of length t: from the welded domain at its
    upper end to that at its lower end, or the other way round if its slip is negative (tail and head in the code). A
    contact of S rests at some minimum if no other path from its tail to its head is shorter than t, and at none if one
