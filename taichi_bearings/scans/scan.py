@@ -213,7 +213,7 @@ def scan(
         replace_file(folder / "scan.toml", plan.text.encode())
         engine = engine or _engine(plan, folder, list(course.missing.values()), workers, client)
         try:
-            with closing(engine), Journal(course.journal) as journal, awaited() as stopped:
+            with awaited() as stopped, closing(engine), Journal(course.journal) as journal:
                 course.follow(engine, journal, stopped)
             course.write_files()
         except FileError as error:
