@@ -301,7 +301,7 @@ class StepsReached(PackingReached):
     """What a method that makes steps has reached in the one sample of a packing: the best forces, with the best spins.
 
     What is reported is proven of the minima, as for other methods, but for four things, which are those of the last
-    state: the contact forces; the states (slipping or not) of a dynamics, and the torques that it leaves over; and the
+    state: contact forces and states (slipping or not) of a dynamics, and the torques that it leaves over; and the
     states of contacts in parts of the packing that nothing drives.
 
     moves : True for a dynamics.
@@ -338,12 +338,14 @@ class StepsReached(PackingReached):
         return super().numbers() | {"largest_balance_residual": left}
 
     def force(self, slip: np.ndarray) -> np.ndarray:
-        """Return the sizes (1, E contacts) of the contact forces of the last state.
+        """Return the sizes (1, E contacts) of the contact forces: of a dynamics those of the last state, else those
+        that prove the lower bound.
 
         slip : not used.
         """
         force = super().force(slip)
-        force[:, self.acting] = vector_length(self.last.force)
+        if self.moves:
+            force[:, self.acting] = vector_length(self.last.force)
         return force
 
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
