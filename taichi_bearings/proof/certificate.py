@@ -41,6 +41,7 @@ CACHED_PULLS = 16_384  # length of arrays of which several fit the second-level 
 # relative distance from the bound below which it is worth computing what forces prove with all roundings
 ENCLOSED_GAP = 1e-9
 CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # for certifying_forces: relative error, and most projections on discs
+LONG_BALANCE = 60_000  # spheres from which a projection on forces in balance takes as long as ten iterations of a method
 
 
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -93,8 +94,9 @@ def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
 
 
 def certifying_forces(
-    scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray, excess: np.ndarray | None = None
-) -> Forces:
+    scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray, excess: np.ndarray | None = None,
+    are_states_asked: bool = True,
+) -> Forces:  # fmt: skip
     """Return forces (C, R, E) near the given ones that prove a bound by themselves: C spin components, R samples, E
     contacts.
 
@@ -108,14 +110,17 @@ def certifying_forces(
     bound : (R,), energy/time, lower bound on the objective that the forces should prove.
     excess : (R,), objective less bound, if known: where no contact state can follow from it, forces that leave torques
         over are good enough, and are found at once.
+    are_states_asked : False if no state of a contact is to be proven by the forces. On large lattices, where balance
+        takes long, forces that leave torques over are good enough then, too.
 
     Forces are projected in turn on those in balance and, with an over-relaxation of 1.5, on the friction discs. Zero
     forces are in balance and inside all discs, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996).
     It ends once the balanced forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or
     after MOST_PROJECTIONS."""
     given = force = _finite(scene, force)
-    # Where no contact state can follow from the bound, any forces that prove it will do.
-    if excess is not None and can_prove_no_state(scene, excess):
+    # Where no contact state can follow from the bound, or none is asked for, any forces that prove it will do.
+    proves_none = excess is not None and can_prove_no_state(scene, excess)
+    if proves_none or (not are_states_asked and scene.lattice.sites >= LONG_BALANCE and not scene.law.flows):
         return _most_proving(scene, given, np.full(scene.replicas, -np.inf), given, spin_axes, bound)
     # Balance the forces of samples that leave torques; without friction limits that is all.
     largest = np.abs(force).max(axis=(0, 2), initial=0.0)

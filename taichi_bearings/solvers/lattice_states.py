@@ -59,7 +59,9 @@ class LatticeReached(Reached):
         self.threshold = ended.slip_threshold
         # laboratory spins with their rounding, forces that prove the bound, and the same in the laboratory
         self.spin, self.spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
-        self.proof = certifying_forces(scene, forces, final.spin_axes, ended.bound, final.objective - ended.bound)
+        excess = final.objective - ended.bound
+        are_asked = self.options.is_dynamics or final.state is not None or bool(self._asked.any())
+        self.proof = certifying_forces(scene, forces, final.spin_axes, ended.bound, excess, are_asked)
         self.friction = laboratory_forces(self.proof, scene.lattice, final.spin_axes)
         self.judgement = Judgement.of(scene, self.spin, self.spin_rounding, self.friction)
         self.method, self.iterations, self.findings = self.options.name, ended.iterations, final.findings
@@ -123,19 +125,27 @@ class LatticeReached(Reached):
         ended = self.final.ended
         return Indicated(state, of_all, {"slip_threshold": each} | ({} if ended is None else {"iterations": ended}))
 
+    @property
+    def _asked(self) -> np.ndarray:
+        """(R samples,) mask: True if a proof of the contact states is tried, whatever a motion has come to.
+
+        That is so in samples whose states the method takes for those of every minimum, and in all samples where the
+        proof is cheap (one spin component, or viscosity).
+        """
+        scene, believed = self.scene, self.final.states_believed
+        one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
+        is_cheap = one_component or scene.law.flows
+        return np.full(scene.replicas, is_cheap) if believed is None or is_cheap else np.array(believed)
+
     def known(self, has_ended: bool) -> np.ndarray | None:
         """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is; None if
         no proof is tried.
 
-        A proof is tried in samples whose states the method takes for those of every minimum. It is tried in all samples
-        where it is cheap (one spin component, or viscosity), and where a motion has come to a minimum.
+        A proof is tried in the samples `_asked`, and in all where a motion has come to a minimum.
 
         has_ended : True if a motion is proven to have come to a minimum.
         """
-        scene, judgement, believed = self.scene, self.judgement, self.final.states_believed
-        one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
-        together = one_component or scene.law.flows or has_ended
-        asked = np.full(scene.replicas, together) if believed is None or together else np.array(believed)
+        scene, judgement, asked = self.scene, self.judgement, self._asked | has_ended
         if judgement is None or not asked.any():
             return None
         with one_thread():

@@ -98,7 +98,7 @@ def test_any_forces_become_balanced_and_admissible_ones():
 
 
 @pytest.mark.usefixtures("taichi_runtime", "needs_f64")
-def test_forces_are_not_brought_into_balance_where_so_much_is_open_that_no_state_can_follow(monkeypatch):
+def test_forces_are_not_brought_into_balance_where_no_state_can_follow_or_none_is_asked_for(monkeypatch):
     """The bound that they prove is the same."""
     scene = make_scene((6, 6, 5), seeds=(1,))
     start = scene.staggered_spin(initial_spin(scene, "linear"), scene.minimum_spin_axes)
@@ -106,12 +106,19 @@ def test_forces_are_not_brought_into_balance_where_so_much_is_open_that_no_state
     bound, made = lower_bound(scene, force, (0, 1)), []
     monkeypatch.setattr(certificate, "balance", lambda *words, of=certificate.balance: made.append(1) or of(*words))
     strongest = scene.strength * scene.acting_coefficient.max() * scene.lattice.radius * scene.jump
-    for share, most in ((1.01, 1), (0.99, MOST_PROJECTIONS + 2)):
+    # nor on large lattices, here of 180 spheres, where no state is asked for
+    for share, asked, large, most in (
+        (1.01, True, 180, 1),
+        (0.99, True, 180, MOST_PROJECTIONS + 2),
+        (0.99, False, 181, MOST_PROJECTIONS + 2),
+        (0.99, False, 180, 1),
+    ):
         made.clear()
-        found = certifying_forces(scene, force, (0, 1), bound, np.array([share * strongest]))
+        monkeypatch.setattr(certificate, "LONG_BALANCE", large)
+        found = certifying_forces(scene, force, (0, 1), bound, np.array([share * strongest]), asked)
         assert dual_value(scene, found, (0, 1))[0] >= bound[0] * (1 - 1e-12)
         assert len(made) <= most
-        assert (len(made) > 1) == (share < 1)
+        assert (len(made) > 1) == (most > 1)
     exact = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-9))
     assert bound[0] <= exact.power[0]
 
