@@ -29,6 +29,14 @@ import numpy as np
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.poisson import solve_poisson
+from taichi_bearings.proof.column_sums import (
+    CACHED_PULLS,
+    Share,
+    column_sums,
+    largest_torques,
+    parts_in_cache,
+    torques_on,
+)
 from taichi_bearings.scene.bearing import Bearing, inverse
 from taichi_bearings.scene.scene import Scene, vector_length
 
@@ -37,11 +45,10 @@ SUM_ROUNDING = 32 * np.finfo(np.float64).eps  # relative allowance for the round
 # the same for the force on a sphere as a plain sum over its contacts: at most 6 of them, each counted at both its ends
 PLAIN_ROUNDING = 8 * np.finfo(np.float64).eps
 ROUNDED_PULL = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
-CACHED_PULLS = 16_384  # length of arrays of which several fit the second-level cache of a processor
 # relative distance from the bound below which it is worth computing what forces prove with all roundings
 ENCLOSED_GAP = 1e-9
 CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # for certifying_forces: relative error, and most projections on discs
-LONG_BALANCE = 60_000  # spheres from which a projection on forces in balance takes as long as ten iterations of a method
+LONG_BALANCE = 60_000  # spheres from which a projection on forces in balance takes as long as ten iterations
 
 
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -241,8 +248,9 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
 
 
 def work_and_bound_within(
-    scene: Scene, balanced: Forces, within: Forces, worst: np.ndarray, spin_axes: tuple[int, ...], enough: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+    scene: Scene, balanced: Forces, within: Forces, worst: np.ndarray, spin_axes: tuple[int, ...], enough: float = 0.0,
+    share: Share = map,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return two arrays (R,), energy/time: the work of the driven planes against given Coulomb forces; and the lower
     bound that these prove after each is capped at its friction limit, or all are scaled to their limits, whichever
     proves more.
@@ -254,16 +262,17 @@ def work_and_bound_within(
         tried.
     spin_axes : the axes of the C components.
     enough : torques are summed in plain doubles, which is quicker, where the allowance for their rounding is at most
-        this share of the distance between work and bound."""
+        this share of the distance between work and bound.
+    share : a function like `map`, which may share the calls among threads."""
     work = _work_of_planes(scene, balanced, spin_axes)
-    bound = dual_value(scene, within, spin_axes, plain=enough > 0)
+    bound = dual_value(scene, within, spin_axes, enough > 0, share)
     if enough > 0:
-        lost = PLAIN_ROUNDING * scene.lattice.radius * scene.jump * _sum_of_sizes(within)
+        lost = PLAIN_ROUNDING * scene.lattice.radius * scene.jump * _sum_of_sizes(within, share)
         if not (lost <= enough * (work - bound)).all():
-            bound = np.maximum(bound, dual_value(scene, within, spin_axes))
+            bound = np.maximum(bound, dual_value(scene, within, spin_axes, share=share))
     as_a_whole = work / np.maximum(worst, 1.0)
     if (as_a_whole > bound).any():
-        proven = dual_value(scene, scaled(scene, balanced), spin_axes)
+        proven = dual_value(scene, scaled(scene, balanced), spin_axes, share=share)
         bound = np.where(as_a_whole > bound, np.maximum(proven, bound), bound)
     return work, np.maximum(bound, 0.0)
 
@@ -288,18 +297,22 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
     return np.where((objective == 0) & (bound == 0), 0.0, gap)
 
 
-def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
+def largest_unbalanced_torque(
+    scene: Scene, force: Forces, spin_axes: tuple[int, ...], share: Share = map
+) -> np.ndarray:
     """Return the largest torque (R,) that forces (C components, R samples, E contacts) leave on a free sphere, force *
     length.
 
     spin_axes : the axes of the C components.
-    scene : R samples of a lattice with E contacts each."""
-    pull = np.abs(torques(force, scene.lattice, spin_axes)[..., 1:-1])
-    found: np.ndarray = scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
+    scene : R samples of a lattice with E contacts each.
+    share : a function like `map`, which may share the calls among threads."""
+    found: np.ndarray = scene.lattice.radius * largest_torques(force, scene.lattice, spin_axes, share)
     return found
 
 
-def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...], plain: bool = False) -> np.ndarray:
+def dual_value(
+    scene: Scene, force: Forces, spin_axes: tuple[int, ...], plain: bool = False, share: Share = map
+) -> np.ndarray:
     """Return the lower bound (R,) on the objective that forces prove, balanced or not, energy/time: the work of the
     driven planes, less the price of torques left on free spheres, less the potential that is dual to each force, less
     an allowance for rounding.
@@ -307,17 +320,18 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...], plain: b
     scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts), within their friction limits.
     spin_axes : the axes of the C components.
-    plain : sum the torques in plain doubles, which is quicker; the allowance then grows with the sum of all forces."""
-    pull = torques(force, scene.lattice, spin_axes) if plain else precise_torques(scene, force, spin_axes)
+    plain : sum the torques in plain doubles, which is quicker; the allowance then grows with the sum of all forces.
+        Else they are summed in twice the precision.
+    share : a function like `map`, which may share the calls among threads."""
+    pulls = column_sums(force, scene.lattice, spin_axes, plain, share)
     work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
     for slot, half_width in enumerate(scene.top_spin(spin_axes) / 2):
         # Work of both planes, and the price of torques that are left over on free spheres.
-        planes = (half_width * (pull[slot][..., -1] - pull[slot][..., 0])).reshape(scene.replicas, -1)
-        left_over = np.abs(half_width) * np.abs(pull[slot][..., 1:-1]).sum(axis=-1)
-        left_over = left_over.reshape(scene.replicas, -1).sum(axis=1)
+        planes = (half_width * (pulls.top[slot] - pulls.bottom[slot])).reshape(scene.replicas, -1)
+        left_over = (np.abs(half_width) * pulls.left_over[slot]).reshape(scene.replicas, -1).sum(axis=1)
         work -= planes.sum(axis=1) + left_over
         allowance += SUM_ROUNDING * (np.abs(planes).sum(axis=1) + left_over)
-    total = _sum_of_sizes(force)
+    total = _sum_of_sizes(force, share)
     allowance += (PLAIN_ROUNDING if plain else SUM_ROUNDING**2) * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
     if scene.law.flows:  # else the conjugate of admissible forces is 0
@@ -326,11 +340,13 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...], plain: b
     return scene.law.share * (work - allowance)
 
 
-def _sum_of_sizes(force: Forces) -> np.ndarray:
+def _sum_of_sizes(force: Forces, share: Share = map) -> np.ndarray:
     """Return the sum (R,) of the absolute values of forces (C components, R samples, E contacts) over components and
-    contacts, added up in pieces that fit the caches."""
+    contacts, added up in pieces that fit the caches.
+
+    share : a function like `map`, which may share the calls among threads."""
     pieces = range(0, force.shape[2], CACHED_PULLS)
-    sums = [np.abs(force[..., first : first + CACHED_PULLS]).sum(axis=(0, 2)) for first in pieces]
+    sums = list(share(lambda first: np.abs(force[..., first : first + CACHED_PULLS]).sum(axis=(0, 2)), pieces))
     return np.sum(sums, axis=0) if sums else np.zeros(force.shape[1])
 
 
@@ -338,39 +354,13 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
     """Return the sum of the contact forces that pull on each sphere, as if summed in twice the precision: (C
     components, R samples, *N), with *N the shape of the lattice.
 
-    Forces in balance cancel, so a plain sum has an error as large as the torque itself. Here each addition keeps what
-    it rounds away (Knuth's two-sum): the relative error is that of one rounding, plus about 1e-32 of the forces.
-
     scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts).
     spin_axes : the axes of the C components."""
-    total = np.zeros((len(spin_axes), scene.replicas, *scene.lattice.shape))
-    lost = np.zeros_like(total)
-    for axis, vectors in enumerate(scene.lattice.by_axis(force)):
-        for slot in tangential(axis, spin_axes):
-            for end, pull in zip(scene.lattice.along(axis), (vectors[slot], -vectors[slot]), strict=True):
-                before, rest = total[slot][end], lost[slot][end]
-                for part in parts_in_cache(before):  # what the addition rounds away goes to the rest
-                    old, more = before[part], pull[part]
-                    new = old + more
-                    added = new - old
-                    rest[part] += (old - (new - added)) + (more - added)
-                    before[part] = new
-                if axis in scene.lattice.periodic:  # these were copies
-                    total[slot][end], lost[slot][end] = before, rest
-    return total + lost
-
-
-def parts_in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
-    """Return pairs of slices that cut the first two axes of arrays with the shape of `values`, (R samples, n, ...),
-    into parts which fit the caches of a processor."""
-    several = max(1, CACHED_PULLS // max(values[0].size, 1))
-    size = max(1, CACHED_PULLS * values.shape[1] // max(values[0].size, 1))
-    return [
-        (slice(r, r + several), slice(first, first + size))
-        for r in range(0, len(values), several)
-        for first in range(0, values.shape[1], size)
-    ]
+    total = np.empty((len(spin_axes), scene.replicas, *scene.lattice.shape))
+    for part in parts_in_cache(total.shape[1:]):
+        total[:, part[0], part[1]] = torques_on(part, force, scene.lattice, spin_axes, plain=False)
+    return total
 
 
 def capped(force: Forces, ratio: np.ndarray) -> Forces:
@@ -399,7 +389,7 @@ def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.
     change : function that returns the new value of a component of forces. It takes the component, and for each force
         the factor, at most 1, that brings it back to its friction limit (0 for a force of 0)."""
     found = np.empty(force.shape)
-    for part in parts_in_cache(ratio):
+    for part in parts_in_cache(ratio.shape):
         share = inverse(ratio[part])
         np.minimum(1.0, share, out=share)
         for whole, given in zip(found, force, strict=True):

@@ -37,10 +37,9 @@ from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.proof.certificate import (
     Forces,
     balance,
-    largest_unbalanced_torque,
-    parts_in_cache,
     work_and_bound,
 )
+from taichi_bearings.proof.column_sums import parts_in_cache
 from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
 from taichi_bearings.solvers.method import Method
@@ -260,7 +259,7 @@ class OperatorSplittingMethod(Method):
             objective=found.power,
             lower_bound=bound,
             resolution=min(found.creep, RESOLVED_SLIP * scene.lattice.radius * scene.jump),
-            largest_balance_residual=largest_unbalanced_torque(scene, found.friction, axes),
+            largest_balance_residual=found.left_over,
             proof=balanced,
             falls_as=GAP_FALLS_AS,
         )
@@ -297,7 +296,7 @@ class OperatorSplittingMethod(Method):
         pieces = [
             ([trial[row][part] for row in rows], friction[axis][part], of_sites[part[0]])
             for axis, rows in enumerate(self.stencil.force_rows(0))
-            for part in parts_in_cache(friction[axis])
+            for part in parts_in_cache(friction[axis].shape)
             if rows
         ]
         list(self.balance.each(lambda piece: _rescale(*piece), pieces))

@@ -9,14 +9,15 @@ Letters: R samples, N spheres (shape of the lattice), E contacts, C carried spin
 site, one for each axis and each spin component that makes the contacts along it slip.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.layout import Layout
-from taichi_bearings.proof.certificate import Forces, parts_in_cache, work_and_bound_within
+from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, work_and_bound_within
+from taichi_bearings.proof.column_sums import Part, Share, parts_in_cache
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.bearing import inverse
 
@@ -24,9 +25,6 @@ PLAIN_SHARE = 1e-3  # of the gap, which roundings in a quick bound may take
 ROUNDED_UP = 1 + 4 * np.finfo(np.float64).eps  # factor that a computed length exceeds the exact one by, with its errors
 # limits of friction between which squares of forces neither overflow nor lose digits
 LEAST_LIMIT, GREATEST_LIMIT = 1e-100, 1e100
-
-Part = tuple[slice, slice]
-"""Slices of the samples and of the first axis of the lattice: a piece of an array (R, n, ...)."""
 
 
 class Looked(NamedTuple):
@@ -43,6 +41,7 @@ class Looked(NamedTuple):
     work: np.ndarray  # (R,), of the driven planes against the forces of the springs, energy/time
     bound: np.ndarray  # (R,), lower bound on the least power that the forces of the springs prove, energy/time
     creep: float  # length/time, the fastest slip of contacts within their friction limit; it is 0 at the minimum
+    left_over: np.ndarray  # (R,), the largest torque that `friction` leaves on a free sphere, force * length
 
 
 class Sums(NamedTuple):
@@ -92,11 +91,11 @@ class Look:
         # function for the lengths of vectors, given as one or two arrays: a slower one where squares could overflow
         self._length = _length if largest < 1 / LEAST_LIMIT and least < GREATEST_LIMIT else _safe_length
 
-    def look(self, share: Callable[..., Iterable[Any]]) -> Looked:
+    def look(self, share: Share) -> Looked:
         """Return, as a :class:`Looked`: friction and spring forces (C components, R samples, E contacts) of the
         iterate; the power of its spins, the work of the driven planes against the spring forces, and the lower bound on
-        the least power that these forces prove, (R,) each, energy/time; and the fastest slip, length/time, of all
-        contacts whose trial force is within their friction limit.
+        the least power that these forces prove, (R,) each, energy/time; the fastest slip, length/time, of all contacts
+        whose trial force is within their friction limit; and the largest torque that the friction leaves over, (R,).
 
         The bound is proven by the spring forces, each cut off at its friction limit, or all scaled down by the largest
         ratio of a force to its limit (`worst`), whichever proves more.
@@ -110,8 +109,11 @@ class Look:
             power[sums.samples] += sums.power
             worst[sums.samples] = np.maximum(worst[sums.samples], sums.saturation)
             creep = max(creep, sums.creep)
-        work, bound = work_and_bound_within(self.scene, self.balanced, self.capped, worst, self.spin_axes, PLAIN_SHARE)
-        return Looked(self.friction, self.balanced, power, work, bound, creep)
+        work, bound = work_and_bound_within(
+            self.scene, self.balanced, self.capped, worst, self.spin_axes, PLAIN_SHARE, share
+        )
+        left_over = largest_unbalanced_torque(self.scene, self.friction, self.spin_axes, share)
+        return Looked(self.friction, self.balanced, power, work, bound, creep, left_over)
 
     def _tasks(self, axis: int) -> list[Task]:
         """Return functions without arguments, one for each piece of the contacts along an axis. Each computes the
@@ -139,7 +141,7 @@ class Look:
                 part[0], self.weights[axis], spins, given, forces, (limit[0][part], limit[1][part])
             )
 
-        return [task(part) for part in parts_in_cache(limit[0])]
+        return [task(part) for part in parts_in_cache(limit[0].shape)]
 
     def _piece(
         self, samples: slice, weight: float, spins: list[list[np.ndarray]], trial: list[np.ndarray],
