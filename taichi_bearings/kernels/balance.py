@@ -310,21 +310,10 @@ class BalanceKernels:
         """
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
-                worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)
-                columns = count // height
-                for slot in ti.static(range(self.components)):
-                    for column in range(columns * worker // workers, columns * (worker + 1) // workers):
-                        low = (self.pull + slot) * row + margin + column * height
-                        place = self.place_of_column(slot, column, stride_x, stride_y, sites)
-                        to = (slot * columns + place) * pitch
-                        for b in range(sums // self.block):
-                            at = b * self.block
-                            lower = load(values, in_range(low + at), self.block)
-                            upper = load(values, in_range(low + height - self.block - at), self.block)
-                            upper = reversed_block(upper, self.block)
-                            store(folded, blocks, to + at, self.block, self.rounded(lower + upper))
-                            if sums + at < pitch:
-                                store(folded, blocks, to + sums + at, self.block, self.rounded(lower - upper))
+                self.at_columns(
+                    True, item // LEAST_CHUNK, workers, values, folded, blocks, row, margin, count, stride_x, stride_y,
+                    sites, sums, pitch,
+                )  # fmt: skip
 
     @ti.func
     def rounded(self, numbers):
@@ -357,29 +346,81 @@ class BalanceKernels:
         """
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
-                worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)
-                columns, half = count // height, height // 2
-                whole = half // self.block * self.block * (height % self.block == 0)  # in blocks that lie as in memory
-                for slot in ti.static(range(self.components)):
+                self.at_columns(
+                    False, item // LEAST_CHUNK, workers, values, folded, blocks, row, margin, count, stride_x, stride_y,
+                    sites, sums, pitch,
+                )  # fmt: skip
+
+    @ti.func
+    def at_columns(
+        self, folds: ti.template(), worker, workers, values: ti.template(), folded: ti.template(),
+        blocks: ti.template(), row, margin, count, stride_x, stride_y, sites, sums, pitch,
+    ):  # fmt: skip
+        """Fold or unfold all columns that are the share of one thread; the loops of both kernels.
+
+        folds : True to fold pulls, False to unfold solutions and add them to potentials.
+        worker, workers : number of the thread, and how many there are.
+        values, folded : all fields, and the folded columns, flat.
+        blocks : the one that is written, as vectors, one for each block.
+        row, margin, count, stride_x, stride_y, sites, sums, pitch : as the kernels have them."""
+        height = self.height(stride_x, stride_y)
+        columns = count // height
+        for slot in ti.static(range(self.components)):
+            field = ti.static((self.pull if folds else self.potential) + slot)
+            for column in range(columns * worker // workers, columns * (worker + 1) // workers):
+                low = field * row + margin + column * height
+                to = (slot * columns + self.place_of_column(slot, column, stride_x, stride_y, sites)) * pitch
+                if ti.static(folds):
+                    self.fold_column(values, folded, blocks, low, to, height, sums, pitch)
+                else:
                     rest = (self.rest - self.potential) * row  # from a potential to what its rounding leaves out
-                    for column in range(columns * worker // workers, columns * (worker + 1) // workers):
-                        low = (self.potential + slot) * row + margin + column * height
-                        place = self.place_of_column(slot, column, stride_x, stride_y, sites)
-                        even = (slot * columns + place) * pitch
-                        odd = even + sums
-                        for b in range(whole // self.block):
-                            at = b * self.block
-                            first = load(folded, in_range(even + at), self.block)
-                            second = load(folded, in_range(odd + at), self.block)
-                            self.add(values, blocks, in_range(low + at), rest, first + second, self.block)
-                            upper, end = reversed_block(first - second, self.block), low + height - self.block
-                            self.add(values, blocks, in_range(end - at), rest, upper, self.block)
-                        for z in range(whole, half):
-                            first_one, second_one = folded[even + z], folded[odd + z]
-                            self.add(values, values, low + z, rest, first_one + second_one, 1)
-                            self.add(values, values, low + height - 1 - z, rest, first_one - second_one, 1)
-                        if height % 2 == 1:
-                            self.add(values, values, low + half, rest, folded[even + half], 1)
+                    self.unfold_column(folded, values, blocks, low, to, height, sums, rest)
+
+    @ti.func
+    def fold_column(
+        self, values: ti.template(), folded: ti.template(), blocks: ti.template(), low, to, height, sums, pitch
+    ):
+        """Write the pulls on one column of spheres as sums, then differences, of two equally far from its ends.
+
+        values, folded, blocks : as the kernel `fold` has them.
+        low, to : index of the pull on the lowest sphere, and of the first number of the folded column.
+        height : spheres along the height.
+        sums, pitch : numbers of a folded column that are sums, and all."""
+        for b in range(sums // self.block):
+            at = b * self.block
+            lower = load(values, in_range(low + at), self.block)
+            upper = load(values, in_range(low + height - self.block - at), self.block)
+            upper = reversed_block(upper, self.block)
+            store(folded, blocks, to + at, self.block, self.rounded(lower + upper))
+            if sums + at < pitch:
+                store(folded, blocks, to + sums + at, self.block, self.rounded(lower - upper))
+
+    @ti.func
+    def unfold_column(
+        self, folded: ti.template(), values: ti.template(), blocks: ti.template(), low, even, height, sums, rest
+    ):
+        """Add the solution for one column of spheres, given as its even and its odd part, to their potentials.
+
+        folded, values, blocks : as the kernel `unfold` has them.
+        low, even : index of the potential of the lowest sphere, and of the first number of the even part.
+        height : spheres along the height.
+        sums : numbers from the even part to the odd one.
+        rest : distance from a potential to what its rounding leaves out."""
+        half, odd = height // 2, even + sums
+        whole = half // self.block * self.block * (height % self.block == 0)  # in blocks that lie as in memory
+        for b in range(whole // self.block):
+            at = b * self.block
+            first = load(folded, in_range(even + at), self.block)
+            second = load(folded, in_range(odd + at), self.block)
+            self.add(values, blocks, in_range(low + at), rest, first + second, self.block)
+            upper, end = reversed_block(first - second, self.block), low + height - self.block
+            self.add(values, blocks, in_range(end - at), rest, upper, self.block)
+        for z in range(whole, half):
+            first_one, second_one = folded[even + z], folded[odd + z]
+            self.add(values, values, low + z, rest, first_one + second_one, 1)
+            self.add(values, values, low + height - 1 - z, rest, first_one - second_one, 1)
+        if height % 2 == 1:
+            self.add(values, values, low + half, rest, folded[even + half], 1)
 
     @ti.func
     def add(self, values: ti.template(), blocks: ti.template(), place, rest, change, block: ti.template()):
