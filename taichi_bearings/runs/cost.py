@@ -17,7 +17,7 @@ from taichi_bearings.memory import NotEnoughMemory, refuse_before
 from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Bearing, Scene
-from taichi_bearings.solvers.table import JUDGED_SECONDS, InteriorPoint, MethodOptions
+from taichi_bearings.solvers.table import InteriorPoint, MethodOptions
 from taichi_bearings.words import counted
 
 PROCESS_BYTES = 190e6  # memory of an interpreter in which this package, SciPy and Taichi are loaded
@@ -97,7 +97,7 @@ def cost_of_lattice(settings: RunSettings, row: type[MethodOptions], scene: Scen
     scene : what it solves, with all samples.
     """
     lattice, shape = scene.lattice, settings.shape
-    judged = PROCESS_SECONDS + JUDGED_SECONDS[len(shape)] * lattice.sites * settings.replicas
+    judged = PROCESS_SECONDS + row.judged_seconds(shape) * settings.replicas
     room = bytes_of_lattice(row, shape, lattice.periodic, settings.replicas)
     step = row.step_seconds(shape)
     if step is None:

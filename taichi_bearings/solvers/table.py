@@ -61,10 +61,11 @@ def _steps(law: Law) -> bool:
 
 # bytes for each sphere of a lattice of 2 or 3 dimensions while its answer is judged: the answer, and enclosures (16 or
 # 24 bytes a number) of the slips, forces and moments of 2 or 3 contacts a sphere; the peak that tracemalloc shows
-JUDGED_BYTES = {2: 1180.0, 3: 1750.0}
-SPLITTING_BYTES = 1400.0  # the same in 3D after operator splitting, which has given back its fields by then
+JUDGED_BYTES = {2: 1000.0, 3: 1500.0}
+SPLITTING_BYTES = 1200.0  # the same in 3D after operator splitting, which has given back its fields by then
 # seconds for each sphere of a lattice to judge its answer, write it, and seal it with checksums
 JUDGED_SECONDS = {2: 5e-6, 3: 1.5e-5}
+SPLITTING_JUDGED_SECONDS = 6e-6  # the same in 3D after operator splitting, which proves no contact states
 # bytes for each sphere in a method that factorises, in addition to the numbers of the factor: some 20 rows of the
 # contacts along the path, the pattern of the factor and its tables
 FACTORISING_BYTES = {2: 2800.0, 3: 5500.0}
@@ -170,6 +171,14 @@ class MethodOptions:
         shape : shape of the lattice.
         """
         return None
+
+    @classmethod
+    def judged_seconds(cls, shape: Sequence[int]) -> float:
+        """Return the seconds to judge the answer of one sample of a lattice, and to write it.
+
+        shape : shape of the lattice.
+        """
+        return JUDGED_SECONDS[len(shape)] * prod(shape)
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
@@ -362,8 +371,16 @@ class OperatorSplitting(MethodOptions):
         tolerance : relative gap that is asked for.
         """
         iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(prod(shape) / 4096, 1) ** 0.25
-        found: float | None = 0.02 + iterations * (2e-4 + 3.6e-8 * prod(shape))
+        found: float | None = 0.02 + iterations * (2e-4 + 2.2e-8 * prod(shape))
         return found
+
+    @classmethod
+    def judged_seconds(cls, shape: Sequence[int]) -> float:
+        """Return the seconds to judge the answer of one lattice, and to write it.
+
+        shape : shape of the lattice.
+        """
+        return SPLITTING_JUDGED_SECONDS * prod(shape) if len(shape) == 3 else super().judged_seconds(shape)
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
