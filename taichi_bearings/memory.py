@@ -15,10 +15,10 @@ from taichi_bearings.errors import InputError
 
 CGROUP = Path("/sys/fs/cgroup")
 LITTLE_BYTES = 1e8  # if less is needed the free memory is not looked at
-# options of mallopt of the GNU C library, in bytes: M_MMAP_THRESHOLD, from which an array gets memory of its own, given
-# back at once; M_TRIM_THRESHOLD, free memory at the end of the heap from which that is given back; M_TOP_PAD, by how
-# much the heap grows at a time
-MALLOC_OPTIONS = {-3: 2**25, -1: 2**29, -2: 2**26}
+# options of mallopt of the GNU C library: M_MMAP_MAX, how many arrays may get memory of their own, which is given back
+# at once; and in bytes M_TRIM_THRESHOLD, free memory at the end of the heap from which that is given back, and
+# M_TOP_PAD, by how much the heap grows at a time
+MALLOC_OPTIONS = {-4: 0, -1: 2**29, -2: 2**26}
 # new objects after which Python looks for cycles among the youngest ones; how many of these searches go before one
 # among older ones, and of those before one among all
 COLLECTED_AFTER = 20_000, 20, 100

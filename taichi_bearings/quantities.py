@@ -168,8 +168,8 @@ FRICTION_QUANTITIES = {
     2: "friction on the upper disc, component along z x n: upwards at x-contacts, to the left at y-contacts",
     3: "friction on the upper sphere, laboratory frame",
 }
-"""Descriptions of the friction on lattices, by dimension. These forces prove the lower bound: they balance, and none
-exceeds the friction limit."""
+"""Descriptions of the friction on lattices, by dimension. These forces prove the lower bound: none exceeds
+the friction limit, and torques that they leave over are paid for."""
 
 # fmt: off
 SPHERES = _named(

@@ -147,8 +147,8 @@ class Lattice:
 
     @cached_property
     def axis(self) -> np.ndarray:
-        """(E contacts,) axis along which each contact lies."""
-        return np.repeat(np.arange(self.dimension), [span.stop - span.start for span in self.spans])
+        """(E contacts,) axis along which each contact lies, in bytes."""
+        return np.repeat(np.arange(self.dimension, dtype=np.int8), [span.stop - span.start for span in self.spans])
 
     def along(self, axis: int) -> tuple[Index, Index]:
         """Return the indices of the lower and of the upper spheres of all contacts along an axis, for arrays whose last
@@ -213,9 +213,9 @@ class Lattice:
 
     @cached_property
     def lower_parity(self) -> np.ndarray:
-        """(E contacts,) s = +1 or -1 of the lower sphere of each contact."""
-        found: np.ndarray = self.parity.ravel()[self.ends[0]]
-        return found
+        """(E contacts,) s = +1 or -1 of the lower sphere of each contact, in bytes."""
+        sign = self.parity.astype(np.int8)
+        return self.flat([sign[self.along(axis)[0]] for axis in range(self.dimension)])
 
     @cached_property
     def driven(self) -> np.ndarray:
@@ -236,8 +236,8 @@ class Lattice:
         """(E contacts,) True for the contacts that join two driven spheres: they never slip and are left out of every
         sum.
         """
-        found: np.ndarray = self.is_driven.ravel()[self.ends].all(axis=0)
-        return found
+        ends = map(self.along, range(self.dimension))
+        return self.flat([self.is_driven[low] & self.is_driven[high] for low, high in ends])
 
     @cached_property
     def contacts(self) -> int:

@@ -138,7 +138,8 @@ class Bounds:
         # Divide F by its worst ratio to the limit, over contacts without viscosity, and subtract what viscous contacts
         # cost.
         hard, soft = (
-            np.flatnonzero(network.counts & some) for some in (network.slope.high == 0, network.slope.high > 0)
+            network.counts & (network.slope.high == 0),
+            np.flatnonzero(network.counts & (network.slope.high > 0)),
         )
         worst = _largest_ratio(network, size, hard)
         if (worst > 1).any():
@@ -225,10 +226,10 @@ def _largest_ratio(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) ->
 
     network : R samples with m contacts in all.
     size : (m,), |F| of all m contacts.
-    hard : indices of the contacts without viscosity, whose friction has a limit."""
+    hard : (m,) mask of the contacts without viscosity, whose friction has a limit."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
-    about[hard] = size.high[hard] / network.holding.high[hard]
+    np.divide(size.high, network.holding.high, out=about, where=hard)
     most = about.reshape(network.count, -1).max(axis=1, initial=1.0)
-    large = hard[about[hard] >= network.on_contacts(most * (1 - DOUBLE_ERROR))[hard]]
+    large = np.flatnonzero(hard & (about >= network.on_contacts(most * (1 - DOUBLE_ERROR))))
     np.maximum.at(found, network.sample_of(large), (size.at(large) / network.holding.at(large)).most)
     return found

@@ -34,10 +34,10 @@ from scipy import sparse
 from taichi_bearings.dissection import Part, dissected, restricted
 from taichi_bearings.numerics.double_double import two_product
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.enclosure import Enclosure, row_sum
+from taichi_bearings.proof.enclosure import Enclosure, in_cache, row_sum
 from taichi_bearings.proof.listed import Listed, across, signs
 from taichi_bearings.proof.rounded_elimination import REGION_UNKNOWNS, Samples
-from taichi_bearings.proof.slices import nothing, slices
+from taichi_bearings.proof.slices import nothing, slices, zeros
 from taichi_bearings.scene.law import Law
 
 LEAST_EXACT = 1e-250  # size of a product above which two doubles hold all of it
@@ -314,7 +314,9 @@ class JudgedNetwork:
         in which no driven sphere does work."""
         own, all_count = self.graph.can_do_work(self.box), bool((self.counts == self.acts).all())
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
-        return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
+        return [
+            (part if all_count else part.where(self.counts)) if some else zeros(len(self.acts)) for part, some in pairs
+        ]
 
     @property
     def own_friction(self) -> list[Enclosure]:
@@ -392,10 +394,16 @@ class JudgedNetwork:
         slips, slip = some & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         held, flowing = nothing(self.count), nothing(self.count)
         if self.law.holds:
-            held = row_sum((self.holding * slip).where(slips).reshaped((self.count, -1)))
+            held = row_sum(_product_in(self.holding, slip, slips).reshaped((self.count, -1)))
         if self.law.flows:
             flowing = row_sum((self.slope * slip * slip).where(slips).reshaped((self.count, -1)))
         return held, flowing
+
+
+@in_cache
+def _product_in(first: Enclosure, second: Enclosure, some: np.ndarray) -> Enclosure:
+    """Return the product of two enclosures (m,) where the mask `some` (m,) is True, and exactly 0 elsewhere."""
+    return (first * second).where(some)
 
 
 @dataclass(frozen=True)

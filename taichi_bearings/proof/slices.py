@@ -149,11 +149,8 @@ class Grid(Listed):
         spin component, C enclosures (m,), in `force_unit` of the samples.
 
         acts : (m,) mask of the contacts that take part; others get 0."""
-        samples, nothing = self.samples, np.broadcast_to(0.0, self.contacts)  # takes no memory
-        found, acting = (
-            np.zeros((len(samples.components), *samples.scene.coefficient.shape)),
-            acts.reshape(samples.count, -1),
-        )
+        samples, none, shape = self.samples, np.broadcast_to(0.0, self.contacts), self.samples.scene.coefficient.shape
+        found, acting = [np.zeros(shape) for _ in samples.components], acts.reshape(samples.count, -1)
         for axis, span in enumerate(samples.lattice.spans):
             friction = samples.friction[:, span]
             if samples.lattice.dimension == 2:
@@ -162,10 +159,10 @@ class Grid(Listed):
                 before, after = (axis + 1) % 3, (axis + 2) % 3
                 turned = [(before, friction[..., after], -samples.force_unit)]
                 turned += [(after, friction[..., before], samples.force_unit)]
-            for slot, values, unit in turned:
+            for slot, values, unit in ((slot, values, unit) for slot, values, unit in turned if values.any()):
                 np.divide(values, unit, out=found[slot][:, span])
                 found[slot][:, span][~acting[:, span]] = 0.0
-        return [Enclosure(part.reshape(-1), nothing, nothing) for part in found]
+        return [Enclosure(part.reshape(-1) if part.any() else none, none, none) for part in found]  # takes no memory
 
     def felt(self, axis: int) -> list[int]:
         """Return the places, 0 to C - 1, of the spin components that make contacts along `axis` slip: all but the one
@@ -178,11 +175,15 @@ class Grid(Listed):
         sign of the sublattice) times the sphere's sign; elsewhere 0.
 
         component : axis of the spin component, 0 to 2."""
-        found, jump = nothing(self.spheres), self.samples.jump_at(component)
-        for whole, part, sign in zip(found.parts, jump.parts, (1, 1, 0), strict=True):
-            signs = self.samples.sublattice[..., -1] if sign else 1.0
-            self.on_spheres(whole)[..., -1] = signs * self.on_spheres(part)[..., -1]
-        return found
+        jump = self.samples.jump_at(component)
+        if not _may_differ_from_0(jump):
+            return zeros(self.spheres)
+        found = [np.zeros(self.spheres) if part.any() else part for part in jump.parts]
+        for whole, part, sign in zip(found, jump.parts, (1, 1, 0), strict=True):
+            if whole is not part:
+                signs = self.samples.sublattice[..., -1] if sign else 1.0
+                self.on_spheres(whole)[..., -1] = signs * self.on_spheres(part)[..., -1]
+        return Enclosure(*found)
 
     @cached_property
     def mixing(self) -> np.ndarray:
@@ -392,7 +393,7 @@ class Grid(Listed):
             exact doubles (only `high` is read)."""
         found = []
         for slot, part in enumerate(moment):
-            found.append(nothing(self.spheres))
+            found.append(nothing(self.spheres) if part.high.any() else zeros(self.spheres))
             if not part.high.any():
                 continue
             total, pulls = self.of_spheres(found[-1]), self.by_axis(part.high)
@@ -415,6 +416,12 @@ def slices(graph: Listed) -> Grid:
 def nothing(count: int) -> Enclosure:
     """Return an enclosure (count,) of exact zeros."""
     return Enclosure(np.zeros(count), np.zeros(count), np.zeros(count))
+
+
+def zeros(count: int) -> Enclosure:
+    """Return an enclosure (count,) of exact zeros that takes no memory and cannot be changed."""
+    none = np.broadcast_to(0.0, count)
+    return Enclosure(none, none, none)
 
 
 def size_of(parts: list[Enclosure]) -> Enclosure:

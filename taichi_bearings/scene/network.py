@@ -159,7 +159,7 @@ class Network:
         if self.lattice is None:
             return {"contact": contact, "spheres": self.contact[:, contact].T}
         place = np.stack(np.unravel_index(self.contact[0, contact], self.shape), axis=1)
-        return {"contact": place, "axis": self.lattice.axis[contact]}
+        return {"contact": place, "axis": self.lattice.axis[contact].astype(int)}
 
     def friction_as_given(self, friction: np.ndarray) -> np.ndarray | tuple[np.ndarray, ...]:
         """Return friction (..., contacts E, 3), in 2D (..., E), of all contacts in the form in which users get it: on a

@@ -470,14 +470,8 @@ class Course:
         threshold : slip speed up to which a contact counts as slipless, length/time; None for the slip that the method
             can resolve.
         """
-        last, best, method = self.last, self.best, self.method
-        method.give_back()
-        final = replace(best.progress, ended=last.ended, findings=self.findings)
-        ended = Ended(
-            self.status, final, best.bound, best.proof, last.iteration, self.stop, method.options, threshold,
-            method.found, self._while_wanted,
-        )  # fmt: skip
-        found = method.contacts.answered(ended)
+        self.method.give_back()
+        found = self.method.contacts.answered(self._ended(threshold))
         return replace(
             found,
             seconds=self.seconds,
@@ -485,6 +479,20 @@ class Course:
             snapshots=self.recorder.snapshots(),
             findings={**found.findings, **self.findings},
         )
+
+    def _ended(self, threshold: float | None) -> Ended:
+        """Return how the run ended, and forget its states, whose arrays of forces nothing else needs.
+
+        threshold : slip speed up to which a contact counts as slipless, length/time; None for the slip that the method
+            can resolve.
+        """
+        last, best, method = self.last, self.best, self.method
+        del self.last, self.best
+        final = replace(best.progress, ended=last.ended, findings=self.findings, proof=None)
+        return Ended(
+            self.status, final, best.bound, best.proof, last.iteration, self.stop, method.options, threshold,
+            method.found, self._while_wanted,
+        )  # fmt: skip
 
 
 OF_BEST = (

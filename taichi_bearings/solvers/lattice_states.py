@@ -4,11 +4,13 @@ Shapes: R samples, E contacts, C carried spin components. The *jump* of a scene 
 are imposed on its top and on its bottom, 1/time. A state is *proven* if it is that of the contact at every minimum.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap, saturation
+from taichi_bearings.proof.certificate import certifying_forces, relative_gap, saturation
 from taichi_bearings.proof.contact_state import (
     SATURATED,
     ContactState,
@@ -33,9 +35,9 @@ class LatticeReached(Reached):
     """What a method has reached in all samples of a lattice.
 
     scene : the lattice with its R samples.
-    final : the best state that it has reached.
+    final : the best state that it has reached, with the sizes of its forces (1, R, E) in place of the vectors.
     bound : (R samples,), the lower bound that the method knows.
-    proof : (C components, R, E contacts), forces near those of the method that prove a bound by themselves.
+    size : (1, R, E contacts), sizes of forces near those of the method that prove a bound by themselves.
     options : the method and its options.
     threshold : slip speed, length/time, up to which a contact counts as slipless; None for what the method can resolve.
     """
@@ -55,14 +57,15 @@ class LatticeReached(Reached):
             final = without_slip(scene, final)
             idle = scene.is_cut_off | (scene.jump == 0)
             forces = np.where(idle[:, None], 0.0, forces) if idle.any() else forces
-        self.scene, self.final, self.bound = scene, final, ended.bound
+        self.scene, self.bound = scene, ended.bound
+        self.final = replace(final, force=vector_length(final.force)[None])
         self.threshold = ended.slip_threshold
         # laboratory spins with their rounding, forces that prove the bound, and the same in the laboratory
         self.spin, self.spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
         excess = final.objective - ended.bound
         are_asked = self.options.is_dynamics or final.state is not None or bool(self._asked.any())
-        self.proof = certifying_forces(scene, forces, final.spin_axes, ended.bound, excess, are_asked)
-        self.friction = laboratory_forces(self.proof, scene.lattice, final.spin_axes)
+        proof = certifying_forces(scene, forces, final.spin_axes, ended.bound, excess, are_asked)
+        self.size, self.friction = vector_length(proof)[None], laboratory_forces(proof, scene.lattice, final.spin_axes)
         self.judgement = Judgement.of(scene, self.spin, self.spin_rounding, self.friction)
         self.method, self.iterations, self.findings = self.options.name, ended.iterations, final.findings
 
@@ -94,7 +97,7 @@ class LatticeReached(Reached):
 
         slip : (R, E), slip speeds, length/time.
         """
-        return self._of_motion(slip) if self.options.is_dynamics else vector_length(self.proof)
+        return self._of_motion(slip) if self.options.is_dynamics else self.size[0]
 
     def _of_motion(self, slip: np.ndarray) -> np.ndarray:
         """Return the sizes (R samples, E contacts) of the contact forces of a dynamics at its last moment.
@@ -112,7 +115,7 @@ class LatticeReached(Reached):
         most = np.inf if scene.law.flows else scene.strength * ratio
         absent = scene.coefficient == 0
         limit = most * np.where(absent, 1.0, scene.coefficient)
-        return np.where(absent, 0.0, np.minimum(vector_length(self.final.force), limit))
+        return np.where(absent, 0.0, np.minimum(self.final.force[0], limit))
 
     def indicated(self, slip: np.ndarray) -> Indicated:
         """Return the contact states that method, slips and forces indicate, with the slip speeds up to which contacts
@@ -121,7 +124,7 @@ class LatticeReached(Reached):
         slip : (R samples, E contacts), slip speeds, length/time.
         """
         known = _known_by_contact(self.judgement, self.options.is_dynamics)
-        state, each, of_all = _states_and_thresholds(self.scene, slip, self.final, self.threshold, known, self.proof)
+        state, each, of_all = _states_and_thresholds(self.scene, slip, self.final, self.threshold, known, self.size)
         ended = self.final.ended
         return Indicated(state, of_all, {"slip_threshold": each} | ({} if ended is None else {"iterations": ended}))
 
@@ -174,12 +177,12 @@ def _states_and_thresholds(
     final: Progress,
     threshold: float | None,
     known: np.ndarray | None,
-    proof: Forces,
+    size: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return contact states (R samples, E contacts), and the slip speeds, length/time, up to which contacts count as
     slipless: (R,), and one for all samples.
 
-    If the user gave no threshold, a contact that seems to slip while its friction in `proof` is below its limit is
+    If the user gave no threshold, a contact that seems to slip while its friction in `size` is below its limit is
     undecided, unless `known` has its state. The slip speed is then what the method can resolve. If friction has told
     slower slipping contacts apart, it is the largest slip of a slipless contact.
 
@@ -188,7 +191,7 @@ def _states_and_thresholds(
     final : the best state that the method has reached.
     threshold : the slip speed that the user asked for, or None for what can be resolved.
     known : (R, E), states that are proven contact by contact, or None.
-    proof : (C components, R, E), forces that prove the lower bound.
+    size : (1, R, E), sizes of the forces that prove the lower bound.
     """
     if threshold is not None:
         state = _states(scene, slip, final, threshold, asked=True)
@@ -198,7 +201,7 @@ def _states_and_thresholds(
     resolves = np.maximum(final.resolution, rounding) * np.ones(scene.replicas)
     state = _states(scene, slip, final, float(resolves.max()), asked=False)
     if known is not None:
-        off = (state == ContactState.SLIPPING) & (saturation(scene, proof) < SATURATED) & (not scene.law.flows)
+        off = (state == ContactState.SLIPPING) & (saturation(scene, size) < SATURATED) & (not scene.law.flows)
         state = np.where(off, ContactState.UNDECIDED, state)
         state = decided(state, known)[0]
     found = separate(scene, slip, state)

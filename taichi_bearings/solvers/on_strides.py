@@ -4,6 +4,8 @@ Leftover torques are balanced by fast transforms where a lower bound needs it. S
 of the lattice), E contacts, C carried spin components.
 """
 
+import gc
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from taichi_bearings.fields import Fields, FieldSpec, block_size, team_size
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.memory import give_back_freed
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene, Solution
 from taichi_bearings.solvers.answer import answered
@@ -290,7 +293,14 @@ class OnStrides(Stepped, WithMinima):
 
         ended : how the run ended, with the best that it has reached.
         """
-        return answered(LatticeReached(self.scene, ended), ended, ended.while_wanted)
+        reached = LatticeReached(self.scene, ended)
+        ended = replace(ended, best=reached.final, proof=reached.size)  # whose vectors take much memory
+        found = answered(reached, ended, ended.while_wanted)
+        if self.scene.lattice.sites * self.scene.replicas >= UNCACHED_SPHERES:
+            del reached
+            gc.collect()  # what the proof knows of a network and of its motions refers to each other
+            give_back_freed()
+        return found
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
         """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque

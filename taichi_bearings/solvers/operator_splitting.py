@@ -82,7 +82,7 @@ class OperatorSplittingMethod(Method):
     Attributes:
 
     stiffness : (R samples,), rho of each sample.
-    weights, weight : stiffness of the springs over rho, by lattice axis, and by contact (E contacts,).
+    weights : stiffness of the springs over rho, by lattice axis.
     changing : names of the fields on which further iterations depend.
     is_large : True on a CPU for a lattice whose fields are larger than the caches of a core.
     is_single : True while the fields are in single precision although the runtime is in double precision.
@@ -111,7 +111,6 @@ class OperatorSplittingMethod(Method):
         spheres = scene.lattice.sites * scene.replicas
         refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
         self.weights = (1.0,) * scene.lattice.height_axis + (HEIGHT_WEIGHT,)
-        self.weight = np.array(self.weights)[scene.lattice.axis]
         running = runtime.current()
         self.is_large = not running.is_gpu and scene.lattice.sites >= LARGE_LATTICE
         self._allocate(np.dtype(np.float32) if self.is_large else number_type())
@@ -153,7 +152,8 @@ class OperatorSplittingMethod(Method):
         self.iteration = 0
         stiffness = self._along_lattice(self.stiffness)
         self._load_potential(stiffness * staggered)
-        self._load_trial_forces(self.weight * self.stiffness[:, None] * self.differences(staggered))
+        weight = np.array(self.weights)[scene.lattice.axis]
+        self._load_trial_forces(weight * self.stiffness[:, None] * self.differences(staggered))
 
     def _load_trial_forces(self, trial: Forces) -> None:
         """Write trial forces, (C components, R samples, E contacts), into their field. A trial force is cut off at the

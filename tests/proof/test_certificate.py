@@ -1,11 +1,13 @@
 """The bounds must be true for any candidate, and sharp for a good one."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from taichi_bearings.lattice.incidence import contact_differences
+from taichi_bearings.proof import column_sums
 from taichi_bearings.proof.certificate import (
     balance,
     dual_value,
@@ -123,6 +125,27 @@ def test_torques_in_near_balance_are_summed_without_loss(shape):
                 terms += [vector[site]] if site[axis] < shape[axis] - 1 else []
                 terms += [-vector[below]] if site[axis] > 0 else []
             assert pull[slot, 0][site] == pytest.approx(math.fsum(terms), rel=1e-15, abs=1e-20)
+
+
+@pytest.mark.parametrize("size", [1, 40, 10_000])
+@pytest.mark.parametrize(
+    ("shape", "closed"), [((5, 4), ()), ((6, 4), ("x",)), ((4, 6, 5), ("x", "y")), ((3, 4, 5), ())]
+)
+def test_torques_summed_plane_by_plane_have_the_bits_of_those_summed_at_once(shape, closed, size, monkeypatch):
+    """Of few planes or samples at a time, or of all, on one thread or two."""
+    monkeypatch.setattr(column_sums, "CACHED_PULLS", size)
+    scene = make_scene(shape, "viscous", seeds=(4, 5, 6), periodic=closed)
+    axes, lattice = scene.minimum_spin_axes, scene.lattice
+    force = random_force(scene, axes, np.random.default_rng(3), 5.0)
+    pull = torques(force, lattice, axes)
+    with ThreadPoolExecutor(2) as threads:
+        found = column_sums.column_sums(force, lattice, axes, True, threads.map)
+        largest = column_sums.largest_torques(force, lattice, axes, threads.map)
+    assert (found.top == pull[..., -1]).all()
+    assert (found.bottom == pull[..., 0]).all()
+    assert (found.left_over == np.abs(pull[..., 1:-1]).sum(axis=-1)).all()
+    assert (largest == np.abs(pull[..., 1:-1]).max(axis=(0, *range(2, pull.ndim)))).all()
+    np.testing.assert_allclose(precise_torques(scene, force, axes), pull, rtol=1e-12, atol=1e-13)
 
 
 def test_forces_in_balance_to_round_off_prove_a_gap_of_round_off():
