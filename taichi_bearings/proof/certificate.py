@@ -117,13 +117,11 @@ def certifying_forces(
     bound : (R,), energy/time, lower bound on the objective that the forces should prove.
     excess : (R,), objective less bound, if known: where no contact state can follow from it, forces that leave torques
         over are good enough, and are found at once.
-    are_states_asked : False if no state of a contact is to be proven by the forces. On large lattices, where balance
-        takes long, forces that leave torques over are good enough then, too.
+    are_states_asked : False if no contact state is to be proven by them. On large lattices the same holds then.
 
-    Forces are projected in turn on those in balance and, with an over-relaxation of 1.5, on the friction discs. Zero
-    forces are in balance and inside all discs, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996).
-    It ends once the balanced forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or
-    after MOST_PROJECTIONS."""
+    Forces are projected in turn on those in balance and, over-relaxed by 1.5, on the friction discs. Zero forces are in
+    both sets, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996). It ends once the balanced
+    forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or after MOST_PROJECTIONS."""
     given = force = _finite(scene, force)
     # Where no contact state can follow from the bound, or none is asked for, any forces that prove it will do.
     proves_none = excess is not None and can_prove_no_state(scene, excess)
@@ -139,11 +137,10 @@ def certifying_forces(
         return _most_proving(scene, force, dual_value(scene, force, spin_axes), given, spin_axes, bound)
     ratio = saturation(scene, force)
     worst, best = ratio.max(axis=1), force
-    # known: the best forces scaled into their discs, and the bound that they prove, if that has been computed
-    worst_of_best, known = worst, None
-    proves = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
+    proves, worst_of_best = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0), worst
+    known = None  # the best forces scaled into their discs, and the bound that they prove, once computed
     reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
-    done = np.zeros(scene.replicas, dtype=bool)  # each replica ends on its own, whatever the others need
+    done = ~better  # each replica ends on its own, whatever the others need
     # Project in turn on the friction discs and on the forces in balance; keep those that prove the most.
     for _ in range(MOST_PROJECTIONS):
         near = better & (proves >= bound * (1 - ENCLOSED_GAP))
