@@ -145,7 +145,7 @@ def describe_estimate(expected: dict[str, Any]) -> str:
         lines[0] += f", of which {expected['missing']:,} are missing"
     time = "unknown" if expected["seconds"] is None else f"about {duration(expected['seconds'])}"
     workers = counted(expected["workers"], "worker")
-    lines.append(f"time: {time} with {workers} (may be wrong by a factor of three)")
+    lines.append(f"time: {time} with {workers} (within a factor of three on an idle computer)")
     gigabytes = expected["bytes"] / 1e9
     lines.append(f"memory: about {gigabytes:.1f} GB")
     return "\n".join(lines)

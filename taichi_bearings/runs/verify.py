@@ -26,7 +26,7 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.plain_files import Json
+from taichi_bearings.plain_files import Json, read_json
 from taichi_bearings.proof.contact_state import are_proven
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.rounded_elimination import EPS
@@ -81,6 +81,7 @@ def verify(path: str | Path) -> Json:
         report, found = anew.report, [*anew.contradictions()]
     with stage("drawing the coefficients again"):
         found += _seed_contradictions(run)
+    found += _summary_contradictions(run, path)
     found += [f"{name} was changed after it was written" for name in changed]
     said = {name: run.attributes.get(name) for name in ("status", "seed")}
     return {
@@ -336,6 +337,32 @@ def _seed_contradictions(run: Result) -> list[str]:
         if not np.allclose(scene.named_coefficients[name][number], drawn, rtol=rounding, atol=0):
             found.append(f"the {name} in the file differs from what seed {scene.seeds[number]} gives")
     return found
+
+
+def _summary_contradictions(run: Result, path: Path) -> Iterator[str]:
+    """Yield sentences on values in summary.json that differ from those in run.h5, of the same run directory.
+
+    run : the run as run.h5 says.
+    path : the run directory. Nothing is compared if it is a file, or holds no summary.json.
+    """
+    beside = path / "summary.json"
+    if not beside.is_file():
+        return
+    summary = read_json(beside)
+    if not isinstance(summary, dict):
+        yield "summary.json does not hold a JSON object"
+        return
+    for name in sorted((run.attributes.keys() & summary.keys()) - {"run"}):
+        said, stored = summary[name], _as_json(run.attributes[name])
+        if said != stored:
+            yield f"the {name.replace('_', ' ')} is {shown(said)} in summary.json and {shown(stored)} in run.h5"
+
+
+def _as_json(value: Any) -> Any:
+    """Return the value of an attribute as summary.json has it: None for an empty text or not-a-number."""
+    plainly = np.asarray(value).tolist()
+    listed = [None if v == "" or v != v else v for v in (plainly if isinstance(plainly, list) else [plainly])]
+    return listed if isinstance(plainly, list) else listed[0]
 
 
 def _contradicted_attributes(said: Mapping[str, Any], numbers: Mapping[str, Any], count: int) -> Iterator[str]:

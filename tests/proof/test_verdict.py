@@ -1,5 +1,6 @@
 """Files that prove what they claim are verified; with one number changed where it matters, they are not."""
 
+import json
 import shutil
 from contextlib import suppress
 
@@ -122,6 +123,21 @@ def test_what_a_run_did_not_prove_is_found(changed, name, change):
     assert len(report["contradictions"]) >= 1
 
 
+@pytest.mark.parametrize(
+    ("name", "key", "value"), [("spheres", "power", 1.0), ("discs", "gap", None), ("samples", "seed", 3)]
+)
+def test_a_summary_that_differs_from_the_file_is_found(folder, tmp_path, name, key, value):
+    run = shutil.copytree(folder / name, tmp_path / name)
+    summary = json.loads((run / "summary.json").read_text())
+    (run / "summary.json").write_text(json.dumps(summary | {key: value}))
+    (sentence,) = verify(run)["contradictions"]
+    assert sentence.startswith(f"the {key} is {value} in summary.json and ")
+    (run / "summary.json").write_text("[]")
+    assert verify(run)["contradictions"] == ["summary.json does not hold a JSON object"]
+    (run / "summary.json").unlink()
+    assert verify(run)["verified"]
+
+
 @pytest.mark.parametrize("name", ["spheres", "discs", "dampers"])
 @pytest.mark.parametrize(("key", "towards"), [("lower_bound", np.inf), ("gap", -np.inf), ("power", -np.inf)])
 def test_nothing_is_said_to_be_better_than_it_is_proven_to_be(changed, name, key, towards):
@@ -229,7 +245,7 @@ def test_a_sample_beside_that_of_its_seed_is_not_the_seeds(tmp_path):
         del file.attrs["sha256"]
         file.attrs["coefficients"] = ""
         file.attrs["scene"] = file.attrs["scene"].replace('coefficients = "run.h5"\n', "")
-    assert verify(tmp_path / "moved")["contradictions"] == [
+    assert verify(tmp_path / "moved/run.h5")["contradictions"] == [
         "the coefficient in the file differs from what seed 3 gives"
     ]
     assert other.solution.power[0] == pytest.approx(verify(tmp_path / "run")["power"], rel=1e-15)
