@@ -18,6 +18,8 @@ from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.scans.scan import scan
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import lattice_states
@@ -25,6 +27,7 @@ from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import InteriorPoint, RigidLimit
+from tests.scans.scan_faults import Here
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -131,6 +134,15 @@ def test_a_second_signal_changes_nothing_after_a_file_was_read(monkeypatch):
                 strike()
         with pytest.raises(KeyboardInterrupt):
             strike()
+
+
+def test_a_scan_that_is_interrupted_while_its_workers_end_writes_its_files(tmp_path, monkeypatch):
+    (tmp_path / "scan.toml").write_text("shape = [4, 5]\n[scan]\nseed = [1, 2]\n")
+    engine = Here()
+    monkeypatch.setattr(engine, "close", lambda: strike() or time.sleep(0.05))
+    report = scan(read_plan(tmp_path / "scan.toml"), tmp_path / "scan", engine=engine)
+    assert (report["done"], report["interrupted"]) == (2, False)  # nothing is left to do
+    assert (tmp_path / "scan" / "scan.h5").exists()
 
 
 def hears(process):
