@@ -293,10 +293,13 @@ class OnStrides(Stepped, WithMinima):
 
         ended : how the run ended, with the best that it has reached.
         """
+        is_large = self.scene.lattice.sites * self.scene.replicas >= UNCACHED_SPHERES
         reached = LatticeReached(self.scene, ended)
         ended = replace(ended, best=reached.final, proof=reached.size)  # whose vectors take much memory
+        if is_large:
+            give_back_freed()
         found = answered(reached, ended, ended.while_wanted)
-        if self.scene.lattice.sites * self.scene.replicas >= UNCACHED_SPHERES:
+        if is_large:
             del reached
             gc.collect()  # what the proof knows of a network and of its motions refers to each other
             give_back_freed()
