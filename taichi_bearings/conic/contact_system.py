@@ -281,6 +281,13 @@ class ContactSystem:
         gives slips from spins."""
         return self.operator.T.tocsr()
 
+    def by_rows(self) -> "ContactSystem":
+        """Return the system in which each slip component is a contact of its own, (1, d*n): all first components, then
+        all second ones. Where each slip is a difference of two unknowns, its matrices couple no different spin
+        components; those of a lattice fall apart into planes. Letters: n contacts with up to d slip components."""
+        ends = None if self.ends is None else self.ends.reshape(2, 1, -1)
+        return ContactSystem(self.unknowns, self.offset.reshape(1, -1), self.felt.reshape(1, -1), ends, self.slips)
+
     def copies(self, count: int) -> "ContactSystem":
         """Return a system of `count` copies of the contacts, each over spins of its own: the samples become parts of
         one system that no contact joins. Each slip must be a difference of two unknowns (`ends` is not None)."""

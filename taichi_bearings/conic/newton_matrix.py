@@ -114,6 +114,18 @@ class NewtonMatrix:
         if not self.factorise_each(stiffness, None, inertia).all():
             raise NotPositiveDefinite
 
+    def factorise_springs(self, springs: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+        """Factorise the matrices of S samples in which a spring at each contact resists every slip component alike.
+        Return a mask (S,) of the samples in which that succeeds, if need be with a raised diagonal.
+
+        springs : (n, S), stiffness of each spring. Where each slip component is a contact of its own
+            (`ContactSystem.by_rows`), it counts for all components of its contact.
+        inertia : (unknowns, S), stiffness of a further spring at every spin.
+        """
+        rows = self._system.offset
+        each = np.tile(springs, (rows.shape[1] // max(len(springs), 1), 1))
+        return self.factorise_each(np.multiply.outer(np.eye(len(rows)), each), inertia=inertia)
+
     def factorise_each(
         self, stiffness: np.ndarray, wanted: np.ndarray | None = None, inertia: float | np.ndarray = 0.0
     ) -> np.ndarray:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taichi_bearings.conic.cones import determinant, inner, isotropic, length
+from taichi_bearings.conic.cones import determinant, inner, length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 
@@ -31,6 +31,8 @@ NOISE_ACROSS = 5e-5  # component of a force at its limit, over the other, that m
 MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
 MOST_CUTS = 60  # number of times that forces are cut to their limits and balanced again, after the last balance
 BALANCED_TORQUE = 1e-14  # torque over the mean friction that needs no further cut
+# share of its room below which a contact holds up the balance: one step to a limit leaves 1 - SHARE_OF_WAY
+TIGHT_SHARE = 0.2
 TINY = np.finfo(np.float64).tiny
 
 
@@ -43,20 +45,24 @@ def nearly_borne(
     slipping: np.ndarray,
     at_limit: np.ndarray,
     heads: Sequence[np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
+    patient: bool = False,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return forces near the given ones that balance all torques: those of slipping contacts stay, those of slipless
     contacts change a little, and are to stay within friction.
 
     system : the contacts of one sample.
-    matrix : their Newton matrix, which is factorised anew.
+    matrix : matrix of springs at them (`Surroundings.springs`), which is factorised anew.
     friction : (samples * n,), friction limits, one sample after the other, as in the following arrays.
     dual : (d, samples * n), minus the forces; those of slipless contacts nearly balance the others.
     slipping : (samples * n,) mask of contacts that slip.
     at_limit : (samples * n,) mask of contacts that rest and yet may bear all their friction.
     heads : for each sample a mask (unknowns,): one spin of each set of spins that slipless contacts join to each other,
         but to no driven plane. It is held, so that the matrix is regular.
+    patient : True to go on where the first balance would load a contact beyond its friction, also where there is one
+        minimum only; for matrices that take little time.
     returns : minus the forces (d, samples * n), in balance; mask (samples,) of the samples in which none of them
-        exceeds friction.
+        exceeds friction; mask (samples * n,) of slipless contacts that hold up the balance, as they have lost most of
+        their room. Where no forces are found, some of these slip.
 
     Letters: n contacts with up to d slip components.
     """
@@ -72,14 +78,14 @@ def nearly_borne(
         # Springs as stiff as the room squared take the torques away; how far may forces go that way?
         room = np.where(slipping, 0.0, np.maximum(friction - length(here), least))
         springs = _side_by_side(room**2, samples)
-        going = going & matrix.factorise_each(isotropic(side, springs), inertia=still)
+        going = going & matrix.factorise_springs(springs, still)
         balanced = side
         for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
             balanced = _balanced(system, matrix, _cut(balanced, limit), springs, going)[0]
         reach = _reach(friction, here, _one_by_one(balanced), slipping | at_limit, samples)
         ended = going & (reach > 1)
         going = going & (reach > LEAST_REACH)
-        if (going & ~ended).any():
+        if (going & ~ended).any() and not patient:
             of_each = zip(np.split(friction, samples), np.split(at_limit, samples), strict=True)
             going = going & (ended | [may_have_several_minima(*of) for of in of_each])
         if limit is not None and (cut := ended & held).any():
@@ -91,7 +97,8 @@ def nearly_borne(
         if not going.any():
             break
     whole = _one_by_one(side)
-    return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(side))
+    tight = ~slipping & (friction - length(whole) < TIGHT_SHARE * (friction - length(dual)))
+    return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(side)), tight
 
 
 def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:

@@ -31,7 +31,7 @@ def borne(system, order, friction, dual, slipping, at_limit=None):
     never = np.zeros(len(friction), dtype=bool)
     values = (np.array(of) for of in (friction, [dual], slipping, never if at_limit is None else at_limit))
     heads = [np.zeros(system.unknowns, dtype=bool)]
-    found, (inside,) = nearly_borne(system, NewtonMatrix(system, order), *values, heads)
+    found, (inside,), _ = nearly_borne(system, NewtonMatrix(system, order), *values, heads)
     return found[0], inside
 
 
