@@ -336,7 +336,8 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
 
 def _minimum_with_clear_ties(iterate: Iterate, path: LastDecades, shared: Surroundings) -> Resolved | None:
     """Return the minimum of a large sample, found by following its central path on while contacts that clearly stick
-    are tied; None if it is not found. Two thirds of the unknowns are gone then, and a Newton step takes half the time or less.
+    are tied; None if it is not found. Two thirds of the unknowns are gone then, and a Newton step takes half the time
+    or less.
 
     iterate : the point at which the path was begun.
     path : the same point; not changed.
