@@ -123,7 +123,7 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
     """Return a point of the central path with its contact forces changed such that torques balance, up to rounding.
 
     iterate : a point of the path; not changed.
-    matrix : Newton matrix of its system, which is factorised anew.
+    matrix : matrix of springs at its contacts (`Surroundings.springs`), which is factorised anew.
 
     The force of a contact changes in proportion to the square of its room, friction less size of the force; all change
     by at most STEP_SHARE of the way at which the first force would reach its friction. Why it is needed: stiff contacts
@@ -134,8 +134,7 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
     load = iterate.to_balance(iterate.spins)
     if iterate.viscosity is not None:
         load = load + iterate.system.torques(iterate.viscosity * iterate.difference)
-    stiffness = isotropic(dual, np.maximum(friction - length(dual), TINY) ** 2)
-    change = matrix.balanced(dual, stiffness, load) - dual
+    change = matrix.balanced(dual, np.maximum(friction - length(dual), TINY) ** 2, load) - dual
     along = longest_step((friction, dual), (np.zeros_like(friction), change))
     return replace(iterate, dual=dual + min(1.0, STEP_SHARE * along) * change)
 

@@ -206,20 +206,20 @@ class Descent:
         place : its place among the samples there.
 
         Forces that do not balance lower the bound. Where that costs more than the gap, they are first balanced on the
-        path, unless the settling of contact states is about to do so; where it comes later, the cost is added to the
-        gap.
+        path, unless the settling of contact states is about to do so; where it comes later, and balancing takes as long
+        as a step, the cost is added to the gap.
         """
         gap = path.gap(place)
         price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
         if not price > max(gap, LEAST_GAP) or (not self.settles and price < SETTLING_GAP):
             return gap
         if self.settles and self.asked:
-            if not gap < self._near(sample):
+            if self.shared.springs is self.shared.newton and not gap < self._near(sample):
                 return gap + price
             if gap > LEAST_GAP and price < SETTLING_GAP:
                 return gap
         try:
-            balanced = balance(path.iterate(place), self.shared.matrix)
+            balanced = balance(path.iterate(place), self.shared.springs)
         except NotPositiveDefinite:
             return np.nan
         path.put(place, balanced)

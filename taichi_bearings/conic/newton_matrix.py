@@ -114,13 +114,13 @@ class NewtonMatrix:
         if not self.factorise_each(stiffness, None, inertia).all():
             raise NotPositiveDefinite
 
-    def factorise_springs(self, springs: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    def factorise_springs(self, springs: np.ndarray, inertia: float | np.ndarray = 0.0) -> np.ndarray:
         """Factorise the matrices of S samples in which a spring at each contact resists every slip component alike.
         Return a mask (S,) of the samples in which that succeeds, if need be with a raised diagonal.
 
         springs : (n, S), stiffness of each spring. Where each slip component is a contact of its own
             (`ContactSystem.by_rows`), it counts for all components of its contact.
-        inertia : (unknowns, S), stiffness of a further spring at every spin.
+        inertia : stiffness of a further spring at every spin: one number, or (unknowns, S).
         """
         rows = self._system.offset
         each = np.tile(springs, (rows.shape[1] // max(len(springs), 1), 1))
@@ -234,23 +234,25 @@ class NewtonMatrix:
         for cholesky in self._choleskys:
             cholesky.forget()
 
-    def balanced(self, dual: np.ndarray, stiffness: np.ndarray, load: np.ndarray | float = 0.0) -> np.ndarray:
+    def balanced(self, dual: np.ndarray, springs: np.ndarray, load: np.ndarray | float = 0.0) -> np.ndarray:
         """Return forces (d, n) whose torques are `load`, up to rounding: `dual` plus the forces of fictitious springs
         at the contacts, which are stretched as far as that takes.
 
         dual : (d, n), forces to begin with.
-        stiffness : (d, d, n), stiffness matrix of the spring at each contact.
+        springs : (n,), stiffness of the spring at each contact, which resists every slip component alike.
         load : (unknowns,), torques that are to stay, or 0.
 
         Raises NotPositiveDefinite if the springs do not hold every spin.
 
         Letters: n contacts with up to d slip components.
         """
-        self.factorise(stiffness)
+        if not self.factorise_springs(springs[:, None]).all():
+            raise NotPositiveDefinite
+        rows = self._system.offset.shape
         # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by
         for _ in range(REFINEMENTS):
-            spins = self.solve(self._system.torques(dual) - load)
-            dual = dual - resisted(stiffness, self._system.change(spins))
+            spins = self.solve(self._system.torques(dual.reshape(rows)) - load)
+            dual = dual - springs * self._system.change(spins).reshape(dual.shape)
         return dual
 
 

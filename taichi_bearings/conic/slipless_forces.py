@@ -56,13 +56,10 @@ def nearly_borne(
     dual : (d, samples * n), minus the forces; those of slipless contacts nearly balance the others.
     slipping : (samples * n,) mask of contacts that slip.
     at_limit : (samples * n,) mask of contacts that rest and yet may bear all their friction.
-    heads : for each sample a mask (unknowns,): one spin of each set of spins that slipless contacts join to each other,
-        but to no driven plane. It is held, so that the matrix is regular.
-    patient : True to go on where the first balance would load a contact beyond its friction, also where there is one
-        minimum only; for matrices that take little time.
+    heads : for each sample a mask (unknowns,): one spin, which is held, of each set that is tied to no plane.
+    patient : True to go on where the first balance overloads a contact, also where minima cannot tie.
     returns : minus the forces (d, samples * n), in balance; mask (samples,) of the samples in which none of them
-        exceeds friction; mask (samples * n,) of slipless contacts that hold up the balance, as they have lost most of
-        their room. Where no forces are found, some of these slip.
+        exceeds friction; mask (samples * n,) of slipless contacts that have lost most of their room.
 
     Letters: n contacts with up to d slip components.
     """

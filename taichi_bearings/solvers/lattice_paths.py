@@ -27,8 +27,11 @@ from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_b
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.paths import Paths
+from taichi_bearings.solvers.splitting_start import centred, split
 from taichi_bearings.solvers.table import InteriorPoint
 
+# number of unknowns from which splitting comes first: below, it takes as long as the Newton steps that it saves
+SPLIT_UNKNOWNS = 40_000
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 
 
@@ -93,6 +96,28 @@ class LatticePaths(Paths):
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
         start = free_spins(inside / (self.unit or 1.0))
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
+        self._spin = spin  # to start from
+
+    def advance(self, steps: int) -> None:
+        """Take up to `steps` further Newton steps of every sample that is not done; in large lattices with friction
+        alone let the paths begin where a short operator splitting ends."""
+        if self.iteration == 0 and self.frustrated and self.system.unknowns >= SPLIT_UNKNOWNS:
+            self._begin_by_splitting()
+        super().advance(steps)
+
+    def _begin_by_splitting(self) -> None:
+        """Move the starts of all paths near the minimum, by operator splitting. A sample in which frictions are so wide
+        apart that strong contacts got less keeps its start, as does every sample with viscosity and on a GPU."""
+        springs = self.shared.springs
+        if self.scene.viscosity_beside_friction is not None or springs is self.shared.newton:
+            return
+        reached = split(self.scene, self._spin)
+        spins = free_spins(reached.staggered / self.unit)
+        for replica, sample in enumerate(self.samples):
+            if sample.firm is None:
+                dual = -self.system.gather_vectors(reached.force, replica) / (sample.unit * self.scene.normal_force)
+                with one_thread():
+                    sample.iterate = centred(sample.iterate, spins[replica], dual, springs)
 
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
         """Return the start of the central path of a sample, the curve along which Newton steps lead to its minimum.

@@ -6,7 +6,6 @@ in parts of the packing which touch a driven sphere, N spheres, C components of 
 
 import numpy as np
 
-from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
@@ -111,6 +110,6 @@ class PackingBounds:
         force : (d, A), components of the forces along the d tangents of each contact.
         """
         try:
-            return self.matrix.balanced(force, isotropic(force, self.system.of_contacts(self.packing)[0]))
+            return self.matrix.balanced(force, self.system.of_contacts(self.packing)[0])
         except NotPositiveDefinite:
             return force

@@ -1,0 +1,87 @@
+"""Starts of central paths near the minimum, made of what a few hundred iterations of operator splitting reach.
+
+On large lattices these iterations take as long as a fraction of one Newton step, and the path begins at a relative gap
+of about 1e-3 instead of 1. Splitting gives slips and forces of every contact. Both are moved inside their cones, so far
+that slip bound times friction margin is about the same for all contacts, as on the central path. Then springs at the
+contacts, the stiffer the more room there is for the force, take away most of the torques that are left; Newton steps do
+the rest.
+
+Letters: R samples, n contacts with up to d slip components.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from taichi_bearings.conic.cones import length, longest_step
+from taichi_bearings.conic.iterate import Iterate
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.table import OperatorSplitting
+
+START_GAP, LONGEST_START = 1e-3, 600  # relative gap at which splitting ends, and most of its iterations
+PRODUCT_FACTOR = 10.0  # product at the start of the path over the mean product of splitting
+START_BALANCES, START_SHARE = (
+    10,
+    0.7,
+)  # number of balances by springs; share of the way to the first limit that each goes
+MOST_TORQUE = 0.5  # torque over the mean friction that may be left on a sphere at the start
+TINY = np.finfo(np.float64).tiny
+
+
+def split(scene: Scene, spin: np.ndarray) -> Progress:
+    """Return spins and friction forces of all samples that operator splitting has reached once each has a relative gap
+    of START_GAP, or after LONGEST_START iterations.
+
+    scene : the lattice with its R samples.
+    spin : (R, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+    """
+    method = OperatorSplitting().build()
+    method.begin(scene, spin)
+    progress = method.progress()
+    while method.iteration < LONGEST_START and (progress.lower_bound < (1 - START_GAP) * progress.objective).any():
+        method.advance(method.next_check(method.iteration) - method.iteration)
+        progress = method.progress()
+    method.give_back()
+    return progress
+
+
+def centred(start: Iterate, spins: np.ndarray, dual: np.ndarray, matrix: NewtonMatrix) -> Iterate:
+    """Return a point near the central path with given spins and nearly the given forces; `start` if there is none whose
+    forces nearly balance.
+
+    start : any point of the sample, of which the system and the friction are used.
+    spins : (unknowns,).
+    dual : (d, n), minus the forces; at most as large as friction, up to rounding.
+    matrix : matrix of springs at the contacts (`Surroundings.springs`), which is factorised anew.
+    """
+    friction, difference = start.friction, start.system.differences(spins)
+    slip, size = length(difference), length(dual)
+    excess = friction * slip + (difference * dual).sum(axis=0)
+    product = PRODUCT_FACTOR * max(float(excess.mean()), TINY)
+    bound = (product / friction + np.hypot(product / friction, 2 * slip)) / 2
+    inside = 1 - product / (2 * friction * bound)
+    dual = dual * np.minimum(1.0, inside * friction / np.maximum(size, TINY))
+    point = replace(start, spins=spins, bound=bound, difference=difference, dual=_balanced(start, dual, matrix))
+    return point if point.unbalanced < MOST_TORQUE else start
+
+
+def _balanced(start: Iterate, dual: np.ndarray, matrix: NewtonMatrix) -> np.ndarray:
+    """Return minus the forces (d, n), changed by springs at the contacts that take away most of the torques. None
+    reaches its friction limit.
+
+    start : any point of the sample, of which the system and the friction are used.
+    dual : (d, n), minus the forces, all below friction.
+    matrix : matrix of springs at the contacts, which is factorised anew.
+    """
+    system, none = start.system, np.zeros_like(start.friction)
+    for _ in range(START_BALANCES):
+        springs = (start.friction - length(dual)) ** 2
+        if not matrix.factorise_springs(springs[:, None]).all():
+            break
+        change = -springs * system.change(matrix.solve(system.torques(dual)))
+        along = START_SHARE * longest_step((start.friction, dual), (none, change))
+        dual = dual + min(1.0, along) * change
+        if along >= 1:
+            break
+    return dual
