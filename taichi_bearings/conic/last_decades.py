@@ -36,7 +36,7 @@ STICKING_RATIO, STICKING_MARGIN = 1e-5, 1e-5
 LEAST_PRODUCT = 1e-25  # product at which double precision ends
 # a contact clearly sticks if slip / margin is below the first number and falls with the product, and the margin is
 # above the second one
-CLEAR_RATIO, CLEAR_MARGIN = 1e-3, 0.3
+CLEAR_STICKING_RATIO, CLEAR_STICKING_MARGIN = 1e-3, 0.3
 # a step has stalled by rounding if more than this share of the product is left; the path ends after so many in a row
 STALLED_SHARE, MOST_STALLED_STEPS = 0.6, 10
 JUDGED_TORQUE = 1e-6  # torque over the mean friction, up to which a point can be judged
@@ -107,7 +107,7 @@ class LastDecades:
         their margin is wide, and slip / margin falls with the product. All False if the point before is unknown."""
         ratios, fall = self.point.slip_over_margin, abs(np.log(self.point.complementarity / self._product))
         falls = np.log(ratios / self._ratios) < -DECIDED_EXPONENT * fall
-        found: np.ndarray = falls & (ratios < CLEAR_RATIO) & (self.point.margin > CLEAR_MARGIN)
+        found: np.ndarray = falls & (ratios < CLEAR_STICKING_RATIO) & (self.point.margin > CLEAR_STICKING_MARGIN)
         return found
 
     @property

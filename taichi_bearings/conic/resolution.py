@@ -93,7 +93,7 @@ DOUBTFUL_SHARE = (
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
 FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trials, made if minima can be unique
 # in larger samples contacts that clearly stick are tied first, at most so many times with fewer ties each time
-TIED_UNKNOWNS, MOST_CLEAR_TRIALS = 60_000, 4
+TIED_UNKNOWNS, MOST_CLEAR_TRIALS = 100_000, 4
 # Largest torque over the mean friction: below the first, some 1e4 roundings of a force, Newton's method ends; below the
 # second, its end is accepted after its last step all the same.
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4

@@ -21,10 +21,8 @@ from taichi_bearings.solvers.table import OperatorSplitting
 
 START_GAP, LONGEST_START = 1e-3, 600  # relative gap at which splitting ends, and most of its iterations
 PRODUCT_FACTOR = 10.0  # product at the start of the path over the mean product of splitting
-START_BALANCES, START_SHARE = (
-    10,
-    0.7,
-)  # number of balances by springs; share of the way to the first limit that each goes
+# number of balances by springs; share of the way to the first friction limit that each goes
+START_BALANCES, START_SHARE = 10, 0.7
 MOST_TORQUE = 0.5  # torque over the mean friction that may be left on a sphere at the start
 TINY = np.finfo(np.float64).tiny
 
