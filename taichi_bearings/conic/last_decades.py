@@ -34,9 +34,6 @@ SLIPPING_RATIO = 1e4  # ratio slip / margin above which a contact surely slips
 # the second number
 STICKING_RATIO, STICKING_MARGIN = 1e-5, 1e-5
 LEAST_PRODUCT = 1e-25  # product at which double precision ends
-# a contact clearly sticks if slip / margin is below the first number and falls with the product, and the margin is
-# above the second one
-CLEAR_STICKING_RATIO, CLEAR_STICKING_MARGIN = 1e-3, 0.3
 # a step has stalled by rounding if more than this share of the product is left; the path ends after so many in a row
 STALLED_SHARE, MOST_STALLED_STEPS = 0.6, 10
 JUDGED_TORQUE = 1e-6  # torque over the mean friction, up to which a point can be judged
@@ -100,15 +97,6 @@ class LastDecades:
         left = Iterate(tied.system, spins[1], friction, bound, difference, dual, smooth, viscosity)
         matrix = NewtonMatrix(tied.system, tied.order, self._matrix.memory)
         return LastDecades(left, spins, tied.differences(spins), matrix)
-
-    @property
-    def clearly_sticking(self) -> np.ndarray:
-        """(n,) mask of the contacts of which the last step shows that they stick, or slip by far less than the product:
-        their margin is wide, and slip / margin falls with the product. All False if the point before is unknown."""
-        ratios, fall = self.point.slip_over_margin, abs(np.log(self.point.complementarity / self._product))
-        falls = np.log(ratios / self._ratios) < -DECIDED_EXPONENT * fall
-        found: np.ndarray = falls & (ratios < CLEAR_STICKING_RATIO) & (self.point.margin > CLEAR_STICKING_MARGIN)
-        return found
 
     @property
     def spins(self) -> Pair:

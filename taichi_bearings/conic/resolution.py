@@ -91,9 +91,7 @@ DOUBTFUL_SHARE = (
     1e-2  # share of the contacts with friction that may be undecided when the trials on the last decades begin
 )
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
-FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trials, made if minima can be unique
-# in larger samples contacts that clearly stick are tied first, at most so many times with fewer ties each time
-TIED_UNKNOWNS, MOST_CLEAR_TRIALS = 100_000, 4
+FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trial, made if minima can be unique
 # Largest torque over the mean friction: below the first, some 1e4 roundings of a force, Newton's method ends; below the
 # second, its end is accepted after its last step all the same.
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
@@ -240,7 +238,7 @@ def _guessed(
     steps = zip(iterates, before, wanted, strict=True)
     slipping = [~_seem_to_stick(here, there) if own and there is not None else None for here, there, own in steps]
     minima = _smooth_minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, shared)
-    return _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], shared)[0]
+    return _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], shared)
 
 
 def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resolved | None:
@@ -295,7 +293,6 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     ============================  =====  ====================================  ===================================
     minima                        trial  tied contacts                         path followed until
     ============================  =====  ====================================  ===================================
-    one, large sample             0      those that clearly stick              FEW_DOUBTFUL contacts are undecided
     one, most likely              1      none                                  FEW_DOUBTFUL contacts are undecided
     one, most likely              2      none                                  no contact is undecided
     one, most likely              3      those that stick                      no contact is undecided
@@ -308,19 +305,12 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     minimum of the last trial that has found one is returned.
     """
     path, settled = LastDecades.after(iterate, before, shared.matrix), None
-    none = np.zeros_like(path.sticking)
-    ties_possible = may_have_several_minima(iterate.friction, none)
-    if not ties_possible and shared.system.unknowns >= TIED_UNKNOWNS and shared.system.ends is not None:
-        with suppress(NotPositiveDefinite):
-            settled = _minimum_with_clear_ties(iterate, path, shared)
-            if settled is not None and settled.sure:
-                return settled
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
-        return settled
-    sticking = path.sticking
-    if not ties_possible:
+        return None
+    none, sticking = np.zeros_like(path.sticking), path.sticking
+    if not (ties_possible := may_have_several_minima(iterate.friction, none)):
         with suppress(NotPositiveDefinite):
-            settled = _early_minimum(iterate, copy(path), shared) or settled
+            settled = _early_minimum(iterate, copy(path), shared)
             if settled is not None and settled.sure:
                 return settled
     # for each trial: (are contacts tied?, is the path followed to its end?)
@@ -332,35 +322,6 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
         if settled is not None and settled.sure:
             break
     return settled
-
-
-def _minimum_with_clear_ties(iterate: Iterate, path: LastDecades, shared: Surroundings) -> Resolved | None:
-    """Return the minimum of a large sample, found by following its central path on while contacts that clearly stick
-    are tied; None if it is not found. Two thirds of the unknowns are gone then, and a Newton step takes half the time
-    or less.
-
-    iterate : the point at which the path was begun.
-    path : the same point; not changed.
-    shared : what all samples share.
-
-    Where tied contacts cannot bear what the others leave to them, those that hold up the balance are untied, and the
-    path is followed anew.
-    """
-    tied = path.clearly_sticking
-    for _ in range(MOST_CLEAR_TRIALS):
-        contraction = Contraction(shared.system, shared.order, tied)
-        rest = path.over(contraction)
-        left = None if contraction.contradicts.any() else rest.decide(FEW_DOUBTFUL)
-        if left is None:
-            return None
-        slipping, near = np.zeros_like(tied), path.point.dual.copy()
-        slipping[contraction.kept], near[:, contraction.kept] = left, rest.point.dual
-        minima = _smooth_minima([iterate], [contraction.expanded(rest.spins)], [slipping], shared)
-        (settled,), tight = _with_slipless_forces([iterate], minima, [near], shared)
-        if settled is not None or not (tied & tight).any():
-            return settled
-        tied = tied & ~tight
-    return None
 
 
 def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) -> Resolved | None:
@@ -376,7 +337,7 @@ def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) ->
     if slipping is None:
         return None
     (found,) = _smooth_minima([iterate], [path.spins], [slipping], shared)
-    (settled,), _ = _with_slipless_forces([iterate], [found], [path.point.dual], shared)
+    (settled,) = _with_slipless_forces([iterate], [found], [path.point.dual], shared)
     return settled
 
 
@@ -411,19 +372,18 @@ def _minimum_with_tied(
     if found is not None and at_limit.any():  # as are those that Newton's method has brought to rest
         found = replace(found, at_limit=(at_limit | slipping) & ~found.slipping)
     earlier = np.where(at_limit | (path.point.slip_over_margin > 1), later, path.point.dual)
-    (settled,), _ = _with_slipless_forces([iterate], [found], [later], shared)
+    (settled,) = _with_slipless_forces([iterate], [found], [later], shared)
     if settled is None and may_have_several_minima(iterate.friction, at_limit):
-        (settled,), _ = _with_slipless_forces([iterate], [found], [earlier], shared)
+        (settled,) = _with_slipless_forces([iterate], [found], [earlier], shared)
     return settled, more_sticking
 
 
 def _with_slipless_forces(
     iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[np.ndarray], shared: Surroundings
-) -> tuple[list[Resolved | None], np.ndarray]:
+) -> list[Resolved | None]:
     """Return for each sample its minimum, completed by forces of the slipless contacts: forces within friction that
-    balance all torques together with those of the slipping ones; None for a sample that has no minimum, or for which no
-    such forces are found. Return also a mask of the contacts of all samples with a minimum, one sample after the other:
-    those that held up the search for forces.
+    balance all torques together with those of the slipping ones. None for a sample that has no minimum, or for which no
+    such forces are found.
 
     iterates : for each sample a point of the central path, of which only the friction limits are used.
     minima : for each sample its minimum or None.
@@ -432,7 +392,6 @@ def _with_slipless_forces(
     shared : what all samples share: contacts and Newton matrix.
     """
     settled: list[Resolved | None] = [None] * len(minima)
-    tight = np.zeros(sum(len(iterate.friction) for iterate in iterates), dtype=bool)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
     if some:
         slipping, at_limit = (
@@ -441,13 +400,11 @@ def _with_slipless_forces(
         dual = np.concatenate([np.where(found.slipping, found.whole_dual, near[n]) for n, found in some], axis=1)
         friction = np.concatenate([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
-        springs = shared.springs
-        loads = friction, dual, slipping, at_limit
-        duals, fine, tight = nearly_borne(shared.system, springs, *loads, heads, springs is not shared.newton)
+        duals, fine = nearly_borne(shared.system, shared.springs, friction, dual, slipping, at_limit, heads)
         for (number, found), whole, inside in zip(some, np.split(duals, len(some), axis=1), fine, strict=True):
             dual = np.where(found.slipping, found.dual, whole)
             settled[number] = replace(found, dual=dual, borne=True) if inside else None
-    return settled, tight
+    return settled
 
 
 def _smooth_minima(

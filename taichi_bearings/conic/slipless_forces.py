@@ -31,8 +31,6 @@ NOISE_ACROSS = 5e-5  # component of a force at its limit, over the other, that m
 MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
 MOST_CUTS = 60  # number of times that forces are cut to their limits and balanced again, after the last balance
 BALANCED_TORQUE = 1e-14  # torque over the mean friction that needs no further cut
-# share of its room below which a contact holds up the balance: one step to a limit leaves 1 - SHARE_OF_WAY
-TIGHT_SHARE = 0.2
 TINY = np.finfo(np.float64).tiny
 
 
@@ -45,8 +43,7 @@ def nearly_borne(
     slipping: np.ndarray,
     at_limit: np.ndarray,
     heads: Sequence[np.ndarray],
-    patient: bool = False,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return forces near the given ones that balance all torques: those of slipping contacts stay, those of slipless
     contacts change a little, and are to stay within friction.
 
@@ -56,10 +53,10 @@ def nearly_borne(
     dual : (d, samples * n), minus the forces; those of slipless contacts nearly balance the others.
     slipping : (samples * n,) mask of contacts that slip.
     at_limit : (samples * n,) mask of contacts that rest and yet may bear all their friction.
-    heads : for each sample a mask (unknowns,): one spin, which is held, of each set that is tied to no plane.
-    patient : True to go on where the first balance overloads a contact, also where minima cannot tie.
+    heads : for each sample a mask (unknowns,): one spin of each set of spins that slipless contacts join to each other,
+        but to no driven plane. It is held, so that the matrix is regular.
     returns : minus the forces (d, samples * n), in balance; mask (samples,) of the samples in which none of them
-        exceeds friction; mask (samples * n,) of slipless contacts that have lost most of their room.
+        exceeds friction.
 
     Letters: n contacts with up to d slip components.
     """
@@ -82,7 +79,7 @@ def nearly_borne(
         reach = _reach(friction, here, _one_by_one(balanced), slipping | at_limit, samples)
         ended = going & (reach > 1)
         going = going & (reach > LEAST_REACH)
-        if (going & ~ended).any() and not patient:
+        if (going & ~ended).any():
             of_each = zip(np.split(friction, samples), np.split(at_limit, samples), strict=True)
             going = going & (ended | [may_have_several_minima(*of) for of in of_each])
         if limit is not None and (cut := ended & held).any():
@@ -94,8 +91,7 @@ def nearly_borne(
         if not going.any():
             break
     whole = _one_by_one(side)
-    tight = ~slipping & (friction - length(whole) < TIGHT_SHARE * (friction - length(dual)))
-    return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(side)), tight
+    return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(side))
 
 
 def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:
