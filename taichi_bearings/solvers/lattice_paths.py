@@ -99,9 +99,10 @@ class LatticePaths(Paths):
         self._spin = spin  # to start from
 
     def advance(self, steps: int) -> None:
-        """Take up to `steps` further Newton steps of every sample that is not done; in large lattices with friction
-        alone let the paths begin where a short operator splitting ends."""
-        if self.iteration == 0 and self.frustrated and self.system.unknowns >= SPLIT_UNKNOWNS:
+        """Take up to `steps` further Newton steps of every sample that is not done; in large cubic lattices with
+        friction alone let the paths begin where a short operator splitting ends."""
+        large = self.scene.lattice.dimension == 3 and self.system.unknowns >= SPLIT_UNKNOWNS
+        if large and self.iteration == 0 and self.frustrated:
             self._begin_by_splitting()
         super().advance(steps)
 
@@ -111,7 +112,10 @@ class LatticePaths(Paths):
         springs = self.shared.springs
         if self.scene.viscosity_beside_friction is not None or springs is self.shared.newton:
             return
-        reached = split(self.scene, self._spin)
+        try:
+            reached = split(self.scene, self._spin)
+        except MemoryError:  # many samples at once
+            return
         spins = free_spins(reached.staggered / self.unit)
         for replica, sample in enumerate(self.samples):
             if sample.firm is None:
