@@ -151,6 +151,10 @@ class NewProof:
         proven = stored.proven & are_proven(stored.state, self.known)
         # the power of contacts between driven spheres is stored beside the rest
         said = {"proof": new.proof, "driven_power": new.driven_power}
+        if "cut_is_unique" in stored.findings:  # slips of one component are unique where the minimum cut is
+            unique = [s.unique for s in new.states]
+            pairs = zip(unique, stored.findings["cut_is_unique"], strict=True)
+            said["cut_is_unique"] = np.array([so_said if proven is None else proven for proven, so_said in pairs])
         follows_motion = "time" in stored.history
         found = replace(
             stored,

@@ -97,6 +97,7 @@ FORGED = [
     ("samples", adds("contact/y/force", (1, 0, 1, 1), 1e-6)),
     ("spheres", adds("contact/x/friction", (1, 1, 0, 1), 1e-6)),  # between driven spheres
     ("discs", adds("contact/x/friction", (2, 6), 1e-9)),
+    ("discs", says("cut_is_unique", False)),
     *(("descent", says(name, value)) for name, value in (  # more than a descent knows
         ("states_proven", True), ("minimum_is_unique", True), ("gap", 1e-12), ("lower_bound", 1e9),
     )),
