@@ -22,7 +22,9 @@ The proof
    (`at_rest_beside_loops`).
 2. For each load, without its part along Z, find R_f or R_c by springs at the contacts of X. Any friction that bears the
    load would do; springs that are weaker where a contact has less friction left make the bounds of step 3 better, so
-   several stiffnesses are tried for the loads of loops.
+   several stiffnesses are tried for the loads of loops. Before that, friction that bears a loop is sought on contacts
+   close to it, apart for both ends of its interval (nearby_friction.py). In between a mixture of both bears it, and
+   sizes of mixtures are no larger than those at the ends.
 3. Then G = F + R_f f + R_c c. Its size at a contact of X is at most |F + R_c (middles of c)| + sum of |R_c| (half
    lengths of c) + sum of |R_f| (bounds on f).
 4. G does not quite balance. Let the torques of G - F* on the unknowns of X be v + Z a: a is what step 2 has left out of
@@ -54,18 +56,21 @@ from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.listed import ROUNDED_NORMAL
 from taichi_bearings.proof.loops import FrictionBounds, Piece, block_norms, tangent_rows, weighted_lengths
+from taichi_bearings.proof.nearby_friction import friction_within_limits, spheres_nearby
 from taichi_bearings.proof.resting import known_friction
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor
 from taichi_bearings.proof.springs import numbered, slip_rows
 
 # Choices of which R_f and R_c to try. Nothing that is proven depends on them, as any are valid.
-MOST_LOADED_SPHERES = 5_000  # free spheres beyond which R_f and R_c take ten times as long as finding the minimum
 FORCES_AT_ONCE = 64  # other contacts for whose loads R_f is computed at once
 # number of trials of R_c; springs are weakened by (load of a contact / friction left) to this power from trial to trial
 MOST_TRIALS, SPARED = 10, 0.7
 # For contacts that load X little no R_f is computed: their loads are taken away together with residuals (step 4). These
 # are as many as add at most this share of the least friction left, and all but so many others.
-FAINT_LOADS, MOST_OTHERS = 0.1, 512
+FAINT_LOADS, MOST_OTHERS = 0.5, 512
+# spheres near a loop whose contacts bear its load; loops beyond which friction is not sought for each of them
+MOST_NEARBY, MOST_LOOPS = 150, 100
+FAINT = 1e-9  # torque of a load over its largest one, up to which a sphere counts as not loaded
 WORTH_A_TRIAL = 0.99  # factor by which a trial has to lower the largest (friction / limit) for another one to be made
 LEAST_MARGIN = 1e-4  # friction left over the largest of all contacts; contacts with less count as having this much
 LEAST_BORNE = 1e-2  # load of a contact over the largest; smaller loads count as this large
@@ -96,8 +101,7 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     # with damping eta (slip + far) more.
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
     number = numbered(unknown)
-    few = network.reached.sum() <= MOST_LOADED_SPHERES * network.count
-    exact = ExactMotions.of(network, number, rests) if few else ExactMotions.none(network)
+    exact = ExactMotions.of(network, number, rests)
     friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
     # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
     # below all their limits can replace the optimal one.
@@ -183,6 +187,22 @@ class ExactlyRolling:
         return found
 
     @cached_property
+    def part_of_contact(self) -> np.ndarray:
+        """(q,), for each exactly rolling contact the number of the part to which it belongs."""
+        network = self.friction_bounds.network
+        of_sphere = np.zeros(len(network.free), dtype=np.intp)
+        of_sphere[self.friction_bounds.sphere[self.columns]] = self.part
+        first, second = network.graph.contact[:, self.contacts]
+        found: np.ndarray = of_sphere[np.where(network.free[first], first, second)]
+        return found
+
+    @cached_property
+    def tangential_rows(self) -> sparse.csr_array:
+        """Matrix (2 q, n) that gives both tangential components of the slips of the q exactly rolling contacts from the
+        n unknown spin components of their spheres."""
+        return sparse.csr_array(self.friction_bounds.rows[tangent_rows(self.contacts)][:, self.columns])
+
+    @cached_property
     def bounded_contacts(self) -> np.ndarray:
         """(k,), indices of the contacts of which only a bound on |change of friction| is known. The change is that from
         the stored friction to the friction at a minimum.
@@ -215,6 +235,12 @@ class ExactlyRolling:
             found.append(to_spheres @ by_others)
             by_loops.append(sparse.csr_array(to_spheres @ piece.loops))
         return sparse.csc_array(sum(found[1:], found[0])), sparse.csc_array(sparse.hstack(by_loops))
+
+    @cached_property
+    def intervals(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middles (m,) and half lengths (m,) of the intervals of the friction that circulates along each of m loops."""
+        middle, half_length = [of.middle for of in self.loop_pieces], [of.half_length for of in self.loop_pieces]
+        return np.concatenate([np.zeros(0), *middle]), np.concatenate([np.zeros(0), *half_length])
 
     @cached_property
     def rounding(self) -> float:
@@ -271,13 +297,12 @@ class ExactlyRolling:
             force, left = springs.forces_for(self.loads[0][:, columns].toarray(), np.repeat(own, 2))
             by_others += block_norms(force, 3) @ own
             residual += left
+        middle, half_length = self.intervals
+        if 0 < len(middle) <= MOST_LOOPS:
+            found |= self._borne_nearby(by_others, residual)
         # Friction along loops is known within intervals: their middles shift the friction, half lengths add to its
         # size.
-        middle, half_length = (
-            np.concatenate([np.zeros(0), *of])
-            for of in ([p.middle for p in self.loop_pieces], [p.half_length for p in self.loop_pieces])
-        )
-        for _ in range(MOST_TRIALS):
+        for _ in range(0 if found.all() else MOST_TRIALS):
             force, left = springs.forces_for(self.loads[1].toarray(), np.abs(middle) + half_length)
             moved = (force @ middle).reshape(-1, 3)
             # |F + R_c (middles of c)| + sum of |R_c| (half lengths of c); `by_others` is the sum of |R_f| (bounds on f)
@@ -298,6 +323,75 @@ class ExactlyRolling:
             if springs is None:
                 break
         return found
+
+    def _borne_nearby(self, by_others: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """Return the mask (q,) of the exactly rolling contacts that are proven to rest since friction on contacts close
+        to each loop can bear what may circulate along it. It is empty if that is not found of every loop.
+
+        Friction is sought that bears both ends of the interval of a loop, one after the other. Mixtures of both bear
+        all that is in between, and are nowhere larger than the larger one. Where contacts are close to several loops,
+        the sizes of what later loops ask for are added.
+
+        by_others : (q,), friction that other contacts may demand of each contact.
+        residual : (n,), bound on the torque on each unknown that a last correction has to balance.
+        """
+        network, none = self.friction_bounds.network, np.zeros(len(by_others), dtype=bool)
+        friction, (middle, half_length) = self.friction_bounds.friction[self.contacts], self.intervals
+        largest, close = np.linalg.norm(friction, axis=1), none.copy()
+        spare = (1 - 2 * ROUNDED_NORMAL) * network.holding.least[self.contacts] - by_others - self._corrected(residual)
+        for loop in range(len(middle)):
+            load = self.loads[1][:, [loop]].toarray().ravel()
+            near, own = self._close_to(load)
+            if not len(own):  # no exactly rolling contact is near, and what is left of the load is rounding
+                residual = residual + (abs(middle[loop]) + half_length[loop]) * np.abs(load) * UP
+                continue
+            given = np.where(close[own, None], 0.0, friction[own])
+            most = spare[own] - np.where(close[own], largest[own], 0.0)
+            if not (most > 0).all():
+                return none
+            size = np.zeros(len(own))
+            for c in (middle[loop] - half_length[loop], middle[loop] + half_length[loop]):
+                change, left = self._change_nearby(near, own, (given, most), c * load)
+                size, residual = np.maximum(size, np.linalg.norm(given + change, axis=1)), residual + left
+            if not (size < most).all():
+                return none
+            largest[own] = size + np.where(close[own], largest[own], 0.0)
+            close[own] = True
+        return self._bears(largest + by_others, residual)
+
+    def _close_to(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mask (N,) of the spheres on which a load acts, and of others close to them; and the indices, among
+        the q exactly rolling contacts, of those between these spheres or between them and driven ones.
+
+        load : (n,), torques on the unknown spin components."""
+        free, sphere = self.friction_bounds.network.free, self.friction_bounds.sphere[self.columns]
+        ends = self.friction_bounds.network.graph.contact[:, self.contacts]
+        inside, start = np.zeros((2, len(free)), dtype=bool)
+        inside[sphere] = True
+        start[sphere[np.abs(load) > FAINT * np.abs(load).max(initial=0.0)]] = True
+        near = spheres_nearby(ends, inside, start, MOST_NEARBY)
+        return near, np.flatnonzero((near | ~free)[ends].all(axis=0) & near[ends].any(axis=0))
+
+    def _change_nearby(
+        self, near: np.ndarray, own: np.ndarray, borne: tuple[np.ndarray, np.ndarray], load: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return a change of friction (k, 3) at k contacts that balances a load, such that the friction stays within
+        limits if such a change is found; and a bound (n,) on the torques that are left over.
+
+        near, own : mask (N,) of spheres, and indices of the k contacts between them, as :meth:`_close_to` gives them.
+        borne : the friction (k, 3) before, and the limits (k,) that it shall not exceed.
+        load : (n,), torques on the unknown spin components.
+        """
+        given, most = borne
+        columns = np.flatnonzero(near[self.friction_bounds.sphere[self.columns]])
+        rows = self.tangential_rows[tangent_rows(own)][:, columns].toarray()
+        tangents = self.friction_bounds.tangents[self.contacts[own]]
+        along = np.einsum("cak,ck->ca", tangents, given)
+        found = friction_within_limits(rows, along, most, load[columns]) - along
+        change = np.einsum("ca,cak->ck", found, tangents)
+        exact = self.rows[(3 * own[:, None] + np.arange(3)).ravel()].T
+        rounded = self.rounding * (np.abs(load) + abs(exact) @ np.abs(change).ravel())
+        return change, (np.abs(load + exact @ change.ravel()) + rounded) * UP
 
     def _faint(self, most_change: np.ndarray) -> np.ndarray:
         """Return the mask (k,) of those contacts in `bounded_contacts` whose changes of friction exert so small torques
@@ -322,15 +416,20 @@ class ExactlyRolling:
         largest : (q,), bound on the size of the friction of each contact, but for a last correction.
         residual : (n,), bound on the torque on each unknown which that correction has to balance, but for torques along
             motions without slip, which cancel (step 4 at the head of this file)."""
-        network, part = self.friction_bounds.network, self.part
-        squares = np.bincount(part, (self.residual_unit * residual) ** 2)
-        corrected = np.sqrt(squares) / self.friction_bounds.exact.floor[0] * UP
-        of_sphere = np.zeros(len(network.free), dtype=np.intp)
-        of_sphere[self.friction_bounds.sphere[self.columns]] = part
-        first, second = network.graph.contact[:, self.contacts]
-        own = of_sphere[np.where(network.free[first], first, second)]
-        bears = (largest + corrected[own]) * UP < (1 - ROUNDED_NORMAL) * network.holding.least[self.contacts]
+        network, own = self.friction_bounds.network, self.part_of_contact
+        bears = (largest + self._corrected(residual)) * UP < (1 - ROUNDED_NORMAL) * network.holding.least[self.contacts]
         return np.asarray(np.bincount(own, ~bears)[own] == 0)
+
+    def _corrected(self, residual: np.ndarray) -> np.ndarray:
+        """Return a bound (q,) on the friction by which each exactly rolling contact has to change in a last correction;
+        exact_motions.py says how large it may have to be.
+
+        residual : (n,), bound on the torque on each unknown which that correction has to balance, but for torques along
+            motions without slip.
+        """
+        squares = np.bincount(self.part, (self.residual_unit * residual) ** 2)
+        found: np.ndarray = np.sqrt(squares)[self.part_of_contact] / self.friction_bounds.exact.floor[0] * UP
+        return found
 
 
 @dataclass(frozen=True)

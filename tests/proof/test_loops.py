@@ -5,7 +5,7 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.proof.judgement import Judgement
-from tests.packing.twins import random_packing
+from tests.packing.twins import clarabel_least, random_packing
 from tests.proof.smoothed import states
 from tests.scenes import some_of
 
@@ -58,6 +58,18 @@ def test_most_contacts_of_random_spheres_are_proven(count, seed):
 def test_most_contacts_with_friction_alone_are_proven_beside_such_loops():
     found = tb.solve(tb.Packing.random(1000, seed=1))
     assert found.proven[found.state != 3].mean() > 0.99
+
+
+def test_a_loop_that_only_uneven_friction_can_bear_leaves_all_others_proven():
+    """Springs cannot show it: one loop of three contacts would leave all 838 resting contacts undecided."""
+    pytest.importorskip("clarabel")
+    packing = tb.Packing.random(400, seed=21)
+    found, (power, slip, status) = tb.solve(packing), clarabel_least(packing)
+    assert status == "Solved"
+    assert found.power == pytest.approx(power, rel=1e-8)
+    assert found.unproven <= 2
+    known, fastest = found.proven & (found.state != 3), np.abs(packing.driven_speed).max()
+    assert ((slip > 1e-5 * fastest) == (found.state == 1))[known].all()
 
 
 @pytest.mark.parametrize("law", ["coulomb", LAW])
