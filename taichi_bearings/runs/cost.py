@@ -17,6 +17,7 @@ from taichi_bearings.memory import NotEnoughMemory, refuse_before
 from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Bearing, Scene
+from taichi_bearings.solvers.packings import method_of
 from taichi_bearings.solvers.table import InteriorPoint, MethodOptions
 from taichi_bearings.words import counted
 
@@ -26,8 +27,12 @@ MOST_TOGETHER = 8  # number of samples whose matrix factors an interior point ho
 # for each sphere of a packing: bytes of a minimum with normals along the axes, and with others; bytes and seconds a
 # step of a dynamics
 ALONG_BYTES, OBLIQUE_BYTES, STEPPED_BYTES, STEP_SECONDS = 15.5e3, 31e3, 6e3, 8e-8
+# beyond so many spheres the bytes of each of a packing with oblique normals grow as this power of their number
+FILLED_SPHERES, FILLED_POWER = 1000, 0.2
 # time of a packing with normals along the axes, and with others, over that of a lattice with as many spheres
-ALONG_FACTOR, OBLIQUE_FACTOR = 2.0, 11.0
+ALONG_FACTOR, OBLIQUE_FACTOR = 2.0, 8.0
+# spheres beyond which the method of a packing is told without a search for motions that make no contact slip
+MOST_SEARCHED = 5_000
 
 
 @dataclass(frozen=True)
@@ -162,5 +167,17 @@ def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bea
     along = bool((np.count_nonzero(network.normal, axis=1) == 1).all())
     alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
     seconds = PROCESS_SECONDS + count * alike * (ALONG_FACTOR if along else OBLIQUE_FACTOR)
-    room = PROCESS_BYTES + (ALONG_BYTES if along else OBLIQUE_BYTES) * spheres
-    return Cost(settings.method, seconds, None, None, room)
+    room = PROCESS_BYTES + bytes_of_packing(spheres, along)
+    name = method_of(scene, settings.method, looks_for_motions=spheres <= MOST_SEARCHED)
+    return Cost(name, seconds, None, None, room)
+
+
+def bytes_of_packing(spheres: int, along: bool = False) -> float:
+    """Return the memory, bytes, that the minimum of one sample of a packing takes beside that of the process.
+
+    spheres : number of spheres.
+    along : True if all normals are along the axes.
+    """
+    if along:
+        return ALONG_BYTES * spheres
+    return OBLIQUE_BYTES * spheres * float(max(spheres / FILLED_SPHERES, 1.0) ** FILLED_POWER)

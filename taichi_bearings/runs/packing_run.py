@@ -20,10 +20,10 @@ from taichi_bearings.options import options_of
 from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
 from taichi_bearings.runs.cost import (
     MOST_TOGETHER,
-    OBLIQUE_BYTES,
     OBLIQUE_FACTOR,
     PROCESS_BYTES,
     Cost,
+    bytes_of_packing,
     cost_of_packings,
 )
 from taichi_bearings.runs.job import Door, Job
@@ -153,7 +153,7 @@ class PackingDoor(Door):
         most : not used, as fewer are solved together.
         """
         beside = min(self.samples_at_a_time(settings, spheres), MOST_TOGETHER) - 1
-        return PROCESS_BYTES + (OBLIQUE_BYTES + BESIDE_BYTES * beside) * spheres
+        return PROCESS_BYTES + bytes_of_packing(spheres) + BESIDE_BYTES * beside * spheres
 
     def idle_seed(self, settings: RunSettings) -> list[str]:
         """Return a list with one sentence if the seed changes nothing, because the file of the packing has all

@@ -77,23 +77,27 @@ def least_power(
     monitors : functions that are called with a report each time that the progress is read.
     checkpoints : where the state is saved, and from which to continue; None for none.
     """
-    row = METHODS[_able(scene, method)]
+    row = METHODS[method_of(scene, method)]
     return solve(scene, row().build(), scene.imposed_spins()[0][None], stop, monitors, None, None, checkpoints)
 
 
-def _able(scene: Bearing, method: str) -> str:
+def method_of(scene: Bearing, method: str, looks_for_motions: bool = True) -> str:
     """Return the name of the method that solves a packing; raise InputError if the one that is asked for does not.
 
     scene : the packing, of which the first sample is looked at.
     method : name of the method, or "auto" for the quickest one.
+    looks_for_motions : True to look first for motions of spheres that make no contact slip, and to hold these at 0,
+        which takes a factorisation. False to take all spins as unknowns, which is quicker; then the interior point may
+        be named where exact cuts are possible after all.
 
     Exact cuts need a law with friction alone and contacts that each couple one spin component.
     """
+    from taichi_bearings.conic.contact_system import ContactSystem
     from taichi_bearings.conic.shared import system_of  # and with it Taichi's kernels
 
     runtime.current()
     with one_thread():
-        system = system_of(scene.sample(0))
+        system = system_of(scene.sample(0)) if looks_for_motions else ContactSystem.before_motions(scene.sample(0))
     exact = scene.law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
     able = ["planar-cut"] * exact + ["interior-point" if scene.law.holds else "linear-solver"]
     if method not in ("auto", *able):

@@ -7,6 +7,7 @@ from math import prod
 import numpy as np
 import pytest
 
+import taichi_bearings as tb
 from taichi_bearings import memory
 from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contact_system import lattice_system
@@ -132,6 +133,25 @@ def test_a_dry_run_says_method_time_and_memory_and_writes_nothing(tmp_path):
 )
 def test_a_dry_run_says_why_auto_takes_a_method(words, said):
     assert bearings("run", *words, "--dry-run").stdout.startswith(f"method: {said}\n")
+
+
+@pytest.mark.parametrize(
+    ("kind", "law", "said"),
+    [
+        ("triangular", "coulomb", "planar-cut (fastest, and exact)"),
+        ("bcc", "coulomb", "interior-point (fastest that proves which contacts slip)"),
+        ("bcc", "viscous", "linear-solver (fastest, and exact but for rounding)"),
+    ],
+    ids=str,
+)
+def test_a_dry_run_says_why_auto_takes_a_method_for_a_packing(kind, law, said, tmp_path):
+    cells = (3,) * (2 if kind == "triangular" else 3)
+    tb.Packing.lattice(kind, cells, seed=1, law=law).save(tmp_path / "packing.npz")
+    words = ("run", "--packing", tmp_path / "packing.npz", "--law", law)
+    told = bearings(*words, "--dry-run")
+    assert told.stdout.startswith(f"method: {said}\ntime: about "), told.stdout
+    assert "\nmemory: about 0." in told.stdout
+    assert json.loads(bearings(*words, "--dry-run", "--json").stdout)["method"] == said.split(" (")[0]
 
 
 @pytest.mark.usefixtures("taichi_runtime")
