@@ -69,8 +69,8 @@ MOST_TRIALS, SPARED = 10, 0.7
 # are as many as add at most this share of the least friction left, and all but so many others.
 FAINT_LOADS, MOST_OTHERS = 0.5, 512
 # spheres near a loop whose contacts bear its load; loops beyond which friction is not sought for each of them
-MOST_NEARBY, MOST_LOOPS = 150, 100
-FAINT = 1e-9  # torque of a load over its largest one, up to which a sphere counts as not loaded
+MOST_NEARBY, MOST_BORNE_LOOPS = 150, 100
+UNLOADED = 1e-9  # torque of a load over its largest one, up to which a sphere counts as not loaded
 WORTH_A_TRIAL = 0.99  # factor by which a trial has to lower the largest (friction / limit) for another one to be made
 LEAST_MARGIN = 1e-4  # friction left over the largest of all contacts; contacts with less count as having this much
 LEAST_BORNE = 1e-2  # load of a contact over the largest; smaller loads count as this large
@@ -298,7 +298,7 @@ class ExactlyRolling:
             by_others += block_norms(force, 3) @ own
             residual += left
         middle, half_length = self.intervals
-        if 0 < len(middle) <= MOST_LOOPS:
+        if 0 < len(middle) <= MOST_BORNE_LOOPS:
             found |= self._borne_nearby(by_others, residual)
         # Friction along loops is known within intervals: their middles shift the friction, half lengths add to its
         # size.
@@ -368,7 +368,7 @@ class ExactlyRolling:
         ends = self.friction_bounds.network.graph.contact[:, self.contacts]
         inside, start = np.zeros((2, len(free)), dtype=bool)
         inside[sphere] = True
-        start[sphere[np.abs(load) > FAINT * np.abs(load).max(initial=0.0)]] = True
+        start[sphere[np.abs(load) > UNLOADED * np.abs(load).max(initial=0.0)]] = True
         near = spheres_nearby(ends, inside, start, MOST_NEARBY)
         return near, np.flatnonzero((near | ~free)[ends].all(axis=0) & near[ends].any(axis=0))
 

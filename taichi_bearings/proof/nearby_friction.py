@@ -23,10 +23,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-MOST_STEPS, ENOUGH = 60, 0.999  # Newton steps; largest friction over limit at which they end
+MOST_BARRIER_STEPS, ENOUGH = 60, 0.999  # Newton steps; largest friction over limit at which they end
 # factor by which t - (largest |G| / w) falls from step to step, and t over the largest |G| / w at the start
 CLOSER, START = 0.7, 1.05
-SHIFT, SHORTER, SHORTEST = 1e-12, 0.8, 1e-4  # relative addition to diagonals; factor and end of the search along a step
+RAISED = 1e-12  # relative addition to diagonals
+SHORTER, SHORTEST = 0.8, 1e-4  # factor and end of the search for the length of a step
 
 
 def spheres_nearby(ends: np.ndarray, inside: np.ndarray, start: np.ndarray, most: int) -> np.ndarray:
@@ -63,7 +64,7 @@ def friction_within_limits(rows: np.ndarray, friction: np.ndarray, limit: np.nda
     found = found + _step(matrix, np.broadcast_to(np.eye(2), (len(limit), 2, 2)), np.zeros_like(found), load)
     largest = float(np.linalg.norm(found, axis=1).max(initial=0.0))
     ratio, share = START * largest, 1.0
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_BARRIER_STEPS):
         if not (ENOUGH < largest < np.inf and share > SHORTEST):
             break
         size = (found**2).sum(axis=1)
@@ -96,7 +97,7 @@ def _step(matrix: np.ndarray, compliance: np.ndarray, slope: np.ndarray, load: n
     eased = np.einsum("eab,ebn->ean", compliance, matrix.reshape(count, 2, -1)).reshape(2 * count, -1)
     down = -np.einsum("eab,eb->ea", compliance, slope)
     normal = matrix.T @ eased
-    normal[np.diag_indices(len(load))] *= 1 + SHIFT
+    normal[np.diag_indices(len(load))] *= 1 + RAISED
     try:
         spins = cho_solve(cho_factor(normal), -load - matrix.T @ down.ravel())
     except (LinAlgError, ValueError):
