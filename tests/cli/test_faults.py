@@ -54,6 +54,7 @@ def test_a_directory_with_checkpoints_is_one_run_s(tmp_path):
     first = start(*words, until=tmp_path / "a" / "checkpoint.h5")
     for force in ((), ("--force",)):
         assert "in use" in refused("run", *words, *force)
+    assert first.poll() is None, first.stderr.read()
     assert "in use" in refused("run", "--resume", tmp_path / "a")
     first.kill()
     first.communicate()
