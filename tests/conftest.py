@@ -32,12 +32,6 @@ def pytest_configure(config):
             pytest.exit(f"no test was run: {error}", returncode=0)
 
 
-@pytest.hookimpl(optionalhook=True, wrapper=True)
-def pytest_xdist_auto_num_workers():
-    """Twice as many workers as cores: tests wait for processes, signals and disks in a third of their time."""
-    return (yield) * (1 if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else 2)
-
-
 BEGUN_FIRST = "tests/test_walks.py"  # its tests are long, and share what the first of them compiles
 
 
