@@ -2,10 +2,7 @@
 
 import json
 import os
-import signal
-import subprocess
 import sys
-import time
 
 import h5py
 import numpy as np
@@ -217,13 +214,7 @@ if sys.platform != "win32":
     @pytest.mark.usefixtures("cold")
     def test_ctrl_c_before_the_first_result_of_a_run_with_checkpoints_names_the_command_that_goes_on(tmp_path):
         words = ("--method", "cundall-strack", "--shape", "4,4", "--duration", "1e-3", "--checkpoint-every", "60")
-        command = [sys.executable, "-m", "taichi_bearings_cli", "run", *words, "--out", str(tmp_path / "r")]
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
-            while not (tmp_path / "r" / "checkpoint.h5").exists():  # it has the settings alone
-                assert process.poll() is None
-                time.sleep(0.001)
-            process.send_signal(signal.SIGINT)
-            errors = " ".join(process.communicate()[1].split())
-        assert process.returncode == 130, errors
-        assert f"`bearings run --resume {tmp_path / 'r'}` goes on from the last checkpoint" in errors
+        session = on_terminal("run", *words, "--out", tmp_path / "r", columns=300, stop="preparing")
+        assert session.returncode == 130
+        assert f"`bearings run --resume {tmp_path / 'r'}` goes on from the last checkpoint" in session.frames[-1][1]
         assert bearings("run", "--resume", tmp_path / "r").returncode == 0
