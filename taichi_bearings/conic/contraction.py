@@ -50,29 +50,20 @@ class Owners:
         without contacts.
 
         values : numbers (n,), or vectors (d, n) with up to d components, on n contacts; none negative."""
-        found, (some, first) = np.zeros(self.samples), self._of_contacts
-        if len(first):
-            found[some] = np.maximum.reduceat(values if values.ndim == 1 else values.max(axis=0), first)
-        return found
+        return _reduced(np.maximum, values if values.ndim == 1 else values.max(axis=0), self._of_contacts, 0.0)
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
         """Return for each sample the largest of the values that belong to its spins, (samples,); 0 if it has none.
 
         values : (unknowns,), none negative."""
-        found, (some, first) = np.zeros(self.samples), self._of_spins
-        if len(first):
-            found[some] = np.maximum.reduceat(values, first)
-        return found
+        return _reduced(np.maximum, values, self._of_spins, 0.0)
 
     def smallest(self, values: np.ndarray) -> np.ndarray:
         """Return for each sample the smallest of the values that belong to its contacts, (samples,); infinite for a
         sample without contacts.
 
         values : (n,), numbers on n contacts."""
-        found, (some, first) = np.full(self.samples, np.inf), self._of_contacts
-        if len(first):
-            found[some] = np.minimum.reduceat(values, first)
-        return found
+        return _reduced(np.minimum, values, self._of_contacts, np.inf)
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
         """Return a mask (samples,) of the samples that have a contact in the mask `chosen` (n,)."""
@@ -89,6 +80,21 @@ def _begins(samples: int, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     begins = np.searchsorted(owner, np.arange(samples + 1))
     some = begins[1:] > begins[:-1]
     return some, begins[:-1][some]
+
+
+def _reduced(reduce: np.ufunc, values: np.ndarray, begins: tuple[np.ndarray, np.ndarray], nothing: float) -> np.ndarray:
+    """Return for each sample the largest or smallest of its values, (samples,).
+
+    reduce : `np.maximum` or `np.minimum`.
+    values : (k,), in the order of their samples.
+    begins : what :func:`_begins` returns of them.
+    nothing : what a sample without values gets.
+    """
+    some, first = begins
+    found = np.full(len(some), nothing)
+    if len(first):
+        found[some] = reduce.reduceat(values, first)
+    return found
 
 
 class Contraction:
