@@ -19,7 +19,7 @@ import numpy as np
 from taichi_bearings.conic.cones import isotropic, length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
 from taichi_bearings.conic.iterate import Inertia, Iterate
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
@@ -119,24 +119,33 @@ def flowing(
     return best
 
 
-def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
-    """Return a point of the central path with its contact forces changed such that torques balance, up to rounding.
+def balance(
+    iterate: Iterate, matrix: NewtonMatrix, share: float = STEP_SHARE, rounds: int = 1, solves: int = REFINEMENTS
+) -> Iterate:
+    """Return a point of the central path with its contact forces changed by fictitious springs at the contacts such
+    that torques balance, up to rounding, as far as friction allows.
 
     iterate : a point of the path; not changed.
-    matrix : matrix of springs at its contacts (`Surroundings.springs`), which is factorised anew.
+    matrix : matrix of springs at its contacts (`Surroundings.springs`), which is factorised anew in each round.
+    share : in a round all forces change by at most this share of the way at which the first one reaches its friction.
+    rounds : largest number of rounds; the last one is that in which all torques balance.
+    solves : number of solves in a round; those after the first take away what rounding leaves.
 
-    The force of a contact changes in proportion to the square of its room, friction less size of the force; all change
-    by at most STEP_SHARE of the way at which the first force would reach its friction. Why it is needed: stiff contacts
-    magnify the rounding of spins; with friction over six decades a Newton step leaves torques of 1e-8. Raises
-    NotPositiveDefinite if the forces cannot be balanced.
+    The stiffness of a spring is the square of the friction margin, friction less size of the force. Why forces are
+    balanced: stiff contacts magnify the rounding of spins; with friction over six decades a Newton step leaves torques
+    of 1e-8. Raises NotPositiveDefinite if the forces cannot be balanced.
     """
-    friction, dual = iterate.friction, iterate.dual
+    friction, dual, none = iterate.friction, iterate.dual, np.zeros_like(iterate.friction)
     load = iterate.to_balance(iterate.spins)
     if iterate.viscosity is not None:
         load = load + iterate.system.torques(iterate.viscosity * iterate.difference)
-    change = matrix.balanced(dual, np.maximum(friction - length(dual), TINY) ** 2, load) - dual
-    along = longest_step((friction, dual), (np.zeros_like(friction), change))
-    return replace(iterate, dual=dual + min(1.0, STEP_SHARE * along) * change)
+    for _ in range(rounds):
+        change = matrix.balanced(dual, np.maximum(friction - length(dual), TINY) ** 2, load, solves) - dual
+        along = share * longest_step((friction, dual), (none, change))
+        dual = dual + min(1.0, along) * change
+        if along >= 1:
+            break
+    return replace(iterate, dual=dual)
 
 
 @dataclass(frozen=True)

@@ -214,7 +214,7 @@ class Descent:
         if not price > max(gap, LEAST_GAP) or (not self.settles and price < SETTLING_GAP):
             return gap
         if self.settles and self.asked:
-            if self.shared.springs is self.shared.newton and not gap < self._near(sample):
+            if not self.shared.has_quick_springs and not gap < self._near(sample):
                 return gap + price
             if gap > LEAST_GAP and price < SETTLING_GAP:
                 return gap

@@ -234,13 +234,16 @@ class NewtonMatrix:
         for cholesky in self._choleskys:
             cholesky.forget()
 
-    def balanced(self, dual: np.ndarray, springs: np.ndarray, load: np.ndarray | float = 0.0) -> np.ndarray:
+    def balanced(
+        self, dual: np.ndarray, springs: np.ndarray, load: np.ndarray | float = 0.0, solves: int = REFINEMENTS
+    ) -> np.ndarray:
         """Return forces (d, n) whose torques are `load`, up to rounding: `dual` plus the forces of fictitious springs
         at the contacts, which are stretched as far as that takes.
 
         dual : (d, n), forces to begin with.
         springs : (n,), stiffness of the spring at each contact, which resists every slip component alike.
         load : (unknowns,), torques that are to stay, or 0.
+        solves : number of solves; those after the first take away what rounding leaves.
 
         Raises NotPositiveDefinite if the springs do not hold every spin.
 
@@ -250,7 +253,7 @@ class NewtonMatrix:
             raise NotPositiveDefinite
         rows = self._system.offset.shape
         # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by
-        for _ in range(REFINEMENTS):
+        for _ in range(solves):
             spins = self.solve(self._system.torques(dual.reshape(rows)) - load)
             dual = dual - springs * self._system.change(spins).reshape(dual.shape)
         return dual

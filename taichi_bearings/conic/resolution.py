@@ -181,9 +181,12 @@ class Surroundings:
         """The matrix of springs at the contacts, each of which resists every slip component alike. Large lattices have
         one of its own: springs couple no different spin components, so that it falls apart into planes, and a
         factorisation takes a hundredth of the time."""
-        if not self.matrix.is_costly or self.system.ends is None:
-            return self.matrix
-        return NewtonMatrix(self.system.by_rows(), self.order)
+        return NewtonMatrix(self.system.by_rows(), self.order) if self.has_quick_springs else self.matrix
+
+    @property
+    def has_quick_springs(self) -> bool:
+        """True if `springs` is a matrix of its own, whose factorisation takes far less time than a Newton step."""
+        return self.matrix.is_costly and self.system.ends is not None
 
 
 def resolve(

@@ -108,8 +108,7 @@ class LatticePaths(Paths):
     def _begin_by_splitting(self) -> None:
         """Move the starts of all paths near the minimum, by operator splitting. A sample in which frictions are so wide
         apart that strong contacts got less keeps its start, as does every sample with viscosity and on a GPU."""
-        springs = self.shared.springs
-        if self.scene.viscosity_beside_friction is not None or springs is self.shared.newton:
+        if self.scene.viscosity_beside_friction is not None or not self.shared.has_quick_springs:
             return
         try:
             reached = split(self.scene, self._spin)
@@ -120,7 +119,7 @@ class LatticePaths(Paths):
             if sample.firm is None:
                 dual = -self.system.gather_vectors(reached.force, replica) / (sample.unit * self.scene.normal_force)
                 with one_thread():
-                    sample.iterate = centred(sample.iterate, spins[replica], dual, springs)
+                    sample.iterate = centred(sample.iterate, spins[replica], dual, self.shared.springs)
 
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
         """Return the start of the central path of a sample, the curve along which Newton steps lead to its minimum.

@@ -3,19 +3,22 @@
 On large lattices these iterations take as long as a fraction of one Newton step, and the path begins at a relative gap
 of about 1e-3 instead of 1. Splitting gives slips and forces of every contact. Both are moved inside their cones, so far
 that slip bound times friction margin is about the same for all contacts, as on the central path. Then springs at the
-contacts, the stiffer the more room there is for the force, take away most of the torques that are left; Newton steps do
-the rest.
+contacts, the stiffer the larger the friction margin, take away most of the torques that are left; Newton steps do the
+rest.
 
 Letters: R samples, n contacts with up to d slip components.
 """
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from taichi_bearings.conic.cones import length, longest_step
+from taichi_bearings.conic.central_path import balance
+from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.table import OperatorSplitting
 
@@ -60,26 +63,7 @@ def centred(start: Iterate, spins: np.ndarray, dual: np.ndarray, matrix: NewtonM
     bound = (product / friction + np.hypot(product / friction, 2 * slip)) / 2
     inside = 1 - product / (2 * friction * bound)
     dual = dual * np.minimum(1.0, inside * friction / np.maximum(size, TINY))
-    point = replace(start, spins=spins, bound=bound, difference=difference, dual=_balanced(start, dual, matrix))
+    point = replace(start, spins=spins, bound=bound, difference=difference, dual=dual)
+    with suppress(NotPositiveDefinite):
+        point = balance(point, matrix, START_SHARE, START_BALANCES, solves=1)
     return point if point.unbalanced < MOST_TORQUE else start
-
-
-def _balanced(start: Iterate, dual: np.ndarray, matrix: NewtonMatrix) -> np.ndarray:
-    """Return minus the forces (d, n), changed by springs at the contacts that take away most of the torques. None
-    reaches its friction limit.
-
-    start : any point of the sample, of which the system and the friction are used.
-    dual : (d, n), minus the forces, all below friction.
-    matrix : matrix of springs at the contacts, which is factorised anew.
-    """
-    system, none = start.system, np.zeros_like(start.friction)
-    for _ in range(START_BALANCES):
-        springs = (start.friction - length(dual)) ** 2
-        if not matrix.factorise_springs(springs[:, None]).all():
-            break
-        change = -springs * system.change(matrix.solve(system.torques(dual)))
-        along = START_SHARE * longest_step((start.friction, dual), (none, change))
-        dual = dual + min(1.0, along) * change
-        if along >= 1:
-            break
-    return dual
