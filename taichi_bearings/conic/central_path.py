@@ -45,16 +45,17 @@ Viscous = np.ndarray | None
 def friction_stiffness(
     friction: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray, share: float = np.inf
 ) -> np.ndarray:
-    """Return the second derivative (d, d, n) of the cost of each contact, friction * |slip| + viscosity * |slip|^2 / 2,
-    with respect to its slip, which has up to d components.
+    """Return for each contact the second derivative (d, d, n) of its cost with respect to its slip, a vector of up to d
+    components. The cost is friction * |slip| + viscosity * |slip|^2 / 2.
 
-    Along the slip friction has no second derivative; there a weak stiffness LEAST_WORK / slip^2, at most `share` times
-    the stiffness friction / slip across it, keeps matrices regular.
+    Along the slip the cost of friction is a straight line. There a weak stiffness LEAST_WORK / slip^2 is put instead of
+    0, so that matrices are regular.
 
     friction : (n,), largest friction force of each contact.
     viscosity : (n,), viscous force over slip speed; None for none.
     difference : (d, n), slips, none of them 0.
-    share : upper bound of the weak stiffness, as said; infinity for none.
+    share : the weak stiffness is at most `share` times the stiffness across the slip, friction / slip; infinity for no
+        such bound.
     """
     size = length(difference)
     along = difference / size
@@ -94,14 +95,14 @@ def flowing(
     spins: np.ndarray,
     inertia: Inertia | None = None,
 ) -> np.ndarray:
-    """Return spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps. A path that
-    begins there leaves no torque on its way.
+    """Return spins (unknowns,) at which the torques of viscous forces alone balance, refined as long as that helps. A
+    central path that begins at these spins has balanced torques from its first point on.
 
     system : the n contacts.
     viscosity : (n,), viscous force over slip speed.
     matrix : Newton matrix of the system, which is factorised anew.
-    spins : (unknowns,), where to begin.
-    inertia : what resists a change of the spins; None for nothing.
+    spins : (unknowns,), spins to begin with.
+    inertia : the inertia of the spheres, whose torques balance as well; None for none.
 
     Raises NotPositiveDefinite if viscosities differ by too many decades.
     """
@@ -191,10 +192,10 @@ class _Step:
         return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
-        """Return a copy of this step in which some samples have the changes of spins, and the numbers found, of another
-        step. (Rows of memory are not copied.)
+        """Return a copy of this step in which some samples have the changes of spins and the numbers found that another
+        step has. The rows of memory with its changes of bounds, slips and forces are not copied.
 
-        kept : (S,) mask of these samples.
+        kept : (S,) mask of the samples that are taken from the other step.
         other : the other step.
         """
         return replace(
@@ -239,9 +240,10 @@ class Path:
         return np.array([iterate is not None for iterate in self._given])
 
     def put(self, sample: int, iterate: Iterate | None) -> None:
-        """Let place number `sample` go on from a point of the path, or become free.
+        """Put a sample at place number `sample`, or make the place free.
 
-        iterate : spins, bounds, slips and forces of all contacts there; None for a free place.
+        iterate : the point of its central path at which the sample begins: spins, bounds, slips and forces of all
+            contacts. None makes the place free.
         """
         self._given[sample] = iterate
         if iterate is None:
@@ -322,12 +324,13 @@ class Path:
         return step
 
     def _furthest(self, step: _Step, further: _Step) -> _Step:
-        """Return a step between two steps, step + share * (further - step), that goes further than both: the share is
-        made smaller as long as that helps (Colombo & Gondzio, Comput. Optim. Appl. 41, 2008). It stands in memory in
-        place of `further`. Where a factorisation takes so little that this does not pay, return `further`.
+        """Return the step that goes furthest among `further` and mixtures step + share * (further - step) of two steps,
+        with shares from SHARES. Shares are tried from the largest on, as long as the step gets longer (Colombo &
+        Gondzio, Comput. Optim. Appl. 41, 2008). Where a factorisation is quick no mixture is tried, as that would not
+        pay.
 
-        step, further : two steps from one point that stand in the two places in memory. All steps between them leave
-            the torques balanced, too.
+        step, further : two steps from one point, in the two places in memory. The result overwrites `further` there.
+            Every mixture of them leaves torques balanced.
         """
         best, taken = further, 1.0
         for share in SHARES if self._matrix.is_costly else ():
@@ -346,8 +349,8 @@ class Path:
     def _target(self, step: _Step) -> np.ndarray:
         """Return the product friction * bound - slip . force (S,) that the next step of each of S samples aims at.
 
-        The predictor `step`, which aims at 0, would leave a share x of the present mean product; the target is x^2 / 4
-        of it (Mehrotra takes x^3; a smaller x is a more credible predictor).
+        The predictor `step` aims at 0 and would leave a share x of the present mean product. The target is x^2 / 4 of
+        that mean. (Mehrotra takes x^3. The smaller x is, the better the predictor.)
         """
         count = np.array([max(1, iterate.in_cones) if iterate else 1 for iterate in self._given])
         product, by_reach, by_dual_reach, by_both = step.found[kernels.PRODUCT :]
@@ -358,15 +361,15 @@ class Path:
         return found
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
-        """Return the step after one of Gondzio's correctors. A step somewhat longer than the present one would change
-        the products of the contacts, friction * bound - slip . force. The corrector brings those closer to the target
-        that would be more than a factor PRODUCT_SPREAD away from it.
+        """Return the step after one of Gondzio's correctors. For each contact it is computed which product, friction *
+        bound - slip . force, a somewhat longer step would lead to. Where that is more than a factor PRODUCT_SPREAD away
+        from the target, the corrector brings it closer.
 
         step : the present step of S samples.
         target : (S,), product to aim at.
-        going : (S,) mask of the samples to correct; the others keep a step that they have.
-        rejected : (S,) mask of those of the others that keep the step before, which is in the other one of the two
-            places in memory, as the present one is worse.
+        going : (S,) mask of the samples that are corrected. The others keep a step.
+        rejected : (S,) mask: of the samples that are not corrected these keep the step before the present one, which
+            lies in the other place in memory.
         """
         lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
@@ -397,11 +400,11 @@ class Path:
         return step
 
     def _solved(self, slot: int) -> _Step:
-        """Solve for the Newton step of all samples, and return it: changes of the spins, and of bounds, slips and
-        forces, after which all torques balance. For each contact W^-2 d(bound, slip) + d(friction, -force) is its
-        right-hand side, where W is the Nesterov-Todd scaling of the contact.
+        """Solve the linear system of a Newton step for all samples, and return the step: changes of the spins, and of
+        bounds, slips and forces, after which all torques balance. The right-hand side of each contact is the value that
+        W^-2 d(bound, slip) + d(friction, -force) shall have; W is the Nesterov-Todd scaling of the contact.
 
-        slot : 0 or 1, which of the two places in memory holds the right-hand sides, and gets the step.
+        slot : 0 or 1, the place in memory that holds the right-hand sides; the step is written into the same place.
         """
         pull = _in(slot, kernels.PULL)
         if self._viscosity is not None:
@@ -412,12 +415,12 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """Compute the torque that is left on each unknown spin, and write it into `self._rows.spins` (unknowns or more,
-        S samples), where the next solve finds its right-hand side. It is the torque of contact forces that stand in two
-        rows of memory; if spheres have inertia, less the torque that gives them the spins `spins`.
+        """Compute for each unknown spin the torque that contact forces leave over, and write it into `self._rows.spins`
+        (unknowns or more, S samples), from which the next solve reads its right-hand side. With inertia the torque that
+        accelerates the sphere is subtracted.
 
-        row : number of the row with the first component of the forces; the second component is in the next row.
-        spins : (unknowns or more, S), spins at the end of the step in time; used with inertia only.
+        row : row of memory with the first component of the contact forces; the row after it has the second one.
+        spins : (unknowns or more, S), spins at the end of the step in time; read only if spheres have inertia.
         """
         rows = self._rows
         rows.torques(row)
@@ -427,9 +430,10 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """Return the whole Newton step of all samples for the changes of spins that were solved for last: compute the
-        changes of slips, bounds and forces that belong to them, and how far the step may go. With inertia or viscosity
-        primal and dual points have to go equally far, so the smaller of both lengths counts.
+        """Return the whole Newton step of all samples, once its changes of the spins are solved for. Computed from
+        these are the changes of slips, bounds and forces, and the two lengths to which primal and dual points stay in
+        their cones. With inertia or viscosity both points have to go equally far, and the smaller length counts for
+        both.
 
         slot : 0 or 1, the place in memory that gets the changes of slips, bounds and forces.
         """
@@ -451,8 +455,8 @@ class Path:
         return self._gaps[sample]
 
     def price_of_torques(self, sample: int) -> float:
-        """Return the most that unbalanced torques take from the lower bound of a sample, over its cost: the sum of
-        their sizes, if no spin of a minimum exceeds the unit of spin.
+        """Return a bound on the relative loss of the lower bound of a sample by unbalanced torques: the sum of the
+        sizes of the torques, divided by the cost. It holds if no spin of a minimum exceeds the unit of spin.
 
         sample : number of its place.
         """
@@ -465,11 +469,11 @@ class Path:
         return self._price[sample]
 
     def iterate(self, sample: int) -> Iterate:
-        """Return the point of its central path at which sample number `sample` is."""
+        """Return the point of the central path that sample number `sample` has reached."""
         return self._read(sample, self._spins, kernels.BOUND, kernels.SLIP, kernels.DUAL)
 
     def before(self, sample: int) -> Iterate:
-        """Return the point of its central path at which sample number `sample` was before the last step."""
+        """Return the point of the central path at which sample number `sample` was one step ago."""
         of_before = kernels.BOUND_BEFORE, kernels.SLIP_BEFORE, kernels.DUAL_BEFORE
         return self._read(sample, self._spins_before, *of_before)
 

@@ -39,7 +39,8 @@ def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def longest_step(point: Point, step: Point) -> float:
-    """Return the largest a for which point + a * step stays in the cone of every contact; infinity if it never leaves.
+    """Return the largest number a for which point + a * step is in the cones of all contacts; infinity if every a > 0
+    is.
 
     point, step : head (n,) and tail (d, n) each; a cone is |tail| <= head. The point lies inside all cones.
 

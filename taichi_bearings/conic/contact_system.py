@@ -197,15 +197,14 @@ class ContactSystem:
 
     @cached_property
     def across(self) -> np.ndarray:
-        """(d, n, C), the d unit vectors along which the slip of each of n contacts is measured, across its normal; with
-        C spin components each.
-        """
+        """(d, n, C), d unit vectors at each of n contacts, at right angles to its normal: the tangents along which the
+        components of its slip are measured. Their C entries belong to the spin components."""
         return np.asarray(self.network.tangents[:, self.contact])
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """(n, C) mask, True where a component of the spins makes the contact slip and is unknown for some sphere.
-        Letters: n contacts, C spin components."""
+        """(n, C) mask, True where a component of the spins makes the contact slip and is an unknown at one or both of
+        its spheres. Letters: n contacts, C spin components."""
         found: np.ndarray = np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
         return found
 
@@ -247,9 +246,9 @@ class ContactSystem:
         return np.asarray(reduce(add, parts)[0])
 
     def on_contacts(self, forces: np.ndarray) -> np.ndarray:
-        """Return vectors (E, C) by spin component on all E contacts of the network: T^T f, the share of each contact's
-        forces f in the torque (over radius) on both its spheres. The slip is T (u_i + u_j), with the tangents T. They
-        are 0 on contacts that are not in the system.
+        """Return for each of the E contacts of the network the torque over radius that its force exerts on both its
+        spheres, by spin component, (E, C): T^T f, where the tangents T give the slip T (u_i + u_j) of spheres i and j.
+        It is 0 at contacts that are not in the system.
 
         forces : f, (d, n), on the n contacts of the system, one component along each of up to d tangents.
         """
@@ -277,8 +276,8 @@ class ContactSystem:
 
     @cached_property
     def transposed(self) -> sparse.csr_array:
-        """K^T, (unknowns, d*n), sparse: gives torques from the forces of n contacts with up to d slip components, as K
-        gives slips from spins."""
+        """K^T, (unknowns, d*n), sparse: the transpose of `operator`. It gives the torques on the unknown spins from
+        forces (d*n,): first components at all n contacts, then second ones."""
         return self.operator.T.tocsr()
 
     def by_rows(self) -> "ContactSystem":
@@ -357,10 +356,9 @@ class ContactSystem:
         np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
-        """Return into how many connected pieces the contacts of the mask `chosen` (n,) join the unknowns, and the
-        number of the piece (unknowns,) of each unknown. Each slip must be a difference of two unknowns (`ends` is not
-        None).
-        """
+        """Return two things: the number of connected pieces into which the contacts of the mask `chosen` (n,) join the
+        unknowns; and (unknowns,), the number of the piece of each unknown. Each slip must be a difference of two
+        unknowns (`ends` is not None)."""
         assert self.ends is not None
         below, above = self.ends[:, :, chosen].reshape(2, -1)
         both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)

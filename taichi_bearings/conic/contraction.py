@@ -66,7 +66,7 @@ class Owners:
         return _reduced(np.minimum, values, self._of_contacts, np.inf)
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
-        """Return a mask (samples,) of the samples that have a contact in the mask `chosen` (n,)."""
+        """Return a mask (samples,), True for samples with at least one contact in the mask `chosen` (n,)."""
         return self.largest(chosen) > 0
 
 
@@ -87,8 +87,8 @@ def _reduced(reduce: np.ufunc, values: np.ndarray, begins: tuple[np.ndarray, np.
 
     reduce : `np.maximum` or `np.minimum`.
     values : (k,), in the order of their samples.
-    begins : what :func:`_begins` returns of them.
-    nothing : what a sample without values gets.
+    begins : a mask (samples,) of the samples that have values, and the index of the first value of each of these.
+    nothing : the number that a sample without values gets.
     """
     some, first = begins
     found = np.full(len(some), nothing)
@@ -242,9 +242,9 @@ class Contraction:
 
         spins : (unknowns,), one for each set of tied spins, as a sum of two doubles.
 
-        They are computed from the spins each time, so they add up to 0 round every loop of contacts, but for the
-        rounding of the low parts. Slips that were followed on their own would not, and contacts at rest would seem to
-        slip by what is missing.
+        Slips are computed anew from the spins each time. So they add up to 0 round every loop of contacts, up to the
+        rounding of the low parts. If the slips themselves were updated step by step, their rounding errors would add
+        up, and contacts at rest would seem to slip.
         """
         return self.system.precise_differences(spins)
 

@@ -143,9 +143,9 @@ class Descent:
         """Relative gap, (cost - lower bound) / cost, below which it is first tried to settle contact states, that is to
         find out which contacts slip at the minimum.
 
-        In small samples it is a gap at which contacts that seem to stick mostly do: SETTLING_GAP_FACTOR / spheres^2,
-        three times as much where there will be a second trial, and FIRST_SETTLING_GAP at most. In large samples there
-        is no such gap, and SETTLING_GAP is used.
+        In small samples it is a gap at which most contacts that seem to stick do stick: SETTLING_GAP_FACTOR /
+        spheres^2, three times as much where there will be a second trial, and FIRST_SETTLING_GAP at most. In large
+        samples no such gap is known, and SETTLING_GAP is used.
         """
         if not self.small:
             return SETTLING_GAP
@@ -153,8 +153,8 @@ class Descent:
 
     @property
     def _small_gap(self) -> float:
-        """Relative gap at which contacts of a small sample that seem to stick mostly do: it falls with the number of
-        spheres, as the smallest slips do."""
+        """Relative gap at which most contacts of a small sample that seem to stick do stick. It falls with the number
+        of spheres, as the smallest slips do."""
         return SETTLING_GAP_FACTOR / self.spheres**2
 
     @property
@@ -205,9 +205,9 @@ class Descent:
         path : the path on which it is, side by side with others.
         place : its place among the samples there.
 
-        Forces that do not balance lower the bound. Where that costs more than the gap, they are first balanced on the
-        path, unless the settling of contact states is about to do so; where it comes later, and balancing takes as long
-        as a step, the cost is added to the gap.
+        Unbalanced forces lower the bound. If the loss is larger than the gap, forces are balanced first. There are two
+        exceptions. If contact states are about to be settled, forces are balanced then, and nothing is done here. If
+        states are settled later, and balancing takes as long as a step, the loss is added to the gap.
         """
         gap = path.gap(place)
         price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)

@@ -191,12 +191,12 @@ class FrictionStage:
         return found
 
     def _torque(self, force: np.ndarray, inertia: float, gained: np.ndarray) -> np.ndarray:
-        """Return the torques (unknowns,) that have to become 0 at the end of a stage: inertia * gained plus those of
-        the forces (d, n) on n contacts with up to d slip components.
+        """Return the torques (unknowns,) that have to be 0 at the end of a stage: those of the contact forces plus
+        inertia * gained.
 
-        force : (d, n).
+        force : (d, n), forces on n contacts with up to d slip components.
         inertia : moment of inertia over the duration of the stage.
-        gained : (unknowns,), spins less those before it.
+        gained : (unknowns,), spins less those before the stage, 1/time.
         """
         return inertia * gained + self.radius * self.system.torques(force)
 
@@ -254,8 +254,8 @@ class FrictionStage:
         step: np.ndarray,
         first: float,
     ) -> float:
-        """Return the length of a Newton step, from 0 to 1, at which the function that is to become least is nearly flat
-        along the step; 1 if it still falls at the end of the whole step.
+        """Return the length of a Newton step, 0 to 1, at which the function that the stage minimises has almost no
+        slope along the step; 1 if it still falls at the end of the whole step.
 
         friction : laws of the n contacts.
         trial : (d, n), forces of the springs before friction limits them.
@@ -270,8 +270,8 @@ class FrictionStage:
         gained = spins - base
 
         def slope(length: float) -> float:
-            """Return the derivative along the step, at the length `length` (0 to 1), of the function that is to become
-            least."""
+            """Return the derivative of the function that the stage minimises, along the step at the length `length` (0
+            to 1)."""
             force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
             work = float((force * change / friction.resistance).sum())
             return friction.inertia * float((gained + length * step) @ step) + work

@@ -90,9 +90,9 @@ class Iterate:
         """Return the point with another choice of *smooth* contacts, which are in no cone but obey the law of friction
         exactly: force = friction along the slip, bound = slip.
 
-        slips : (n,) mask of the smooth contacts. All others are in their cones, bound >= |slip| and friction >=
-            |force|. Those that were smooth before get a force along their slip, and the bound at which their product
-            friction * bound - slip . force is the mean one.
+        slips : (n,) mask of the contacts that are smooth from now on. All others are in their cones, bound >= |slip|
+            and friction >= |force|. Those of them that were smooth before get a force along their slip, and a bound
+            such that their product friction * bound - slip . force is the mean one.
         """
         bound, dual = self.bound, self.dual
         if self.smooth is not None:
@@ -173,8 +173,8 @@ class Iterate:
 
     @property
     def price_of_torques(self) -> float:
-        """What unbalanced torques take from the lower bound on the cost, relative to the cost: the sum of their sizes.
-        That is a bound where no spin of a minimum exceeds the unit of spin."""
+        """Bound on the relative loss of the lower bound on the cost by unbalanced torques: the sum of the sizes of the
+        torques, divided by the cost. It holds if no spin of a minimum exceeds the unit of spin."""
         found: float = float(np.abs(self.system.torques(self.whole_dual)).sum()) / max(self.cost, TINY)
         return found
 

@@ -328,12 +328,12 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
 
 
 def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) -> Resolved | None:
-    """Follow the central path of one sample until it is clear of all but FEW_DOUBTFUL contacts whether they slip. Of
-    the others the trend is believed. Return the minimum for this guess; None if forces that balance are not found, so
-    that the guess may be wrong. This saves further steps along the path, which would make it certain.
+    """Follow the central path of one sample until all but FEW_DOUBTFUL contacts are decided, to slip or to stick. The
+    others are guessed by the trend. Return the minimum for these states; None if no forces that balance are found, so
+    that the guess may be wrong. This saves the further steps that would decide all contacts.
 
-    iterate : the point at which the path was begun.
-    path : where it is now; it is followed on.
+    iterate : the point from which `path` started.
+    path : the point that was reached; it is followed on.
     shared : what all samples share.
     """
     slipping = path.decide(FEW_DOUBTFUL)
@@ -354,8 +354,7 @@ def _minimum_with_tied(
     path : the point that was reached; not changed.
     sticking : (n,) mask of the contacts to tie.
     shared : what all samples share.
-    to_the_end : True to follow the path until double precision ends, False until it is clear of every contact whether
-        it slips.
+    to_the_end : True to follow the path until double precision ends, False until every contact is decided.
     returns : the minimum, None if there is none; (n,) mask of the further contacts that surely stick at the end.
 
     Forces of slipless contacts are looked for near those at the end of the path. Where there may be several minima, a

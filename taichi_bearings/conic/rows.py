@@ -92,8 +92,9 @@ class ContactRows:
         self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
-        """Return the indices (count * n,), counted from the begin of a row of memory, of the numbers of the n contacts
-        in this row and the `count - 1` rows after it, row by row. A row also has places that fill up SIMD blocks."""
+        """Return indices (count * n,) of the numbers of the n contacts in a row of memory and in the `count - 1` rows
+        after it, row by row, counted from the begin of the first row. (A row is longer than n, as SIMD blocks are
+        filled up.)"""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(
@@ -173,8 +174,8 @@ class ContactRows:
         self._starts[key][0]()
 
     def copy_step(self, slot: int, to: int, sample: int) -> None:
-        """Copy the Newton step of one sample from one of the two places in memory to the other: all that is needed to
-        take the step, and to refine it (not the tail of its right-hand side).
+        """Copy the Newton step of one sample from one of the two places in memory to the other: all numbers that are
+        needed to take the step and to refine it.
 
         slot : 0 or 1, which of the two steps in memory is read.
         to : 0 or 1, which of them is written.
@@ -269,9 +270,9 @@ def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, shape: tuple[in
     """Return a sparse matrix in the form that suits its entries: two tables if they are all 1 or -1, else a matrix of
     SciPy.
 
-    row, column, sign : (entries,), row, column and value of each entry. If all values are 1 or -1, tables for
-        `kernels.add_up` are returned: where the terms of each row begin, and the columns of the terms, in rising order,
-        those to be subtracted as their bitwise complement.
+    row, column, sign : (entries,), row, column and value of each entry. If all values are 1 or -1, two tables for
+        `kernels.add_up` are returned. The first says where the terms of each row begin in the second. The second has
+        the columns of the terms, in rising order; a term that is subtracted has the bitwise complement of its column.
     shape : numbers of rows and columns.
     """
     if (np.abs(sign) != 1).any():

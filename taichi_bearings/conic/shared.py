@@ -29,8 +29,8 @@ Made = tuple[ContactSystem, Surroundings | None]
 
 
 class LastNetwork(threading.local):
-    """The contact system and the Newton matrix of the network that a thread has solved last, to be used again for
-    further samples on it. Each thread has its own, as the numbers of a factorisation are stored in the matrix.
+    """The contact system and the Newton matrix of the network that a thread solved last, for further samples on the
+    same network. Each thread has its own, as a factorisation writes its numbers into the matrix.
 
     of : identity of this network: an object that is compared by ==, and a tuple of arrays; None before the first.
     made : its contact system, and what its samples share; None for the latter if it is large or not made yet.
@@ -67,14 +67,16 @@ def system_of(bearing: Bearing) -> ContactSystem:
     that the spheres have no motion left at which no contact slips. If only coefficients differ from the bearing of the
     last call, as between seeds, it is the one returned then.
 
-    Motions without slip make the Newton matrix singular. Where normals have any direction there mostly are none; one
-    factorisation, which is needed anyhow, shows it. Only where it does not are motions looked for, by elimination.
+    Motions without slip make the Newton matrix singular. With normals in any directions there are hardly ever such
+    motions. One factorisation, which is needed anyway, proves that; only if it fails, motions are searched by
+    elimination.
 
     bearing : spheres, contacts, and what is driven.
     """
 
     def make() -> Made:
-        """Return the system newly made, and what its samples share if the factorisation needed it."""
+        """Make the system, and return it; with it what its samples share, if the check for motions has factorised that
+        already."""
         system = ContactSystem.before_motions(bearing)
         if system.motions is not None or not system.unknowns:
             return system, None
@@ -89,8 +91,9 @@ def system_of(bearing: Bearing) -> ContactSystem:
 
 
 def surroundings_of(system: ContactSystem) -> Surroundings:
-    """Return what all samples on the network of a contact system share: the system itself, or where possible over spins
-    with signs, so that slips are differences; an order in which its unknowns are eliminated; and its Newton matrix.
+    """Return what all samples on the network of a contact system share: the contacts, an order in which unknowns are
+    eliminated, and the Newton matrix. The contacts are those of `system`, or where possible the same over signed spins,
+    so that each slip is a difference of two unknowns.
 
     It is kept for later calls, of other samples, if the system is the last that :func:`system_of` has returned in this
     thread, and has fewer than KEPT_UNKNOWNS unknowns.

@@ -114,11 +114,12 @@ def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarr
 
 
 def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return minus the forces, `dual` (d, n, samples), without noise at contacts that bear all their friction: if their
-    force is nearly along one component, the other one is set to 0. It is noise: as the force approaches its limit, the
-    other component falls only like the root of the friction that is left.
+    """Return minus the forces (d, n, samples), without noise at contacts that bear all their friction. If such a force
+    is nearly along one component, the other component is set to 0. (That component falls only like the root of the
+    friction that is left, so it is still large when the force is practically at its limit.)
 
     limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
+    dual : (d, n, samples), minus the forces.
 
     Letters: n contacts with up to d slip components.
     """
@@ -201,13 +202,13 @@ def _cut(dual: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
 
 
 def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.ndarray, samples: int) -> np.ndarray:
-    """Return the largest multiple (samples,) of the way from `here` to `there` up to which no contact leaves its
-    friction disc.
+    """Return for each sample the largest factor (samples,) such that here + factor * (there - here) exceeds the
+    friction limit of no contact.
 
-    friction : (samples * n,).
-    here, there : minus the forces (d, samples * n).
-    free : (samples * n,) mask of contacts that are not looked at.
-    samples : their number.
+    friction : (samples * n,), friction limits, sample after sample.
+    here, there : (d, samples * n), minus the forces at both ends of the way.
+    free : (samples * n,) mask of contacts whose limit does not matter.
+    samples : number of samples.
 
     Letters: n contacts with up to d slip components.
     """

@@ -36,10 +36,10 @@ def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
 
 
 def _is_uniform(system: ContactSystem) -> bool:
-    """Return True if the whole top of a lattice turns alike: then imposed spins add the same number to all slips of a
-    component to which they add anything.
+    """Return True if, in each slip component, imposed spins add one and the same number to all slips to which they add
+    anything. That is so where the whole top of a lattice turns alike.
 
-    system : its contacts.
+    system : the contacts: `slot` is the component of each slip, `offset` what imposed spins add to it.
     """
     pairs = np.stack([np.asarray(system.slot, dtype=float), system.offset])[:, system.offset != 0]
     found: bool = np.unique(pairs, axis=1).shape[1] == len(np.unique(pairs[0]))

@@ -76,8 +76,9 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
     tied : the contacts that slip or are at their limit, over the sets of spins that the other contacts tie together.
     difference : (d, contacts), slips, or directions in which contacts can begin to slip.
 
-    A slip with one component keeps its direction anyhow. For one with two components the change across the slip has to
-    be 0, one equation each. Blocks of more than MOST_BLOCK_UNKNOWNS unknowns that equations join are left out.
+    A slip with one component always keeps its direction. A slip with two components keeps it if its change across
+    itself is 0: one equation for each. The equations join unknowns to blocks; blocks of more than MOST_BLOCK_UNKNOWNS
+    unknowns are left out.
     """
     unknowns, count = tied.unknowns, difference.shape[1]
     conditions = sparse.csr_array((0, unknowns))

@@ -65,7 +65,10 @@ def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: t
 
 @ti.func
 def dot(a: ti.template(), b: ti.template()):
-    """Return the scalar product of two lists of one or two numbers."""
+    """Return the scalar product of two lists of one or two numbers.
+
+    a, b : the lists.
+    """
     result = a[0] * b[0]
     if ti.static(len(a) == 2):
         result = result + a[1] * b[1]
@@ -74,7 +77,10 @@ def dot(a: ti.template(), b: ti.template()):
 
 @ti.func
 def size(a: ti.template()):
-    """Return the Euclidean length of a list of one or two numbers."""
+    """Return the Euclidean length of a list of one or two numbers.
+
+    a : the list.
+    """
     result = ti.abs(a[0])
     if ti.static(len(a) == 2):
         result = ti.sqrt(dot(a, a))

@@ -32,7 +32,10 @@ def length(components: ti.template()):
 @ti.func
 def smaller(a, b):
     """Return the smaller of two numbers, of vectors entry by entry, as one machine instruction; unlike ti.min it makes
-    no promise about NaN."""
+    no promise about NaN.
+
+    a, b : two numbers, or two vectors of one length.
+    """
     return ti.select(a < b, a, b)
 
 

@@ -226,7 +226,10 @@ class ListSweeps(Sweeps):
 
 @ti.func
 def dot(a: ti.template(), b: ti.template()):
-    """Return the scalar product of two lists of three numbers, or of three vectors over the sites of a block."""
+    """Return the scalar product of two lists of three numbers, or of three vectors over the sites of a block.
+
+    a, b : the lists.
+    """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

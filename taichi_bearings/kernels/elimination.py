@@ -60,15 +60,15 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 
 @ti.func
 def sheets_before(tables: ti.template(), at, column):
-    """Return the number of columns of the update of a front that stand in the panels before the one that holds a given
-    column.
+    """Return how many columns of the update of a front are stored in panels before the panel that holds a given column.
 
     A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update, what
     is left for the later ones, is stored in panels of some columns each.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
-    column : number of a column of the front, own columns first; for those the result is 0."""
+    column : number of a column of the front, own columns first; for those the result is 0.
+    """
     before, width = 0, tables[SHEET]
     if column - tables[at + OWN] >= width:  # hardly ever: no division in small fronts
         before = (column - tables[at + OWN]) // width * width
@@ -339,14 +339,16 @@ def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.templa
 
 @ti.kernel
 def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
-    """Find the Cholesky factors of LANES sparse matrices with the same pattern of entries, one in each lane of vectors.
+    """Compute the Cholesky factors of LANES sparse matrices with the same pattern of entries, side by side: each number
+    of memory is a vector with one number of each matrix.
 
-    A pivot that is not positive leaves an inverse that is not finite, in the factor of its matrix alone.
+    If a pivot of a matrix is not positive, its inverse is not finite. Other matrices are not affected.
 
     tables : integers that say where all entries stand, made in numerics/cholesky/layout.py.
     entries : entries of the sparse matrices, flat, in the order of these tables; each a vector of LANES numbers.
     numbers : entries of all fronts (dense matrices of unknowns that are eliminated together), flat, such vectors too;
-        overwritten by the factors."""
+        overwritten by the factors.
+    """
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH

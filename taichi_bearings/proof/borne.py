@@ -149,9 +149,10 @@ class ExactlyRolling:
 
     @cached_property
     def residual_unit(self) -> np.ndarray:
-        """(n,), unit of each unknown: friction that takes away torques of at most v is no larger than the norm of unit
-        * v over the floor of the exact motions (step 4 at the head of this file). It is the unit of the exact motions;
-        but in parts with motions without slip, all unknowns have the largest unit of their part."""
+        """(n,), a unit for each unknown, for bounds on corrections of the friction: if v bounds the size of the torques
+        along the unknowns, a correction that takes them away is no larger than |unit * v| / floor, with the floor of
+        the exact motions (step 4 at the head of this file). It is the unit of the exact motions. In parts that can move
+        without slip it is the largest one of the part."""
         exact, number = self.friction_bounds.exact, self.friction_bounds.number
         own: np.ndarray = exact.unit[number >= 0][self.columns]
         largest, has_motions = np.zeros(int(self.part.max()) + 1), np.zeros(int(self.part.max()) + 1, dtype=bool)
@@ -176,8 +177,8 @@ class ExactlyRolling:
 
     @cached_property
     def part(self) -> np.ndarray:
-        """(n,), for each of the n unknown spin components the number of the part to which its sphere belongs. The
-        exactly rolling contacts fall into parts that share no free sphere."""
+        """(n,), number of the part of each of the n unknown spin components. Parts are what the exactly rolling
+        contacts connect through free spheres."""
         network = self.friction_bounds.network
         first, second = network.graph.contact[:, self.contacts]
         inner = network.free[first] & network.free[second]
@@ -250,8 +251,8 @@ class ExactlyRolling:
 
     @cached_property
     def unknown_torques(self) -> np.ndarray:
-        """(n,), bound on the size of the torque on each of n unknown spin components that is not due to the changes of
-        friction of which `loads` gives the torques: what the stored friction leaves over, and rounding."""
+        """(n,), bound on the size of the torque on each of n unknown spin components that `loads` leave out: torque
+        that the stored friction leaves over, and rounding."""
         more = self.rounding * self.friction_bounds.most_change
         for piece in self.loop_pieces:
             # terms of the sums that make the loads: friction off the loops, and that along each of them
@@ -325,12 +326,12 @@ class ExactlyRolling:
         return found
 
     def _borne_nearby(self, by_others: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Return the mask (q,) of the exactly rolling contacts that are proven to rest since friction on contacts close
-        to each loop can bear what may circulate along it. It is empty if that is not found of every loop.
+        """Return the mask (q,) of the exactly rolling contacts that are proven to rest because contacts close to each
+        loop can bear the friction that may circulate along it. The mask is empty if this is not found for every loop.
 
-        Friction is sought that bears both ends of the interval of a loop, one after the other. Mixtures of both bear
-        all that is in between, and are nowhere larger than the larger one. Where contacts are close to several loops,
-        the sizes of what later loops ask for are added.
+        The friction along a loop lies in an interval. Friction that bears one end of it is searched, then friction that
+        bears the other end. Mixtures of both bear everything in between, and are nowhere larger than the larger of the
+        two. Where contacts are close to several loops, their demands are added.
 
         by_others : (q,), friction that other contacts may demand of each contact.
         residual : (n,), bound on the torque on each unknown that a last correction has to balance.
@@ -394,13 +395,15 @@ class ExactlyRolling:
         return change, (np.abs(load + exact @ change.ravel()) + rounded) * UP
 
     def _faint(self, most_change: np.ndarray) -> np.ndarray:
-        """Return the mask (k,) of those contacts in `bounded_contacts` whose changes of friction exert so small torques
-        on the exactly rolling ones that these are not balanced one by one, but by one correction for all.
+        """Return the mask (k,) of those `bounded_contacts` whose changes of friction exert only small torques on the
+        exactly rolling contacts. One correction balances all these torques together; those of other contacts are
+        balanced one by one.
 
-        As many are taken as need a correction of friction of at most FAINT_LOADS times the least friction left at an
-        exactly rolling contact; and in any case all but the MOST_OTHERS contacts with the largest torques.
+        Contacts are taken, beginning with the smallest torques, as long as the correction needs at most FAINT_LOADS
+        times the least friction left at an exactly rolling contact. At most MOST_OTHERS contacts are not taken.
 
-        most_change : (k,), bound on the change of the friction of each of the k contacts, force."""
+        most_change : (k,), bound on the change of the friction of each of the k contacts, force.
+        """
         loads = sparse.diags_array(self.residual_unit) @ self.loads[0]
         squares = np.asarray(loads.power(2).sum(axis=0)).reshape(-1, 2).sum(axis=1) * most_change**2
         order, floor = np.argsort(squares), self.friction_bounds.exact.floor[0]
@@ -413,19 +416,20 @@ class ExactlyRolling:
         """Return the mask (q,) of the exactly rolling contacts that lie in parts all of whose contacts stay below their
         friction limits. (Parts share no free sphere.)
 
-        largest : (q,), bound on the size of the friction of each contact, but for a last correction.
-        residual : (n,), bound on the torque on each unknown which that correction has to balance, but for torques along
-            motions without slip, which cancel (step 4 at the head of this file)."""
+        largest : (q,), bound on the size of the friction of each contact before the last correction.
+        residual : (n,), bound on the torque on each unknown that the last correction has to balance. Torques along
+            motions without slip are left out, as they cancel (step 4 at the head of this file).
+        """
         network, own = self.friction_bounds.network, self.part_of_contact
         bears = (largest + self._corrected(residual)) * UP < (1 - ROUNDED_NORMAL) * network.holding.least[self.contacts]
         return np.asarray(np.bincount(own, ~bears)[own] == 0)
 
     def _corrected(self, residual: np.ndarray) -> np.ndarray:
-        """Return a bound (q,) on the friction by which each exactly rolling contact has to change in a last correction;
-        exact_motions.py says how large it may have to be.
+        """Return a bound (q,) on the change of the friction of each exactly rolling contact by the last correction;
+        exact_motions.py, step 4, bounds it.
 
-        residual : (n,), bound on the torque on each unknown which that correction has to balance, but for torques along
-            motions without slip.
+        residual : (n,), bound on the torque on each unknown that the correction has to balance, without torques along
+            motions that make no contact slip.
         """
         squares = np.bincount(self.part, (self.residual_unit * residual) ** 2)
         found: np.ndarray = np.sqrt(squares)[self.part_of_contact] / self.friction_bounds.exact.floor[0] * UP

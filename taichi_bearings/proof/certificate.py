@@ -341,7 +341,9 @@ def _sum_of_sizes(force: Forces, share: Share = map) -> np.ndarray:
     """Return the sum (R,) of the absolute values of forces (C components, R samples, E contacts) over components and
     contacts, added up in pieces that fit the caches.
 
-    share : a function like `map`, which may share the calls among threads."""
+    share : a function like `map`, which may share the calls among threads.
+    force : (C, R, E), the forces.
+    """
     pieces = range(0, force.shape[2], CACHED_PULLS)
     sums = list(share(lambda first: np.abs(force[..., first : first + CACHED_PULLS]).sum(axis=(0, 2)), pieces))
     return np.sum(sums, axis=0) if sums else np.zeros(force.shape[1])

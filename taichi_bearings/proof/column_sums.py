@@ -24,7 +24,8 @@ Share = Callable[..., Iterable[Any]]
 
 
 class ColumnSums(NamedTuple):
-    """Torques over the radius, (C, R, *N') each, by columns of spheres along the height."""
+    """Sums over each column of spheres along the height: arrays (C components, R samples, *N'), where N' is the lattice
+    without its last axis. They are torques over the radius."""
 
     bottom: np.ndarray  # force, on the driven sphere at the bottom
     top: np.ndarray  # force, on the driven sphere at the top
@@ -56,6 +57,7 @@ def torques_on(part: Part, force: np.ndarray, lattice: Lattice, spin_axes: tuple
     plain : True for sums in plain doubles. Else each addition keeps what it rounds away (Knuth's two-sum): the relative
         error is that of one rounding, plus about 1e-32 of the forces. A plain sum of forces in balance has an error as
         large as the torque itself.
+    lattice : the shape of the lattice and its periodic axes.
     """
     samples, (first, last, _) = part[0], part[1].indices(lattice.shape[0])
     total = np.zeros((*force[:, samples].shape[:2], last - first, *lattice.shape[1:]))
@@ -84,6 +86,7 @@ def _pulls(
     force : (r samples, *contacts), one component of the forces of all contacts along an axis.
     axis : number of the axis.
     planes : the first of the planes, and the one after the last.
+    lattice : the shape of the lattice and its periodic axes.
     """
     (first, last), count = planes, force.shape[1]
     if axis:  # contacts within the planes
@@ -109,6 +112,7 @@ def column_sums(
     spin_axes : the axes of the C components.
     plain : as :func:`torques_on` has it.
     share : a function like `map`, which may share the calls among threads.
+    lattice : the shape of the lattice and its periodic axes.
     """
     bottom, top, left_over = np.empty((3, *force.shape[:2], *lattice.shape[:-1]))
 
@@ -132,6 +136,7 @@ def largest_torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, .
     force : (C, R, E), forces along the spin difference of the contacts.
     spin_axes : the axes of the C components.
     share : a function like `map`, which may share the calls among threads.
+    lattice : the shape of the lattice and its periodic axes.
     """
     found = np.zeros(force.shape[1])
 

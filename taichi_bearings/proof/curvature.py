@@ -170,8 +170,9 @@ class Slipping:
         return found[0], found[1]
 
     def change(self, slot: int) -> sparse.csr_array:
-        """Return the matrix (n, unknowns) that gives one component of the change of each of n slips from the changes of
-        the unknowns, the spins of free domains (spheres that turn as one). Its entries are 1, -1 and 0.
+        """Return the matrix (n, unknowns), with entries 1, -1 and 0, that gives one component of the change of each
+        slip from the changes of the unknowns. An unknown is the spin of a free domain, a group of spheres that turn as
+        one.
 
         slot : 0 or 1, for the first or the second component in `felt`.
         """
@@ -182,9 +183,12 @@ class Slipping:
         return sparse.csr_array((signs, ends[kept], begin), shape=(len(ends), self.unknowns))
 
     def moved(self, step: np.ndarray) -> Slipping:
-        """Return a copy whose slips are those after the unknowns, spins of free domains (spheres that turn as one),
-        have changed by `step` (unknowns,)."""
-        by = np.append(step, 0.0)
+        """Return a copy with the slips after a change of the unknowns. An unknown is the spin (times radius) of a free
+        domain, a group of spheres that turn as one.
+
+        step : (unknowns,), change of each unknown, in the units of the network.
+        """
+        by = np.append(step, 0.0)  # the last entry is for domains that do not move, number -1
         difference = tuple(
             part + (Enclosure.exact(by[upper]) - Enclosure.exact(by[lower]))
             for part, upper, lower in zip(self.difference, self.upper, self.lower, strict=True)
@@ -192,8 +196,8 @@ class Slipping:
         return replace(self, difference=(difference[0], difference[1]))
 
     def slope(self) -> Enclosure:
-        """Return the slope (unknowns,) of the power: for each unknown, the spin of a free domain (spheres that turn as
-        one), the torque over radius that the slipping contacts exert on it."""
+        """Return the slope (unknowns,) of the power along each unknown: the torque over radius that the slipping
+        contacts exert on its domain. An unknown is the spin of a free domain, a group of spheres that turn as one."""
         owner, pulls = [], []
         for slot in range(2):
             for pull, end in ((self.pulls[slot], self.upper[slot]), (-self.pulls[slot], self.lower[slot])):
@@ -287,12 +291,12 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
 
 @np.errstate(all="ignore")
 def rises(contacts: Slipping, relative_change: np.ndarray) -> bool:
-    """Return True if the power is proven to have positive curvature along every motion of the unknowns, which are spins
-    of free domains (spheres that turn as one), in a neighbourhood of given slips.
+    """Return True if the power is proven to have positive curvature along every motion of the unknowns, at all spins
+    near given ones. An unknown is the spin of a free domain, a group of spheres that turn as one.
 
-    contacts : the n slipping contacts, with the given slips and the unknowns.
-    relative_change : (n,), the neighbourhood: all spins at which |slip - given slip| / |given slip| of each contact is
-        at most that."""
+    contacts : the n slipping contacts, with their slips at the given spins, and the unknowns.
+    relative_change : (n,), how near: |slip - given slip| / |given slip| is at most this at each contact.
+    """
     curvature = Curvature.of(contacts) if contacts.unknowns else None
     return contacts.unknowns == 0 or (curvature is not None and curvature.is_positive_within(contacts, relative_change))
 
@@ -488,11 +492,12 @@ class Curvature:
         )
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
-        """Return the step (unknowns,) of Newton's method: the change of the spins of free domains (spheres that turn as
-        one) that makes the slope of the power vanish to first order. None if rounding hides the curvature. Nothing
-        about it is proven.
+        """Return the step (unknowns,) of Newton's method: the change of the unknowns after which the slope of the power
+        vanishes to first order; None if rounding hides the curvature. Nothing about it is proven. An unknown is the
+        spin of a free domain, a group of spheres that turn as one.
 
-        slope : (unknowns,), derivatives of the power by these spins."""
+        slope : (unknowns,), derivatives of the power by the unknowns.
+        """
         root, factor = np.sqrt(self.form.squares), self.form.elimination.factorised()
         return None if factor is None else -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
@@ -565,16 +570,17 @@ def _row_scaled(
 def _curvature_rows(
     contacts: Slipping, changes: list[sparse.csr_array]
 ) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
-    """Return a matrix A such that the curvature of the power is |A x|^2 for changes x of the unknowns, which are spins
-    of free domains (spheres that turn as one); a matrix of the same shape with bounds on the errors of its entries; and
-    for each row of A the contact, 0 to n - 1, that it belongs to.
+    """Return three things: a matrix A such that the curvature of the power is |A x|^2 for changes x of the unknowns; a
+    matrix of the same shape with bounds on the errors of the entries of A; and for each row of A the contact, 0 to n -
+    1, to which it belongs. An unknown is the spin of a free domain, a group of spheres that turn as one.
 
     contacts : the n slipping contacts.
     changes : two matrices (n, unknowns) that give both components of the changes of slips.
 
     A contact that slips in two components has one row, the change of its slip at right angles to the slip, times the
     root of mu F_n / slip. With damping every contact has two more, both components of the change of its slip times the
-    root of eta. Friction in one component has no curvature: mu F_n |slip| is straight."""
+    root of eta. Friction in one component has no curvature: mu F_n |slip| is straight.
+    """
     # The unit vector at right angles to each slip, two components.
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
     # Relative error of the root: at most that of its square, and 16 roundings where a root, products and a sum make
@@ -645,12 +651,13 @@ class Floor:
     ) -> Floor:
         """Prove a floor of |A x|^2 for every matrix A whose entries differ from those of `rows` by `doubt` at most.
 
-        The unit of an unknown is about the root of its entry on the diagonal of (A^T A)^-1. Random vectors with this
-        covariance tell it. Nothing depends on how good it is: any units are valid.
+        The unit of an unknown is about the root of its entry on the diagonal of (A^T A)^-1. It is estimated from random
+        vectors whose covariance is that inverse. The proof holds with any units.
 
         rows, doubt : (m, q) for q unknowns.
         elimination : how to eliminate the matrix rows^T rows, as doubles have formed it.
-        factor : its Cholesky factor, if that is known."""
+        factor : its Cholesky factor, if that is known.
+        """
         samples, factor = elimination.samples, factor or elimination.factorised_samples(-LEAST_CURVATURE)
         if factor.failed.all():
             return cls(np.zeros(samples.count), np.ones(elimination.size), factor)

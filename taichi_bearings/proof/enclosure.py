@@ -161,8 +161,8 @@ class Enclosure:
 
     @in_cache
     def __truediv__(self, other: Enclosure) -> Enclosure:
-        """Return the quotient, element by element. Where a divisor may be 0 the error is infinite or NaN, and proves
-        nothing."""
+        """Return the quotient, element by element. Where the divisor may be 0 the error is infinite or NaN, so that
+        nothing is proven."""
         first = self.high / other.high
         left = self - other.times(first)
         second = left.high / other.high

@@ -68,9 +68,9 @@ class ExactMotions:
 
     spheres : (N,) mask of the free spheres that these contacts join.
     contacts : (E,) mask of these contacts: among these spheres, and with driven ones.
-    floor, unit : (R,) and (N, 3). Friction on these contacts that exerts given torques on the spheres, if there is
-        any, exists with a size no larger than the norm of (unit * torque) over `floor`; see step 4. The floor is
-        infinite for samples without any sphere, and units are 0 for what is no unknown or is in J.
+    floor, unit : (R,) and (N, 3), for a bound on friction: if friction on these contacts can exert given torques at
+        all, some of a size of at most |unit * torque| / floor does (step 4). The floor is infinite for samples without
+        any sphere. Units are 0 for spin components that are no unknown or are in J.
     motions : how the spins of these spheres follow from a few of them and from imposed spins, such that no contact
         slips; None if there is no such contact.
     """
@@ -196,10 +196,12 @@ class _Parts:
         return ~Elimination.of(matrix, place, parts, samples).dependent(NULL_PIVOT)
 
     def with_nothing_to_prove(self, follows: np.ndarray) -> np.ndarray:
-        """Return the mask (N,) of the spheres of parts that need no proof in exact arithmetic. A slip has two
-        components: these are parts with no more of them than unknowns that follow, and samples in which none follows.
+        """Return the mask (N,) of the spheres that need no proof in exact arithmetic. A slip has two components. A part
+        needs no proof if its contacts have no more of these than unknowns that follow, and a sample needs none if no
+        unknown in it follows.
 
-        follows : (n,) mask of the unknowns that follow from others."""
+        follows : (n,) mask of the unknowns that follow from others.
+        """
         samples = self.network.samples_of(np.nonzero(self.free)[0])
         conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
         enough = conditions <= np.bincount(self.of_unknown, follows, self.count)

@@ -148,8 +148,8 @@ class JudgedNetwork:
 
     @cached_property
     def mixes(self) -> bool:
-        """True if a component of some slip depends on more than one component of the spins; False for discs, and where
-        all unit normals are along the axes."""
+        """True if some slip component depends on several components of the spins. False for discs, and where all
+        normals are along the axes."""
         return bool(self.samples_that_mix.any())
 
     @property
@@ -269,10 +269,11 @@ class JudgedNetwork:
         return row_sum(whole.reshaped((self.count, -1)))
 
     def slips(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """Return (u_i + u_j) x n of all m contacts by component, C enclosures (m,): the slip but for its sign, from the
-        spins times radius u of both spheres and the normal n.
+        """Return (u_i + u_j) x n, the slip up to its sign, of all m contacts by component, C enclosures (m,). Here u is
+        spin times radius of the spheres i and j of a contact, n its normal.
 
-        spin : u by component, C enclosures (n,) for the n spheres."""
+        spin : u by component, C enclosures (n,) for the n spheres.
+        """
         first, second = self.graph.contact
         return across([part.at(first) + part.at(second) for part in spin], self.graph.normal)
 
@@ -363,8 +364,8 @@ class JudgedNetwork:
         return self.graph.signs(self.feels)
 
     def _is_needed(self, k: int) -> bool:
-        """Return False if some spins of the free spheres, together with the imposed ones, let nothing slip along
-        component k; then nothing slips along it at any minimum. True otherwise."""
+        """Return False if some spins of the free spheres let no contact slip along component k, given the imposed ones.
+        Then nothing slips along it at any minimum. True otherwise."""
         label, odd, sign = self.signs(k)
         held = np.flatnonzero(~self.free)
         # Then driven spheres of one part are driven alike but for the signs, and not at all where loops are odd.

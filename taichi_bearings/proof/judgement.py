@@ -113,8 +113,8 @@ class Judgement:
 
     @cached_property
     def spins_are_at_rest(self) -> np.ndarray:
-        """(R,) mask of the samples that are proven to have a state without any slip, and whose stored spins are such a
-        state to within rounding: none of their slips exceeds STILL times the largest imposed speed."""
+        """(R,) mask of the samples at rest: a state without any slip is proven to exist, and the stored spins are such
+        a state up to rounding, as none of their slips exceeds STILL times the largest imposed speed."""
         found = self.can_all_rest.copy()
         if found.any():
             network = self.network
@@ -150,11 +150,12 @@ class Judgement:
         return np.stack([of.known for of in self.states])
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
-        """Return bounds (R,) of the potential, in units of the network, as bounds of the objective (power, or potential
-        with viscosity), energy/time.
+        """Return bounds (R,) on the objective (power, or potential with viscosity), energy/time, from bounds on the
+        potential.
 
         values : (R,), bounds of the potential, in units of power of the network.
-        towards : plus or minus infinity, the way in which they are rounded."""
+        towards : plus or minus infinity, the way in which they are rounded.
+        """
         return rounded_out(values, self.network.power_unit * self.law.share, towards)
 
     @property

@@ -305,17 +305,20 @@ def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Enclose the unknown friction that circulates along each of m loops. At any minimum the friction is F + L c, with
-    one number c for each loop. Return (middle, half_length), (m,) each, such that |c - middle| <= half_length.
+    """Enclose the unknown friction that circulates along each of m loops. At any minimum of the power the friction is F
+    + L c, with a number c, a force, for each loop. Return (middle, half_length), (m,) each, such that |c - middle| <=
+    half_length.
 
-    Bounds are close for loops that share no contact with another one; for others they are crude.
+    The interval is close to the possible values of c for a loop that shares no contact with another loop; else it is
+    crude.
 
     loops : L, (2 q, m), orthonormal columns; rows 2 i and 2 i + 1 are the tangential components at contact i.
     force : F, (q, 2), the stored friction along the tangents.
-    limit : (q,), sizes that F + L c does not exceed at each contact.
+    limit : (q,), force: a bound on |F + L c| at each contact.
     """
     size = np.linalg.norm(loops.reshape(len(force), 2, -1), axis=1)
-    # As c = L^T f and |f| <= |F*| + |F| at each contact, c is at most the sum of |L| (limit + |F|) over contacts.
+    # L has orthonormal columns, so c = L^T (F* - F) for the friction F* = F + L c at a minimum, and |F*| <= limit at
+    # each contact: |c| is at most the sum of |L| (limit + |F|) over the contacts.
     most_c = (size * (limit + np.linalg.norm(force, axis=1))[:, None]).sum(axis=0) * UP
     middle, half_length, in_loop = np.zeros(len(most_c)), most_c.copy(), (size > IN_A_LOOP).astype(float)
     for c in np.flatnonzero(((in_loop.T @ in_loop) > 0).sum(axis=0) == 1):

@@ -250,7 +250,7 @@ class Centre:
 
     def curvature(self, stiffness: np.ndarray | None = None) -> Form | None:
         """Return the curvature of the potential at these spins, as a quadratic form |B x|^2 of the changes x of the n
-        unknowns, with fictitious springs at resting contacts; None if some unknown changes no slip.
+        unknowns, with fictitious springs at the T resting contacts; None if some unknown changes no slip.
 
         stiffness : (T,), of these springs, force over slip speed; None for mu F_n / median |y|.
 
@@ -370,12 +370,17 @@ class Centre:
     def _norms(self, values: np.ndarray, sample: np.ndarray) -> np.ndarray:
         """Return for each of R samples the Euclidean norm (R,) of the values (q,) that belong to it.
 
-        sample : (q,), the number of the sample of each value."""
+        sample : (q,), the number of the sample of each value.
+        values : (q,), the values.
+        """
         return np.sqrt(np.bincount(sample, values**2, self.network.count))
 
     def _norms_on_spheres(self, values: np.ndarray, some: np.ndarray) -> np.ndarray:
         """Return for each of R samples the Euclidean norm (R,) of the values (N spheres, 3) at its spheres in the mask
-        `some` (N,)."""
+        `some` (N,).
+
+        values : (N, 3), the values, three for each sphere.
+        """
         squares = np.where(some[:, None], values, 0.0) ** 2
         found: np.ndarray = np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
         return found
@@ -384,7 +389,9 @@ class Centre:
         """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are True; also of those
         without any entry.
 
-        sample : (q,), the sample of each entry."""
+        sample : (q,), the sample of each entry.
+        holds : (q,) mask.
+        """
         found: np.ndarray = np.bincount(sample, ~holds, self.network.count) == 0
         return found
 
@@ -483,7 +490,8 @@ class Centre:
         return distance, proven & self._of_all(relative_change <= MOST_RELATIVE_CHANGE, sample) & remains
 
     def _newton_step(self, curvature: Form, floor: Floor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Take away, by a motion z, as much as it can of the torques that friction leaves over. Return three arrays:
+        """Find a motion z that takes away as much as possible of the torques that friction leaves over, about one step
+        of Newton's method. Return three arrays:
 
         1. a bound on |B z| for each sample, (R,);
         2. the torques B^T B z, (N spheres, 3), 0 for what is no unknown;
@@ -558,5 +566,8 @@ class Centre:
 
 
 def _without_error(values: Enclosure) -> Enclosure:
-    """Return the enclosures with their error bounds dropped: sums of two doubles that are taken as exact numbers."""
+    """Return the enclosures with their error bounds dropped: sums of two doubles that are taken as exact numbers.
+
+    values : the enclosures.
+    """
     return Enclosure.exact(values.high, values.low)

@@ -115,12 +115,13 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """Return the mask (E,) of the contacts that are proven to rest at every minimum, in a packing of discs or with
     normals along the axes.
 
-    Contacts that can all rest at once do so at every minimum, if friction below their limits can balance the torques of
-    the other contacts. All contacts with friction left are tried; those that may have to bear too much are removed,
-    until none is left that may.
+    Contacts that can all rest at once do rest at every minimum, if friction below their limits can balance the torques
+    of the other contacts. At first all contacts with friction left are assumed to rest. Those that may have to bear too
+    much are removed, again and again, until none is left that may.
 
     bounds : bounds on the power, with the network and its friction.
-    far : (E,), bound on |slip at any minimum - stored slip|, in units of the network; infinite where none is known."""
+    far : (E,), bound on |slip at any minimum - stored slip|, in units of the network; infinite where none is known.
+    """
     network = bounds.network
     known, distance = known_friction(bounds, far)
     margin = (network.holding - length(network.own_friction)).lower()
@@ -147,14 +148,15 @@ def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.n
     """Return a bound (E,) on how much the friction of each contact that is tried as resting has to change, along spin
     component k, to balance given torques. It is infinite in parts that cannot rest, and 0 for contacts not tried.
 
-    A part is what these contacts join through free spheres. It takes torques along a tree of its contacts, and in loops
-    of an odd number half of them each way: no force changes by more than 3/2 of their sum. It can rest if all driven
-    spheres that it touches ask for one spin, up to the signs by which neighbours differ; with an odd loop it can rest
-    only if they ask for none.
+    A part is what these contacts join through free spheres. Torques go to the driven spheres along a tree of its
+    contacts, and in a loop of an odd number of contacts half of each torque goes either way: no force changes by more
+    than 3/2 of their sum. A part can rest if all driven spheres that it touches ask for one spin, up to the signs by
+    which neighbours differ; with an odd loop only if they ask for none.
 
     network : a packing with N spheres and E contacts, whose slips do not mix the components of the spins.
     rests : (E,) mask of the contacts that are tried.
-    torque : (N,), bound on the torque on each sphere that they have to take up."""
+    torque : (N,), bound on the torque on each sphere that they have to take up.
+    """
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
     ends, imposed = network.graph.contact[:, own], network.imposed[k]
     # Parts of X: each contact with a driven end gets a node of its own there, so that parts do not join through it.

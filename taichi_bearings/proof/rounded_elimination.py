@@ -365,7 +365,10 @@ class Factor:
 
     def drawn(self, normal: np.ndarray) -> np.ndarray:
         """Return the solutions x (n, m) of L^T x = normal. If the entries of `normal` (n, m) are independent and have
-        the variance 1, the covariance of the entries of x is the inverse of L L^T."""
+        the variance 1, the covariance of the entries of x is the inverse of L L^T.
+
+        normal : (n, m), the right-hand sides.
+        """
         return self._backward(normal[self.order])
 
     def _backward(self, x: np.ndarray) -> np.ndarray:

@@ -445,11 +445,17 @@ def _largest_work_between(torque: Enclosure, reach: Enclosure, some: np.ndarray)
 
 @in_cache
 def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
-    """Return the length of vectors given by their two components, enclosures of any one shape."""
+    """Return the length of vectors given by their two components, enclosures of any one shape.
+
+    first, second : the components.
+    """
     shape = first.high.shape
     return length([part.reshaped((-1,)) for part in (first, second)]).reshaped(shape)
 
 
 def _may_differ_from_0(part: Enclosure) -> bool:
-    """Return True if any number of the enclosure may differ from 0, and False if all are exactly 0."""
+    """Return True if some number of an enclosure may differ from 0; False if all are exactly 0.
+
+    part : the enclosure.
+    """
     return any(bool(of.any()) for of in part.parts)

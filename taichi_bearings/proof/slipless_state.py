@@ -47,10 +47,12 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
 
 
 def _planes_are_separate(network: JudgedNetwork) -> np.ndarray:
-    """Return the mask (R,) of the samples of a lattice in which nothing has to slip: in each spin component in which
-    bottom and top are driven differently, no chain of contacts that transmit this component joins both planes.
+    """Return the mask (R,) of the samples of a lattice in which no contact has to slip, as nothing joins the two
+    planes: in each spin component in which bottom and top are driven differently, there is no chain of contacts from
+    one plane to the other that this component makes slip.
 
-    network : the R samples of a lattice."""
+    network : the R samples of a lattice.
+    """
     if not network.needed:  # both planes are driven alike
         return np.ones(network.count, dtype=bool)
     # Only absent contacts can separate the planes: on a whole lattice chains join them.
@@ -62,7 +64,10 @@ def _planes_are_separate(network: JudgedNetwork) -> np.ndarray:
 
 def imposed_exactly(network: JudgedNetwork) -> bool:
     """Return True if every imposed spin times radius is known as an exact sum of two doubles: always, unless some
-    imposed speed other than 0 is so small that products underflow."""
+    imposed speed other than 0 is so small that products underflow.
+
+    network : samples of a lattice or a packing, with what is imposed on them.
+    """
     sizes = [np.abs(part.high[part.high != 0]) for part in network.imposed]
     return all((size > LEAST_IMPOSED).all() for size in sizes)
 

@@ -245,12 +245,14 @@ class _Slips:
 
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> _Slips | np.ndarray:
-        """Order the elimination. Return a floor of its eigenvalues (R,) instead, where that is known at once: infinite
-        for samples without any of these contacts, 0 if in each there are more slips than unknowns.
+        """Order the elimination and return the object; or return floors (R,) of the eigenvalues where they are known
+        without an elimination: infinity for samples without any of these contacts, 0 if every sample has more slips
+        than unknowns.
 
         network : R samples of a packing, with N spheres and E contacts in all.
         number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
-        contacts : (E,) mask of the contacts."""
+        contacts : (E,) mask of the contacts.
+        """
         count = len(contacts)
         own = np.ones((3, count), dtype=bool) & contacts
         own[np.argmax(np.abs(network.graph.normal), axis=1), np.arange(count)] = False

@@ -144,12 +144,13 @@ def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bo
 
 
 def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Prove where the slips of minima are in R samples of a packing with E contacts in all, whose normals may have any
-    direction. Return None if nothing is proven, else a tuple: the mask (E,) of contacts that may slip, bounds (E,) on
-    |slip at any minimum - stored slip|, and the mask (R,) of samples for which this is proven. The module that does it
-    is loaded here, as lattices do not need it.
+    """Prove near which slips the minima are, in R samples of a packing with E contacts in all, whose normals may have
+    any direction. Return None if nothing is proven, else three arrays: the mask (E,) of contacts that may slip; bounds
+    (E,) on |slip at any minimum - stored slip|; and the mask (R,) of the samples for which this is proven. (The module
+    that does it is loaded here, as lattices do not need it.)
 
-    bounds : bounds on the power of these samples, with their spins and friction."""
+    bounds : bounds on the power of these samples, with their spins and friction.
+    """
     from taichi_bearings.proof.oblique import enclosed_minimum
 
     return enclosed_minimum(bounds)
@@ -180,8 +181,9 @@ def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 
 def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.ndarray]) -> list[States]:
-    """Return the states of all samples, as a list, from what is proven of the slips of minima: contacts that cannot
-    slip rest; others slip if they have friction, or if their stored slip exceeds its bound; else they are undecided.
+    """Return the states of all samples, as a list, from bounds on the slips of minima. A contact that cannot slip is
+    SLIPLESS. One that may slip is SLIPPING if it has friction, or if its stored slip exceeds its bound; else it is
+    UNDECIDED.
 
     network : the samples, with E contacts in all.
     near : a mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - stored slip|, and a third entry
@@ -235,15 +237,17 @@ def _has_one_minimum(states: np.ndarray) -> bool | None:
 
 
 def _by_curvature(network: JudgedNetwork) -> list[States]:
-    """Return the states of R samples, with friction alone, in which minima may slip along two or more spin components,
-    and each component of a slip depends on one of them.
+    """Return the states of R samples with friction alone. Minima may slip along two or more spin components, and each
+    component of a slip depends on one of these.
 
-    The proof has two steps. (1) Near the stored spins there is one minimum at which the contacts that rest now still
-    rest. (2) Friction below their limits can balance the torques of the slipping contacts there. Samples of a lattice
-    are tried all at once, and if that fails half by half; one by one where friction limits are repeated, so that there
-    may be several minima. Packings are proven elsewhere (`_of_packings`).
+    The proof has two steps. (1) Near the stored spins there is one minimum of the power among motions in which the
+    contacts that rest now still rest. (2) Friction below their limits can balance the torques of the slipping contacts
+    there. Samples of a lattice are first tried all at once, and if that fails half by half. Where friction limits are
+    repeated, so that there may be several minima, they are tried one by one. Packings are proven elsewhere
+    (`_of_packings`).
 
-    network : the R samples with stored spins and friction."""
+    network : the R samples with stored spins and friction.
+    """
     count = network.count
     if not network.graph.still_is_exact:
         return _of_packings(network)
@@ -310,15 +314,16 @@ def _with_ties(motion: Motion) -> States | str:
 
 
 def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
-    """Return the states of R samples of friction with damping: `known`, or better ones where it is proven that just the
-    contacts rest which seem to.
+    """Return the states of R samples of friction with damping. Where it is proven that exactly those contacts rest that
+    seem to rest, these states are returned, else `known`.
 
     A contact seems to rest if the share of its friction that is left, 1 - |F| / (mu F_n), exceeds its slip over the
     largest imposed speed. The proof is tried only for samples in which this is clear of every contact: one of both
     numbers is at least CLEAR_RATIO times the other.
 
     bounds : the samples, with their spins and friction, and bounds on their power.
-    known : states of each sample, which are returned where nothing better is proven."""
+    known : states of each sample, which are returned where nothing better is proven.
+    """
     network, count = bounds.network, bounds.network.count
     if not network.law.holds or network.mixes or not network.needed:
         return known
@@ -351,11 +356,11 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, before: list[States]) -
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """Return the states (m,) of the m contacts of a network if it is proven to have one minimum of a certain kind;
-    else a text that says what is missing in the proof.
+    """Return the states (m,) of the m contacts of a network if it is proven to have one minimum of a certain kind; else
+    a text that says what is missing in the proof.
 
-    At this minimum spheres that resting contacts join, in a component of the spins, turn as one: such a group is a
-    domain. Contacts between different domains slip, and all others rest.
+    At this minimum the contacts in `rests` rest. They join spheres, in a component of the spins, to domains that turn
+    as one. Contacts between different domains slip, and all contacts within a domain rest.
 
     network : stored spins and friction; each component of a slip depends on one component of the spins.
     rests : (m,) mask of the contacts that are taken to rest.
@@ -368,9 +373,9 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
 
 
 def _in_domains(network: JudgedNetwork, rests: np.ndarray) -> Motion | str:
-    """Return the stored spins as a motion in which some contacts rest, and all others between spheres that these join,
-    so that they cannot slip either. Return a text instead if loops are odd: spheres in them that are joined do not turn
-    as one.
+    """Return the stored spins as a motion in which the contacts in `rests` rest, and with them all contacts between
+    spheres that they join, as these cannot slip either. Return a text instead if a loop has an odd number of contacts,
+    since the spheres in it do not turn as one.
 
     network : stored spins and friction; each component of a slip depends on one component of the spins.
     rests : (m,) mask of the contacts that are taken to rest.
@@ -488,14 +493,16 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
 def _rows_of_cones(
     network: JudgedNetwork, across: np.ndarray, slides: np.ndarray, number: np.ndarray
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """Return two matrices (3 E, n) for n unknown spin components. The first has, for E contacts, the rows of what the
-    quadratic form of `_by_cones` counts: one row for each contact in the mask `slides`, for its slip across friction;
-    three for any other that can dissipate, for all components of its slip. The second has the sums of the sizes of the
-    products that make each entry: these may cancel, so that an entry is rounded by a share of this sum.
+    """Return two matrices (3 E, n) for n unknown spin components. The rows of the first give what the quadratic form of
+    `_by_cones` counts at each of E contacts: one row, the slip across friction, for a contact in the mask `slides`;
+    three rows, all components of the slip, for any other contact that can dissipate. The second matrix has for each
+    entry the sum of the sizes of the products from which it is made, as its rounding error is a share of that sum.
 
     across : (E, 3), unit vectors across friction and normal.
     slides : (E,) mask.
-    number : (N spheres, 3), the index of each spin component among the unknowns; -1 for those that are none."""
+    number : (N spheres, 3), the index of each spin component among the unknowns; -1 for those that are none.
+    network : one sample of a packing, with the normals of its contacts.
+    """
     count, own = len(slides), np.flatnonzero(slides)
     at = np.tile(own, 3), np.concatenate([k * count + own for k in range(3)])
     kept = np.flatnonzero(np.tile(network.counts & ~slides, 3))

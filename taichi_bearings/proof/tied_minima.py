@@ -128,11 +128,12 @@ class Pulls:
     driven: np.ndarray
 
     def imposed_labels(self, label: np.ndarray, slot: int) -> int:
-        """Return how many labels of component `slot` (0 or 1) belong to domains with a driven sphere: these are 0, 1,
+        """Return the number of domains with a driven sphere in component `slot` (0 or 1). These have the labels 0, 1,
         ... up to this number less 1.
 
         label : (2, spheres), the label of the domain of each sphere: one of the fields `slipless_domain`, `firm_domain`
-            and `locked_domain`."""
+            and `locked_domain`.
+        """
         return int(label[slot][self.driven].max()) + 1
 
     def apart(self, label: np.ndarray, slot: int) -> np.ndarray:
@@ -189,13 +190,14 @@ class Pulls:
         return np.unique(self.slipless_domain, axis=1, return_inverse=True)[1].reshape(-1)
 
     def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
-        """Return a dictionary: for each label, whether the forces along component `slot` (0 or 1) that are known
-        exactly add up to 0 on the spheres with this label. Labels without any such force are missing.
+        """Return a dictionary with an entry for each label: True if the exactly known forces along component `slot` (0
+        or 1) add up to 0 on the spheres with this label. Labels without any such force are missing.
 
         The force of a contact is known, plus or minus mu F_n, if it slips along this component alone (or does not slip,
         but bears all its friction along it). Contacts within one domain pull it both ways and are left out.
 
-        owner : (spheres,), the label of each sphere, such as the number of its domain."""
+        owner : (spheres,), the label of each sphere, such as the number of its domain.
+        """
         exact = self.felt[slot] & ~self.turned_by[slot] & np.where(
             self.in_s, self.apart(self.slipless_domain, slot), self.apart(self.firm_domain, slot)
         )  # fmt: skip
@@ -360,13 +362,14 @@ class BetweenTwo:
         return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
 
     def lie_between(self, pulls: Pulls, contacts: Slipping, relative_change: np.ndarray) -> bool:
-        """Return True if all these domains (groups of spheres) are proven to lie between their two neighbours at the
-        minimum, too: along the component in which the domain is held, none of their slips has another sign there than
-        in the stored spins, of which it is known that the domain lies between.
+        """Return True if each of these domains (groups of spheres that turn as one) is proven to lie between its two
+        neighbours at the minimum as well. It does so in the stored spins. The proof is that, along the component in
+        which the domain is held, none of its slips changes its sign from there to the minimum.
 
-        pulls : has the signs in the stored spins.
+        pulls : the contacts that bear all their friction, with the signs of the slips in the stored spins.
         contacts : the slipping contacts at spins close to the minimum.
-        relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|."""
+        relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|.
+        """
         for own, slot in zip(self.sets, self.slot, strict=True):
             slip, change = contacts.difference[slot].at(own), relative_change[own] * contacts.size.at(own).most * UP
             if not ((np.sign(slip.high) == pulls.sign[slot, own]) & (slip.least > change)).all():
@@ -463,16 +466,17 @@ class Saturated:
         return self.network.holding.at(own).signed(sign * (self.along[own] == slot))
 
     def motion_of(self, motion: Motion, slot: int | None) -> Motion:
-        """Return `motion` with fewer contacts at rest: the saturated ones are taken out.
+        """Return a copy of `motion` in which saturated contacts are no longer taken to rest.
 
-        slot : None to take out all of them; 0 or 1 to take out only those that bear their friction along this
-            component."""
+        slot : 0 or 1 for those saturated contacts only that bear their friction along this component; None for all.
+        """
         return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
 
     def missing_friction(self) -> dict[int, np.ndarray]:
-        """Return a dictionary: for each spin component k that matters a bound (spheres,), in units of force, on what is
-        wrong with the torque over radius on each sphere. Saturated contacts should exert exactly mu F_n along one
-        component; their stored moments differ a little, and the sizes of the differences are added up."""
+        """Return by spin component k that matters, as a dictionary, a bound (spheres,) on an error of the torque over
+        radius on each sphere, in units of force. A saturated contact should exert exactly mu F_n along one component.
+        Its stored moment differs a little from that; the bound is the sum of the sizes of these differences over the
+        contacts of a sphere."""
         own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
@@ -602,8 +606,8 @@ def _minimum_with_held(
 
 
 def _known_pulls_cancel(pulls: Pulls) -> bool:
-    """Return True if the forces that are known exactly add up to 0 wherever no other forces could balance them. They
-    are those of contacts that bear all their friction and cannot turn its direction.
+    """Return True if the exactly known forces add up to 0 wherever no other force could balance them. Exactly known are
+    the forces of contacts that bear all their friction in a direction that cannot turn.
 
     This is asked of two kinds of groups of spheres:
     * welded domains without a driven sphere: groups that move together from one minimum to another;
@@ -611,7 +615,8 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
       each slipless domain (spheres that all contacts without slip join): the one, if any, on which contacts act that
       may turn their slip. It is in balance once the whole slipless domain and its other firm domains are.
 
-    pulls : the contacts that bear all their friction, and the domains that they and resting contacts make."""
+    pulls : the contacts that bear all their friction, and the domains that they and resting contacts make.
+    """
     # For both components: welded domains; which firm domains are pulled by turning contacts; all other firm domains.
     for slot in range(2):
         cancels_at = pulls.known_pulls_cancel_at(pulls.welded_domains(pulls.slipless_domain, slot), slot)

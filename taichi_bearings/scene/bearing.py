@@ -79,9 +79,8 @@ class Bearing(ABC):
     @property
     @abstractmethod
     def facts(self) -> Json:
-        """Numbers that say in tables and summaries what is solved, by name: the shape of a lattice, its imposed spins,
-        normal force and radius, or how many spheres another packing has.
-        """
+        """Numbers by name that say in tables and summaries what is solved: of a lattice its shape, imposed spins,
+        normal force and radius; of another packing how many spheres it has."""
 
     @property
     @abstractmethod
@@ -175,8 +174,8 @@ class Bearing(ABC):
 
     @cached_property
     def smallest_jump(self) -> float:
-        """For each component in `minimum_spin_axes` take the largest size of the imposed spins in it; this is the
-        smallest of these sizes.
+        """The smallest, over the components in `minimum_spin_axes`, of the largest size of an imposed spin in this
+        component.
 
         Spins are in the form that solvers store: on lattices 1/time, measured from the bottom. It is 0 if top and
         bottom agree in a component, and if :meth:`box` knows no bounds.
@@ -185,9 +184,9 @@ class Bearing(ABC):
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The imposed spins of top and bottom of a lattice, 1/time; of other packings the largest imposed radius * spin
-        of the top (the driven body with the largest number), and that of all other driven spheres, length/time.
-        """
+        """Two speeds, (top, bottom). Of a lattice they are the imposed spins of its planes, 1/time. Of another packing
+        they are the largest imposed radius * spin of the top, the driven body with the largest number, and of all other
+        driven spheres, length/time."""
         return self.driving.sides
 
     @property
@@ -291,8 +290,8 @@ class Bearing(ABC):
         return self.driving.impose(staggered, spin_axes)
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return bounds (2, C), lower and upper, between which some minimum has all its spins, in the form in which
-        solvers store them. Both bounds are 0 if none are known.
+        """Return two bounds for each of C components, (2, C), the lower and the upper ones: some minimum has all its
+        spins between them. Spins are meant as solvers store them. Both bounds are 0 if none are known.
 
         spin_axes : numbers of the C components.
         """
@@ -317,10 +316,9 @@ class Bearing(ABC):
         return found
 
     def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the spin differences (d, samples R, contacts E) across all contacts; d is the number of slip
-        components.
-
-        The slip speed of a contact is `slip_radius` times the length of its difference.
+        """Return the vectors (d, samples R, contacts E) from which the slips of all contacts follow: the slip speed is
+        `slip_radius` times the length of the vector. On lattices they are differences of the spins, 1/time, with d spin
+        components; in other packings slips, length/time, with d tangents.
 
         staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
             the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.
@@ -396,7 +394,10 @@ class Bearing(ABC):
         return self._as_samples(pick, self.seeds[pick])
 
     def first(self: Kind, count: int) -> Kind:
-        """Return a bearing with the first `count` samples."""
+        """Return a bearing with the first `count` samples.
+
+        count : number of samples, from 1 to R.
+        """
         return self if count == self.replicas else self.sample(0) if count == 1 else self.some(slice(count))
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -457,16 +458,14 @@ class Bearing(ABC):
 
     @property
     def viscosities(self) -> np.ndarray | None:
-        """(samples R, contacts E) slope of the force over the slip of every contact, force * time/length; None for
-        friction alone.
-        """
+        """(samples R, contacts E) viscous force over slip of every contact, force * time/length; None for friction
+        alone."""
         return self.law.viscosity(self.material)
 
     @property
     def viscosity_beside_friction(self) -> np.ndarray | None:
-        """(samples R, contacts E) slope of the force over the slip for laws that have friction as well; None for
-        others.
-        """
+        """(samples R, contacts E) viscous force over slip of every contact, force * time/length, for laws that have
+        friction as well; None for other laws."""
         return self.viscosities if self.law.holds else None
 
     def steepest(self, fastest: float) -> np.ndarray | None:

@@ -31,6 +31,7 @@ def _refuse(bad: np.ndarray | np.bool, sentence: Callable[[int], str]) -> None:
     """Raise InputError if any entry of the mask `bad` is True.
 
     sentence : function that returns the message about entry number i.
+    bad : mask of the entries that are refused.
     """
     if bad.any():
         raise InputError(sentence(int(np.argmax(bad))))
@@ -258,6 +259,8 @@ def transposed(array: np.ndarray, shape: tuple[int, ...]) -> str:
 
 def refuse_repeated(packing: "Packing") -> None:
     """Raise InputError if two contacts join the same two spheres, unless their given normals differ.
+
+    packing : the packing, with its contacts and normals.
 
     Around a periodic box of two spheres' length the same two touch twice, in two directions.
     """

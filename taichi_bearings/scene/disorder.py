@@ -43,10 +43,11 @@ def _bimodal(rng: np.random.Generator, shape: tuple[int, ...], low: float, high:
 
 
 def _power_law_rounding(low: float, high: float, exponent: float) -> float:
-    """Return by how much, relatively, a number of a power law may differ between machines.
+    """Return the largest relative difference that a random number of a power law may have between machines.
 
-    low, high, exponent : as of `_power_law`. The two powers of which it mixes shares may be rounded differently; its
-        sum loses what they differ in size, and its last power multiplies the error.
+    low, high, exponent : parameters of :func:`_power_law`. It mixes low^(exponent + 1) and high^(exponent + 1) by a
+        random share; these powers may be rounded differently, their sum loses digits where their sizes differ, and the
+        last power multiplies the error.
     """
     over = abs(exponent + 1)
     with np.errstate(over="ignore"):
@@ -154,7 +155,7 @@ class Distribution:
 
     @property
     def rounding(self) -> float:
-        """By how much, relatively, a number that is drawn may differ between machines."""
+        """The largest relative difference that a random number of this distribution may have between machines."""
         return DISTRIBUTIONS[self.name][2](*self.parameters)
 
 

@@ -107,8 +107,8 @@ class Driving:
 
     @property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """Numbers of the spin components that have to be solved for: in this class all. A subclass leaves those out
-        along which some minimum has no slip."""
+        """Numbers of the spin components that have to be solved for: in this class all. A subclass leaves out
+        components along which some minimum has no slip."""
         return self.every
 
     @property
@@ -137,8 +137,7 @@ class Driving:
         return None
 
     def unsolved_component(self, component: int) -> np.ndarray:
-        """Return spins (spheres *N) for a component that is not solved for, in the form in which solvers compute: 0
-        here.
+        """Return spins (spheres *N) for a component that is not solved for, as solvers store them: 0 here.
 
         component : number of the spin component, 0 to 2; not used here.
         """
@@ -238,14 +237,15 @@ class Driving:
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray | None:
         """Return None: no bounds on the spins at a minimum are known here, since contact normals may be oblique.
 
-        The subclass for lattices returns bounds (2, C), lower and upper, in the form in which solvers compute.
         spin_axes : numbers of the C components; not used here.
+
+        The subclass for lattices returns bounds (2, C), lower and upper, of the spins as solvers store them.
         """
         return None
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (samples R,), True if contacts are known to join no spheres of different imposed spins, so that
-        no contact has to slip. That is not looked into here: all are False.
+        """Return a mask (samples R,), True for samples in which contacts are known to join no spheres of different
+        imposed spins, so that no contact has to slip. It is not found out here: all are False.
 
         present : (R, contacts E) mask of the contacts with positive coefficients; only its length R is used here.
         """
@@ -319,8 +319,8 @@ class Driving:
         return self.with_exact_imposed(spin, rounding)
 
     def of_equal_viscosity(self) -> np.ndarray:
-        """Return the spins (components C, 1, spheres *N) of least power if all contacts in `contact` had the same
-        viscosity, as solvers store them: here times the radius, length/time.
+        """Return the spins (components C, 1, spheres *N) at which the power would be least if all contacts in `contact`
+        had one viscosity, as solvers store them: here times the radius, length/time.
 
         They solve a linear least-squares problem. It is solved by conjugate gradients, as the factors of its matrix
         would take much memory.
@@ -337,8 +337,8 @@ class Driving:
         return self.impose(found.reshape(-1, network.components).T[:, None].copy(), self.every)
 
     def with_exact_imposed(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
-        """Replace the laboratory spins of driven spheres by exactly those that the user gave; what their rounding
-        leaves out becomes 0.
+        """Replace the laboratory spins of driven spheres by exactly the spins that the user gave. Their rounding
+        becomes 0.
 
         spin, rounding : spins, 1/time, and what their rounding leaves out, (samples R, spheres *N) of discs or (R, *N,
             3) of spheres; changed in place and returned.
@@ -656,8 +656,9 @@ class Planes(Driving):
         return np.stack([top.min(axis=1, initial=0.0), top.max(axis=1, initial=0.0)])
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """Return a mask (samples R,), True if in no spin component that has to be solved for a chain of contacts joins
-        bottom and top. A chain consists of contacts that slip by this component: all but those along its axis.
+        """Return a mask (samples R,), True for samples in which no chain of contacts joins bottom and top in any spin
+        component that has to be solved for. A chain of a component consists of contacts that this component makes slip:
+        all but those along its axis.
 
         present : (R, contacts E) mask of the contacts with positive coefficients.
         """

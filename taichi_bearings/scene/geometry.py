@@ -202,8 +202,8 @@ class _Contacts:
                     )
 
     def _laid_over(self, period: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield pairs of spheres that would be at the same place if the first one were shifted by a period: numbers
-        (pairs,) of the first spheres, and of the second ones.
+        """Yield pairs of spheres such that the first one, shifted by a period, would be at the place of the second: two
+        arrays (pairs,), numbers of the first and of the second spheres.
 
         period : (dimensions D,), length.
         """
@@ -230,10 +230,11 @@ class _Contacts:
 
 
 def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.ndarray, int | None]:
-    """Return periods (k, dimensions D), length, of which all shifts are sums, and None; or, if there are no such
-    periods, those found and the number of a shift that is not a sum.
+    """Return the periods of a box, (k, dimensions D), length, such that every shift is a sum of them, and None. If
+    there are no such periods, return the periods found so far, and the number of a shift that is no sum of them.
 
-    The shortest shift that is no sum becomes a further period, until there are more than D.
+    The shortest shift that is no sum becomes a further period, again and again, until all shifts are sums or there are
+    more than D periods.
 
     shift : (X, D), length, shifts of the X contacts across periodic sides.
     slack : (X,), length, by which each may miss such a sum.
@@ -257,13 +258,13 @@ def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.nda
 
 
 def _with(periods: np.ndarray, more: np.ndarray, slack: float) -> np.ndarray:
-    """Return the shortest vectors (k, dimensions D) that generate the same lattice of points as some periods and one
-    more vector together.
+    """Return the shortest vectors (k, dimensions D), length, whose sums are the same points as the sums of some periods
+    and one more vector.
 
     periods : (k, D), length.
     more : (D,), length, the further vector.
-    slack : length up to which vectors count as 0 and are left out. If more than D vectors come out, they generate no
-        lattice.
+    slack : length up to which a vector counts as 0 and is left out. If more than D vectors are returned, the sums are
+        no lattice of points.
     """
     found = reduced(np.vstack([periods, more]))
     while len(kept := found[np.linalg.norm(found, axis=1) > slack]) < len(found):

@@ -20,6 +20,8 @@ from taichi_bearings.words import meant, shown
 def random_spin(bearing: Bearing) -> np.ndarray:
     """Return random laboratory spins, 1/time: each component uniform in [-w, w], with w the largest imposed spin.
 
+    bearing : what the spins are for.
+
     Their shape is (samples R, spheres *N) for discs, (R, *N, 3) for spheres. Each sample is drawn from
     ``default_rng([seed, 1])`` with its seed.
     """
@@ -31,6 +33,8 @@ def random_spin(bearing: Bearing) -> np.ndarray:
 def linear_spin(bearing: Bearing) -> np.ndarray:
     """Return the laboratory spins, 1/time, of least power if all contacts had the same viscosity.
 
+    bearing : what the spins are for.
+
     On a lattice they change linearly with the height. Their shape is (samples R, spheres *N) for discs, (R, *N, 3) for
     spheres.
     """
@@ -40,7 +44,10 @@ def linear_spin(bearing: Bearing) -> np.ndarray:
 
 
 def zero_spin(bearing: Bearing) -> np.ndarray:
-    """Return laboratory spins that are 0, (samples R, spheres *N) of discs or (R, *N, 3) of spheres."""
+    """Return laboratory spins that are 0, (samples R, spheres *N) of discs or (R, *N, 3) of spheres.
+
+    bearing : what the spins are for.
+    """
     shape = (bearing.replicas, *bearing.network.shape)
     return np.zeros(shape if bearing.network.components == 1 else (*shape, 3))
 
@@ -48,6 +55,8 @@ def zero_spin(bearing: Bearing) -> np.ndarray:
 def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
     """Return the laboratory spins, 1/time, of two rigid domains, one in the state of the bottom and one in that of the
     top.
+
+    bearing : what the spins are for.
 
     Of all such pairs of domains these have the least objective, which is the power, or what else the stationary state
     minimises. Raises InputError for packings that have no such pair.
@@ -74,6 +83,7 @@ def initial_spin(bearing: Bearing, start: str | np.ndarray, called: str = "initi
     start : "random", "zero", "linear" or "minimum-cut"; or the path of a file with an array or data set ``spin`` (npy,
         npz, or HDF5 such as run.h5); or such an array. An array without the axis R serves all samples.
     called : name of the argument in messages.
+    bearing : what the spins are for.
     """
     if not isinstance(start, str):
         return _fitting(bearing, start, "start")

@@ -30,6 +30,8 @@ def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the signs of the sublattices, (spheres N,), +1 or -1, and the two bearing states of a bearing with two
     driven bodies, (2, N, components C).
 
+    bearing : a lattice or a packing, with its driven bodies.
+
     A bearing state is a set of spins at which no contact slips, given as sign * radius * spin of all spheres,
     length/time. The first state is that of the first driven body, continued to all spheres; the second that of the
     second body.
@@ -115,6 +117,8 @@ class Interface:
         """Return the lightest interface of a packing with one sample, between domains that rotate with either driven
         body.
 
+        bearing : the packing.
+
         None if there are not two driven bodies in bearing states (spins at which no contact would slip), or if every
         contact between the domains has the weight 0. The weight is what a contact adds to the objective if it slips.
         """
@@ -168,6 +172,7 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
     contact : (n,) numbers of the contacts.
     across : (contacts E,) slip of each contact if it is on the interface, length/time.
     states : (2, spheres N, components C), the two bearing states as sign * radius * spin, length/time.
+    bearing : a lattice or a packing.
 
     The states are fitted to imposed spins, so they are uncertain by rounding, and by as much as the imposed spins miss
     them.
@@ -186,9 +191,11 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
 
 def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
     """Return the lightest interface between two rigid domains of one sample: the minimum cut, with the least objective.
+    The result is None for packings without two driven bodies in bearing states; the two planes of a lattice always are
+    in such states.
 
-    replica : number of the sample, from 0. The result is None for packings without two driven bodies in bearing states;
-        the two planes of a lattice always are.
+    replica : number of the sample, from 0.
+    bearing : a lattice or a packing.
     """
     scene = bearing.sample(replica)
     if not isinstance(scene, Scene):
@@ -213,6 +220,8 @@ def _interface_slips(scene: Scene) -> np.ndarray:
     """Return the slip (contacts E,), length/time, that each contact of a lattice has if one of its spheres rolls with
     the bottom and the other with the top.
 
+    scene : the lattice, with what is imposed on its planes.
+
     It is computed from the difference of the two imposed states: laboratory spins would lose its digits where it is
     small.
     """
@@ -224,6 +233,8 @@ def _interface_slips(scene: Scene) -> np.ndarray:
 def cut_of(scene: Scene) -> MinimumCut:
     """Return the minimum cuts of all samples of a lattice: the lightest interfaces between a domain that rolls with the
     bottom and one that rolls with the top. Weights times :func:`cut_unit` are energy/time.
+
+    scene : the lattice with its R samples.
     """
     weight, rounding = scene.lattice.by_axis(cut_weights(scene)), cut_rounding(scene)
     cut = minimum_cut(weight, rounding)
@@ -233,6 +244,8 @@ def cut_of(scene: Scene) -> MinimumCut:
 def cut_rounding(scene: Scene) -> float:
     """Return the relative rounding error of the weights that :func:`cut_weights` gives contacts of a lattice.
 
+    scene : the lattice, with its law.
+
     It is 0 for discs with a law of one coefficient, as the weight then is the coefficient.
     """
     return 0.0 if scene.lattice.dimension == 2 and len(scene.law.quantities) == 1 else WEIGHT_ROUNDING
@@ -240,6 +253,8 @@ def cut_rounding(scene: Scene) -> float:
 
 def _cut_speed(scene: Scene) -> float:
     """Return the unit, 1/time, of the spin differences from which the weights of contacts in a cut are computed.
+
+    scene : the lattice, with what is imposed on its planes.
 
     For discs it is the difference between top and bottom itself, if that is not 0; else a number near it.
     """
@@ -252,6 +267,8 @@ def cut_weights(scene: Scene) -> np.ndarray:
     """Return the weight (samples R, contacts E) of each contact of a lattice, in units of :func:`cut_unit`,
     energy/time. The weight is what the contact adds to the objective if one of its spheres rolls with the bottom and
     the other with the top.
+
+    scene : the lattice with its R samples of E contacts.
 
     Such a contact slips by r |J x n|, with r the radius, n its axis, and J the difference of the two imposed states at
     its place. J is taken without the component along the height, which can change from bottom to top layer by layer
@@ -273,8 +290,10 @@ def cut_unit(scene: Scene) -> float:
     """Return what an interface of weight 1 adds to the objective, energy/time: the factor that turns the weights of
     contacts in a cut, which are pure numbers, into power.
 
-    With w the unit of spin differences, 1/time, and r the radius it is `scene.strength` * r w with friction, and
-    (r w)^2 without.
+    scene : the lattice, with its law and what is imposed on its planes.
+
+    With w the unit of spin differences, 1/time, and r the radius it is `scene.strength` * r w with friction, and (r
+    w)^2 without.
     """
     speed = scene.lattice.radius * _cut_speed(scene)
     return scene.strength * (speed if scene.law.holds else speed**2)
@@ -285,6 +304,8 @@ def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:
     spheres *N), in the form that solvers store: on lattices with signs that alternate between neighbours and less those
     of the bottom, 1/time; in packings radius * spin. The components are `bearing.minimum_spin_axes`. None if some
     sample has no such interface.
+
+    bearing : a lattice or a packing, with its R samples.
     """
     if isinstance(bearing, Scene):
         return np.where(cut_of(bearing).above, bearing.top_spin(bearing.minimum_spin_axes)[:, None, ..., None], 0.0)

@@ -100,7 +100,8 @@ class Law:
         return of[0] if self.holds else None
 
     def viscosity(self, of: Coefficients) -> np.ndarray | None:
-        """Return the slope (..., E) of the force over the slip, force * time/length; None for a law without viscosity.
+        """Return the viscous force over the slip, (..., E), force * time/length, of each contact; None for a law
+        without viscosity.
 
         of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
         """
@@ -123,14 +124,14 @@ class Law:
         return found
 
     def steepest(self, of: Coefficients, slip: float) -> np.ndarray:
-        """Return the largest slope (..., E) of the force over the slip, force * time/length, between a slip of 0 and
-        this one.
+        """Return the largest derivative (..., E) of the force by the slip speed, force * time/length, over all speeds
+        from 0 to `slip`.
 
         of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
-        slip : speed, length/time.
+        slip : largest slip speed, length/time.
 
-        The slope is infinite for laws with friction, and where it is not known. A law that overrides `force` has to
-        override this as well if gradient descent is to solve it, as the slope limits its steps.
+        The derivative is infinite for laws with friction, and where it is not known. A law of one's own that overrides
+        `force` has to override this as well, if gradient descent is to solve it: the derivative limits its steps.
         """
         found = self.viscosity(of)
         if self.is_sum and found is not None and not self.holds:
@@ -140,7 +141,7 @@ class Law:
     def force(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the size of the force (..., E) at each slipping contact.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        of : coefficients of the law in the order of `quantities`, a tuple of arrays (..., E) over E contacts.
         slip : speeds (..., E), length/time.
         """
         return self._sum(of, np.ones_like(slip), slip)
@@ -148,7 +149,7 @@ class Law:
     def power(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the dissipated power (..., E) of each contact, energy/time.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        of : coefficients of the law in the order of `quantities`, a tuple of arrays (..., E) over E contacts.
         slip : speeds (..., E), length/time.
         """
         return self._sum(of, slip, slip**2)
@@ -157,7 +158,7 @@ class Law:
         """Return the dissipation potential (..., E) of each contact, energy/time: the integral of the force from 0 to
         the slip.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        of : coefficients of the law in the order of `quantities`, a tuple of arrays (..., E) over E contacts.
         slip : speeds (..., E), length/time.
         """
         return self._sum(of, slip, slip**2 / 2)
@@ -171,7 +172,8 @@ class Law:
         return self.power(of, slip) if self.minimises == "power" else self.potential(of, slip)
 
     def conjugate(self, of: Coefficients, force: np.ndarray) -> np.ndarray:
-        """Return the dual phi*(f) = max over slips v of (f v - potential(v)), (..., E), energy/time, of each contact.
+        """Return the convex conjugate of the potential (..., E), energy/time, of each contact: phi*(f) = max over slips
+        v of (f v - potential(v)).
 
         of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
         force : sizes f of forces, (..., E).
@@ -186,13 +188,13 @@ class Law:
         return found
 
     def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
-        """Return the force or the power of each contact, (..., E contacts): the sum of its coefficients, each times the
-        value at its slip of the function that belongs to the coefficient.
+        """Return the force or the power of each contact, (..., E contacts): a sum over the coefficients of the law, in
+        which a friction coefficient is multiplied by `friction` and a viscosity by `viscous`.
 
         of : the coefficients of the law, a tuple of arrays (..., E): for Coulomb friction with viscosity, the friction
             coefficient and the viscosity.
-        friction, viscous : (..., E), the values at the slip of the two functions, one for coefficients of friction and
-            one for viscosities.
+        friction, viscous : (..., E), functions of the slip of each contact, already evaluated: for the force 1 and the
+            slip, for the power the slip and its square.
         """
         terms = [
             values * (friction if quantity.is_friction else viscous)

@@ -107,7 +107,7 @@ class Network:
 
     @cached_read_only
     def free(self) -> np.ndarray:
-        """(spheres N,) mask of the free spheres, which are not driven."""
+        """(spheres N,) mask of the free spheres, those whose spin is not imposed."""
         return self.body < 0
 
     @cached_read_only
@@ -224,12 +224,12 @@ class Network:
         return self.whole.T.tocsr()
 
     def differences(self, spins: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return vectors (tangents d, samples R, contacts E) across all contacts: slips, length/time; on lattices
-        differences of spins, 1/time.
+        """Return vectors (d, samples R, contacts E) across all contacts, from which slips follow. On lattices they are
+        differences of spins in the d = C components, 1/time; a slip is the radius times the length of a vector. In
+        other packings they are the slips, length/time, along d tangents: 1 for discs, 2 for spheres.
 
-        spins : (C, R, spheres *N). On lattices spins with signs that alternate between neighbours; a slip is then the
-            radius times the length of a vector, and d is the number C of components in `spin_axes`. In other packings
-            radius * spin in all components, and d counts tangents.
+        spins : (C, R, spheres *N). On lattices spins with signs that alternate between neighbours, 1/time; in other
+            packings radius * spin in all components, length/time.
         spin_axes : numbers of the C components.
         """
         if self.lattice is not None:
@@ -288,6 +288,7 @@ class Network:
 
     def reached(self, contact: np.ndarray) -> np.ndarray:
         """Return a mask (spheres N,) of the free spheres that chains of contacts connect to a driven sphere.
+
         contact : (n,) numbers of the contacts that chains may use.
         """
         first, second = self.contact[:, contact]

@@ -160,7 +160,10 @@ class Packing(Bearing):
         return normal
 
     def _put(self, name: str, value: object) -> None:
-        """Set a field of this object. It is frozen, so that this is done only while it is made."""
+        """Set a field of this object. It is frozen, so this is done only while it is made.
+
+        name, value : name and value of the field.
+        """
         object.__setattr__(self, name, value)
 
     def _take_coefficients(self) -> None:
@@ -813,7 +816,10 @@ def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
 
 
 def _in_space(place: np.ndarray) -> np.ndarray:
-    """Return places (spheres N, 2) or (N, 3) as (N, 3), with z = 0 in 2D."""
+    """Return places (spheres N, 2) or (N, 3) as (N, 3), with z = 0 in 2D.
+
+    place : the places, length.
+    """
     return place if place.shape[1] == 3 else np.column_stack([place, np.zeros(len(place))])
 
 

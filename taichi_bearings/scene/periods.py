@@ -46,7 +46,10 @@ class Box:
         return cls(origin, edges, periodic)
 
     def places(self, shares: np.ndarray) -> np.ndarray:
-        """Return the places (spheres N, 3), length, of points that are given as fractions (N, 3) of the edges."""
+        """Return the places (spheres N, 3), length, of points that are given as fractions (N, 3) of the edges.
+
+        shares : (N, 3), the fractions, 0 to 1 inside the box.
+        """
         return np.asarray(self.origin + shares @ self.edges)
 
     def periods(self, dimension: int) -> np.ndarray:
@@ -56,7 +59,10 @@ class Box:
         return self.edges[[axis for axis in range(dimension) if self.periodic and self.periodic[axis]], :dimension]
 
     def is_as(self, other: "Box") -> bool:
-        """Return True if another box is the same, apart from digits that were lost in printing."""
+        """Return True if another box is the same but for digits that were lost in printing.
+
+        other : the other box.
+        """
         size = np.abs(self.edges).max()
         near = np.abs(np.vstack([self.edges - other.edges, self.origin - other.origin])).max() <= 1e-4 * size
         return bool(near) and (self.periodic is None or other.periodic is None or self.periodic == other.periodic)
@@ -65,9 +71,9 @@ class Box:
 def reduced(periods: np.ndarray) -> np.ndarray:
     """Return the shortest vectors (k, dimensions D) that generate the same lattice of points as these periods (k, D).
 
-    Sums of the other vectors are subtracted from each vector until none gets shorter. Then the nearest image of a
-    sphere is found by steps from any other image: each is -1, 0 or 1 along each vector, and leads nearer (Minkowski,
-    for k up to 3).
+    From each vector multiples of the others are subtracted until none gets shorter. With such vectors the nearest image
+    of a sphere can be found step by step: as long as there is a nearer image, one of them is reached by -1, 0 or 1
+    times each vector (Minkowski, for k up to 3).
     """
     periods = np.array(periods, dtype=float)
     for _ in range(1000):
@@ -89,8 +95,8 @@ def reduced(periods: np.ndarray) -> np.ndarray:
 
 
 def nearest_images(vector: np.ndarray, periods: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shortest vectors (contacts E, dimensions D), length, between pairs of places in a periodic box, and a
-    mask (E,): True where another image is no farther than `reach`, so that two are possible.
+    """Return the shortest vectors (contacts E, dimensions D), length, between pairs of places in a periodic box; and a
+    mask (E,), True where a second image is at most `reach` away, so that it is not clear which one is meant.
 
     vector : (E, D), length, from one place to another, whichever images these are.
     periods : (k, D), length, linearly independent.

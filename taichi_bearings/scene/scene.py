@@ -523,6 +523,7 @@ def bearing_state(name: str, given: object, dimension: int) -> tuple[float, ...]
 
     name : "top" or "bottom", for messages.
     given : three or four numbers, in 2D one; a single 0 is the state at rest.
+    dimension : dimension of the lattice, 2 or 3.
     """
     try:
         parts = tuple(finite_number(name, part) for part in (given if isinstance(given, Iterable) else (given,)))

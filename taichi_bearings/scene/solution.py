@@ -88,7 +88,7 @@ class Energy:
         """(samples R,) error of the balance, at_start + injected - dissipated - kinetic - spring, relative to the
         turnover.
 
-        The turnover is at_start + abs(injected), or abs(dissipated) if that is larger.
+        The error is divided by the larger of two energies: at_start + abs(injected), and abs(dissipated).
         """
         turnover = np.maximum(self.at_start + np.abs(self.injected), np.abs(self.dissipated))
         missing = self.at_start + self.injected - self.dissipated - self.kinetic - self.spring
@@ -174,8 +174,10 @@ class Progress:
     ended: np.ndarray | None = None
 
     def where(self, better: np.ndarray, other: "Progress") -> "Progress":
-        """Return a state with the numbers of this one in the samples where `better`, a mask (samples R,), is True, and
-        of `other` elsewhere.
+        """Return a state that has the numbers of this one in some samples, and those of `other` in the rest.
+
+        better : (samples R,) mask, True for the samples that are taken from this state.
+        other : the other state.
         """
         if better.all():
             return self
@@ -403,11 +405,13 @@ class Solution:
         )
 
     def with_sample(self, number: int, one: "Solution", last: "Solution") -> "Solution":
-        """Return a copy with another answer for one sample.
+        """Return an array that has the entries of `new` in the samples where `better` is True, and those of `old` in
+        the rest; None if either array is None.
 
         number : number of the sample.
         one : new answer of the sample.
         last : the answer of the search that was made last, from which seconds, status and interruption are taken.
+        new, old : the two arrays, of one shape; or None.
         """
         spent = self.seconds + last.seconds
         ended: dict[str, Any] = {"seconds": spent, "status": last.status, "interrupted": last.interrupted}
@@ -415,7 +419,7 @@ class Solution:
             return replace(one, **ended)
 
         def placed(whole: np.ndarray, value: object) -> np.ndarray:
-            """Return a copy of `whole`, (R samples, ...), with the value of this replica replaced."""
+            """Return a copy of `whole`, (R samples, ...), with `value` as the entry of this replica."""
             changed = np.array(whole)
             changed[number] = value
             return changed

@@ -75,7 +75,7 @@ class Reached(ABC):
 
     @abstractmethod
     def indicated(self, slip: np.ndarray) -> Indicated:
-        """Return what the method itself reports of the contacts, before anything is proven of their states.
+        """Return what slips and forces indicate of the state of each contact, before anything is proven.
 
         slip : (R samples, E contacts), slip speeds, length/time.
         """
@@ -169,11 +169,11 @@ def _with_numbers(reached: Reached) -> Solution:
 
 
 def with_forces_of(answer: Solution, other: Solution) -> Solution:
-    """Return `answer`, or, if `other` has the greater lower bound, `answer` with the contact forces of `other`. Both
-    answer the same one sample.
+    """Return `answer` with the contact forces of `other` if those prove the greater lower bound; else `answer` itself.
+    Both are answers to the same single sample.
 
-    Spins and contact states stay. Bound, gap and leftover torque are computed anew from the forces that were taken, and
-    no contact state counts as proven any more.
+    Spins and contact states stay as they are in `answer`. Bound, gap and leftover torque are computed anew from the
+    forces that were taken, and no contact state counts as proven any more.
     """
     if not other.lower_bound[0] > answer.lower_bound[0]:
         return answer

@@ -74,12 +74,12 @@ class Ended:
 
 @dataclass(frozen=True)
 class Launch:
-    """Some calls of a kernel, one after the other, with the same constants.
+    """Several calls of one kernel in a row, with the same constants.
 
-    turns : how many calls.
+    turns : number of calls.
     numbers : the constants.
-    first : number of the first of these calls, for kernels that depend on it: for momentum, how many calls were made
-        since it was last set to zero.
+    first : for kernels whose momentum grows from call to call: the number of calls since the momentum was last set to
+        zero.
     """
 
     turns: int
@@ -191,9 +191,8 @@ class Stepped(Contacts):
 
     @property
     def stores_predicted(self) -> bool:
-        """True if the spins that the Cundall-Strack dynamics predicts for the end of the next step have a field of
-        their own; on large lattices the kernel computes them anew.
-        """
+        """True if there is a field for the spins that the Cundall-Strack dynamics predicts for the end of the next
+        step. On large lattices there is none, and the kernel computes these spins anew."""
         return True
 
     @abstractmethod
@@ -261,12 +260,12 @@ class Stepped(Contacts):
     def inertias(self, options: "Motion", density: ArrayLike | None) -> Inertia:
         """Return the moments of inertia of the free spheres: one number, or (N spheres,).
 
-        On a lattice they are mass * length^2. The unknowns of a packing are u = radius * spin, so that its moments are
-        divided by the square of the radius.
+        On a lattice they are mass * length^2. In a packing the unknowns are u = radius * spin, and the moments are
+        divided by the square of the radius: mass.
 
         options : options of a method, with `mass` and `inertia`.
-        density : density of the spheres of a packing, mass / length^D in D dimensions, one number or (N,), from which
-            their masses follow; None to use the mass in the options. Not used by lattices.
+        density : density of the spheres of a packing, one number or (N,), mass / length^D in D dimensions; the masses
+            of the spheres follow from it. None to use the mass in the options. Lattices do not use it.
         """
 
     @abstractmethod
@@ -328,9 +327,9 @@ class Stepped(Contacts):
         return False
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
-        """Return the best lower bound so far, (R samples,): on a lattice that of the present state, in a packing
+        """Return the best lower bound (R samples,) on the objective that is known: on a lattice `bound`, in a packing
         perhaps an earlier one.
 
-        bound : (R,), that of the present state.
+        bound : (R,), energy/time, the bound that the present state proves.
         """
         return bound

@@ -287,13 +287,12 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.time = self.end
 
     def _prepare_last_step(self, span: float) -> None:
-        """Rescale the fields for one step of another length. If the run can be resumed, store the state before that
-        step.
+        """Rescale the fields for one last step of another length. If the run can be resumed, store the state before
+        that step first.
 
-        Fields `gear_n`, the scaled n-th derivatives of the spins, are proportional to the n-th power of the step. The
-        field `integral` is the predicted mean spin of the next step, plus a correction c for the error of the mean that
-        was predicted for the step before. The angle c * step must stay the same, so c is divided by the ratio of the
-        steps.
+        The scaled n-th derivatives `gear_n` of the spins are proportional to the n-th power of the step. The field
+        `integral` is a sum: the predicted mean spin of the next step, and a correction c for the error of the last
+        prediction. The angle c * step must stay the same, so c is divided by the ratio of the steps.
 
         span : length of the step, time.
         """
@@ -324,9 +323,9 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three arrays of now: the spins, with signs that alternate between neighbours, (C components, R
-        samples, *N spheres); the contact forces (C, R, E contacts); and the elongations of the springs (C, R, E).
-        """
+        """Return the present state as three arrays: the spins, with signs that alternate between neighbours, (C
+        components, R samples, *N spheres), 1/time, in a packing radius * spin; the contact forces (C, R, E contacts);
+        and the elongations of the springs (C, R, E), length."""
         staggered = self.spins()
         force = self.contacts.read_forces("force") if self.iteration else self.damping_force(staggered)
         stretch = self.contacts.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
@@ -374,8 +373,9 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.balance(staggered, spring)
 
     def _work(self, staggered: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return two energies since the start, (R samples,) each: what the contacts took from the spins, and what the
-        driven spheres gave. A last step that was shorter than the others is added on its own.
+        """Return two energies since the start, (R samples,) each: the energy that the contacts took from the spins, and
+        the energy that the driven spheres gave. Where the last step was shorter than the others, its energies are added
+        separately.
 
         staggered, force : spins (C components, R, *N spheres) and contact forces (C, R, E contacts) at the end of the
             last step.
@@ -409,9 +409,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return super().may_be_at_rest(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def _loading_time(self) -> float:
-        """Return a time after which springs are surely loaded: that in which the driving stretches a spring ten times
-        as far as the strongest contact holds; 0 without drive.
-        """
+        """Return a time after which springs are surely loaded: the time in which the driving stretches a spring to ten
+        times the elongation at which the strongest contact slips; 0 without drive."""
         scene = self.scene
         strongest = float(scene.acting_coefficient.max()) * self.options.static_ratio
         speed = scene.slip_radius * scene.jump

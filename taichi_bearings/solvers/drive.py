@@ -235,7 +235,8 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
 
 
 def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
-    """Run the loops of some samples to their ends, side by side: all make the same number of steps at a time.
+    """Run the loops of some samples to their ends, side by side: in each turn all of them make the same number of
+    steps.
 
     courses : the loops, one for each sample of a packing, or a single one for a lattice.
     monitors : functions that are called with a `Report` each time that the progress of a sample is read.
@@ -367,9 +368,9 @@ class Course:
     def steps(self, monitors: Sequence[Monitor]) -> Iterator[int]:
         """Yield how many steps the method has to make next, until the run is done.
 
-        The caller makes these steps before it asks for the next number. In between the progress is read where that is
-        due, recorded, reported to the monitors and judged. At the end `status`, `last`, `seconds` and `findings` are
-        set.
+        The caller makes these steps, then asks for the next number. Before that is given, the progress is read if it is
+        due: it is recorded, reported to the monitors, and judged. At the end `status`, `last`, `seconds` and `findings`
+        are set.
 
         monitors : functions that are called with a `Report`; the run ends if one returns True.
         """
@@ -448,7 +449,7 @@ class Course:
     def _write_if_due(self, looked: bool = False) -> None:
         """Write a checkpoint if the last one is older than the time between checkpoints.
 
-        looked : True if this state has been recorded and judged.
+        looked : True if the present state was recorded and judged already.
         """
         if self.checkpoints is not None and time.perf_counter() - self.written_at >= self.checkpoints.every:
             self._write(looked)
@@ -456,7 +457,7 @@ class Course:
     def _write(self, looked: bool) -> None:
         """Write a checkpoint, if the method can resume and checkpoints are wanted.
 
-        looked : True if this state has been recorded and judged.
+        looked : True if the present state was recorded and judged already.
         """
         if self.checkpoints is None or not self.method.resumes:
             return
@@ -584,7 +585,7 @@ class _Best:
     def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
         """Take the best forces and the best state from a checkpoint; raise ValueError if they do not fit the scene.
 
-        state : arrays by name that the method `state` returned in an earlier call.
+        state : arrays by name, as :meth:`state` returned them in an earlier call.
         spin_axes : numbers of the axes of the spin components that are computed.
         """
         # the forces that prove the bound

@@ -86,7 +86,7 @@ class RestWatch:
 
     @property
     def at_rest(self) -> bool:
-        """True if enough checks in a row have found no change."""
+        """True if enough checks in a row found that nothing changed."""
         return self.quiet_checks >= REST_CHECKS
 
     def look(self, found: Progress, time: float, radius: float, tolerance: float, believed: bool) -> None:
@@ -191,7 +191,7 @@ class Dynamics(Method):
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
         """Return further results at the end by name, (R samples,) each; here none.
 
-        last : not used.
+        last : the progress at the end, which is not needed here.
         """
         return {}
 
@@ -278,9 +278,9 @@ class SpringDynamics(Dynamics):
 
     @abstractmethod
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three arrays of now: the spins, with signs that alternate between neighbours, (C components, R
-        samples, *N spheres); the contact forces (C, R, E contacts); and the elongations of the springs (C, R, E).
-        """
+        """Return the present state as three arrays: the spins, with signs that alternate between neighbours, (C
+        components, R samples, *N spheres), 1/time, in a packing radius * spin; the contact forces (C, R, E contacts);
+        and the elongations of the springs (C, R, E), length."""
 
     def damping_force(self, staggered: np.ndarray) -> np.ndarray:
         """Return the forces (C components, R samples, E contacts) of contacts whose springs are not stretched: that of
@@ -307,10 +307,11 @@ class SpringDynamics(Dynamics):
         return self.balance(staggered, spring)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return as `elastic_share`, (R samples,), the elongation of the longest spring over the distance by which the
-        driven planes have slid past each other; nothing if they have not.
+        """Return by name one further result at the end: `elastic_share`, (R samples,), the elongation of the longest
+        spring divided by the distance by which the driven planes have slid past each other. Return an empty dictionary
+        if the planes have not slid.
 
-        last : not used.
+        last : the progress at the end, which is not needed here.
         """
         slid = self.scene.slip_radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
         return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}

@@ -103,8 +103,8 @@ def largest_stable_step(order: int, decay_rate: float, frequency_squared: float)
 
 
 def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, steps: np.ndarray) -> np.ndarray:
-    """Return for each time step the largest modulus of the eigenvalues of the amplification matrices, over the stiffest
-    mode and softer ones, (steps,). The steps at which it is at most 1 are stable.
+    """Return for each time step, (steps,), the largest modulus of an eigenvalue of the amplification matrices of the
+    stiffest mode and of softer ones. Time steps are stable where it is at most 1.
 
     order : order of Gear's method.
     decay_rate, frequency_squared : damping rate, 1/time, and squared frequency, 1/time^2, of the stiffest mode; the
@@ -205,9 +205,8 @@ class Modes:
 
     @cached_property
     def amplitude(self) -> np.ndarray:
-        """(modes M,), the largest spin that a mode can have while its contacts stick, over the largest spin of all; at
-        most 1.
-        """
+        """(modes M,), the largest spin that a mode can have while its contacts stick, divided by the largest spin of
+        all modes; at most 1."""
         resistance = np.abs(self.damping + self.stiffness / self.roots[0])
         return np.minimum(1.0, self.limit / np.maximum(resistance, np.finfo(float).tiny))
 
@@ -237,8 +236,9 @@ class Modes:
         return np.maximum.accumulate(np.sqrt(np.mean(size**2, axis=0)))
 
     def error(self, order: int, time_step: float, steps: float) -> float:
-        """Return the largest relative error of the spins on the way through a run, of those that :meth:`errors` gives
-        for the numbers of steps in TIMES_IN_STEPS (1, 2, ... 1e12); 0 for a run of less than one step.
+        """Return the largest relative error of the spins on the way through a run; 0 for a run of less than one step.
+        The errors are those that :meth:`errors` returns for the numbers of steps in TIMES_IN_STEPS (1, 2, ... 1e12), up
+        to the length of the run.
 
         order : order of Gear's method.
         time_step : length of its steps, time.

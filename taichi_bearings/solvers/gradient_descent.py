@@ -212,10 +212,10 @@ class GradientDescentMethod(Swept):
         self.contacts.restore(state)
 
     def _step_and_sharpness(self) -> tuple[float, float]:
-        """Return two constants of the kernel: the step length, and the last argument of the function that computes the
+        """Return two constants of the kernel: the step length, 1/time, and a constant of the function that computes the
         force of a contact.
 
-        That argument is, with friction, one over the spin difference up to which friction grows, time; for laws without
+        With friction that constant is one over the spin difference up to which friction grows, time; for a law without
         friction it is the radius.
         """
         if not self.scene.law.holds:

@@ -175,7 +175,7 @@ def _laplacian(plane: Lattice, first: np.ndarray, second: np.ndarray) -> csc_arr
 def _free_torques(
     plane: Lattice, first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """Return the torque on each free node of B planes, (B, m, n - 2), for spheres of radius 1.
+    """Return the torque on each free node of B planes, (B, m, n - 2), force * length, as it is for spheres of radius 1.
 
     plane : grid of m x n nodes.
     first, second : (B, ...), viscosities of its contacts along either axis.

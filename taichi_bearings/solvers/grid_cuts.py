@@ -53,7 +53,8 @@ class GridCuts(Part):
         self.iteration = 0
 
     def advance(self, steps: int) -> None:
-        """Cut every plane, or let all its spheres rotate alike where top and bottom have the same spin.
+        """Find the minimum cut of every plane. Where top and bottom have the same spin there is nothing to cut, and all
+        spheres of the plane get this spin.
 
         steps : not used, as the first iteration finds all cuts.
         """

@@ -106,8 +106,9 @@ class LatticePaths(Paths):
         super().advance(steps)
 
     def _begin_by_splitting(self) -> None:
-        """Move the starts of all paths near the minimum, by operator splitting. A sample in which frictions are so wide
-        apart that strong contacts got less keeps its start, as does every sample with viscosity and on a GPU."""
+        """Move the starts of all paths near the minimum, by operator splitting. Some samples keep their starts: those
+        in which strong contacts got less friction, as frictions are far apart; those with viscosity; and all samples
+        whose matrix of springs is not quick to factorise, as on a GPU."""
         if self.scene.viscosity_beside_friction is not None or not self.shared.has_quick_springs:
             return
         try:
@@ -124,9 +125,9 @@ class LatticePaths(Paths):
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
         """Return the start of the central path of a sample, the curve along which Newton steps lead to its minimum.
 
-        Forces are measured in a unit near the mean coefficient. Without viscosity, contacts that are so strong that
-        they are slipless at every minimum get less friction, as wide contrasts cost precision; with it, the path starts
-        at the spins that balance the viscous forces.
+        Forces are measured in a unit near the mean coefficient. Without viscosity, contacts so strong that they are
+        slipless at every minimum get less friction, as wide contrasts cost precision. With viscosity, the path starts
+        at the spins at which viscous forces balance.
 
         replica : number of the sample.
         spins : (unknowns,), free spins in units of `unit`.

@@ -73,8 +73,8 @@ class LatticeReached(Reached):
         """Return by name the slips (R samples, E contacts), and (R,) each power, objective, lower bound, gap and
         largest leftover torque.
 
-        They are as proven. Where no proof can judge the numbers, such as for a law that the proofs do not know, they
-        are those of the method. The torques of a dynamics are always those of its motion.
+        All of them are proven, with two exceptions. Where no proof can judge the numbers, as for a law that the proofs
+        do not know, they are those of the method. The torques of a dynamics are always those of its motion.
         """
         scene, final = self.scene, self.final
         if self.judgement is not None:
@@ -102,9 +102,9 @@ class LatticeReached(Reached):
     def _of_motion(self, slip: np.ndarray) -> np.ndarray:
         """Return the sizes (R samples, E contacts) of the contact forces of a dynamics at its last moment.
 
-        Where contacts can hold a force without slip, the dynamics has the force; else the law gives it from the slip.
-        Without viscosity a force is cut off at the friction limit; only the rounding of far stronger contacts can lift
-        it above.
+        Contacts with friction bear the force that the dynamics has stored; for other contacts the law gives the force
+        from the slip. Without viscosity a force is cut off at the friction limit, which it can only exceed by the
+        rounding of far stronger contacts.
 
         slip : (R, E), slip speeds.
         """
@@ -130,10 +130,11 @@ class LatticeReached(Reached):
 
     @property
     def _asked(self) -> np.ndarray:
-        """(R samples,) mask: True if a proof of the contact states is tried, whatever a motion has come to.
+        """(R samples,) mask of the samples in which a proof of the contact states is tried in any case. (In other
+        samples of a dynamics it is tried if the motion has come to a minimum.)
 
-        That is so in samples whose states the method takes for those of every minimum, and in all samples where the
-        proof is cheap (one spin component, or viscosity).
+        These are the samples whose method reports the states of every minimum, and all samples if the proof is cheap
+        (one spin component, or viscosity).
         """
         scene, believed = self.scene, self.final.states_believed
         one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
@@ -179,12 +180,12 @@ def _states_and_thresholds(
     known: np.ndarray | None,
     size: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return contact states (R samples, E contacts), and the slip speeds, length/time, up to which contacts count as
-    slipless: (R,), and one for all samples.
+    """Return three things: contact states (R samples, E contacts); the slip speeds (R,), length/time, up to which
+    contacts count as slipless; and one such speed for all samples.
 
-    If the user gave no threshold, a contact that seems to slip while its friction in `size` is below its limit is
-    undecided, unless `known` has its state. The slip speed is then what the method can resolve. If friction has told
-    slower slipping contacts apart, it is the largest slip of a slipless contact.
+    If the user gave no threshold, it is the slip that the method can resolve, or the largest slip of a slipless
+    contact, if friction has told slower slipping contacts apart. A contact that seems to slip while its friction in
+    `size` is below its limit is then undecided, unless `known` has its state.
 
     scene : the lattice with its R samples.
     slip : (R, E), slip speeds, length/time.
@@ -212,11 +213,11 @@ def _states_and_thresholds(
 
 
 def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
-    """Return the contact states (R samples, E contacts) that are proven of every minimum, if the proof is one that
-    looks at each contact alone, and so is cheap; else None.
+    """Return the contact states (R samples, E contacts) that are proven of every minimum, if a cheap proof exists,
+    which looks at each contact alone; else None.
 
-    That is so for laws whose force grows with the slip, and for minima with one spin component. A dynamics without
-    viscosity gets None, as its states are those of its motion, not of the minima.
+    There is such a proof for laws whose force grows with the slip, and for minima with one spin component. A dynamics
+    without viscosity gets None, as its states are those of its motion, not of the minima.
 
     judgement : what is proven of the answer, or None.
     is_dynamics : True if the method is a dynamics.

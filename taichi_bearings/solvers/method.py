@@ -95,8 +95,9 @@ class Method(ABC):
         return []
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the slips of the contacts divided by the radius (`Bearing.slip_radius`), (C components, R samples, E
-        contacts), 1/time.
+        """Return the differences of the spins across all contacts, (C components, R samples, E contacts), 1/time, from
+        which slips follow by a factor: the radius (`Bearing.slip_radius`). In a packing return the slips themselves,
+        length/time, and the factor is 1.
 
         staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, 1/time; in a packing radius
             * spin.

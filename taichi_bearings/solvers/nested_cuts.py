@@ -87,11 +87,10 @@ def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
 
 
 def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
-    """Return the spins u = radius * spin (unknowns,) that a set of nested minimum cuts stands for, length/time, as sums
-    of two doubles.
+    """Return u = radius * spin (unknowns,), length/time, as sums of two doubles, for a set of nested minimum cuts.
 
-    A node of the graph is a free spin, or in parts with odd loops u has two nodes (twins) with the values u and -u;
-    then u is half the difference of the two.
+    A node of the graph has one of the sorted driven values. Without twins it stands for sign * u. In parts with odd
+    loops two nodes (twins) stand for u and -u; then u is half the difference of their values.
 
     cover : the graph, with the sorted driven values that nodes can have.
     place : (nodes,), for each node the number of its value among these.
@@ -172,10 +171,11 @@ def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, compo
 
 
 def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarray]:
-    """Sort numbers (n,) that are sums of two doubles, high + low.
+    """Sort numbers (n,), given as sums high + low of two doubles. Return three things: the different values in order,
+    as two arrays; for each of the n numbers the index of its value; and for each value the index of its negative, 0 if
+    there is none.
 
-    Returns the different values in order, as two arrays; for each of the n the number of its value; for each value the
-    number of its negative, 0 if there is none.
+    high, low : (n,) each.
     """
     keys, number = np.unique(np.stack([high, low], axis=1), axis=0, return_inverse=True)
     place = {tuple(key): k for k, key in enumerate(keys.tolist())}
@@ -212,9 +212,9 @@ def _nested(cover: _Cover) -> np.ndarray:
     """Return the level of each node at a minimum, (nodes,): the number of its value among the sorted driven values.
 
     In parts with odd loops each spin has two nodes, twins, with opposite values. A part without twins gets the minimum
-    with the lowest levels. A node with a twin keeps its lowest level if that is above `cover.rest`, where the values
-    are positive. Else, if the highest level of its twin is above `cover.rest`, it gets the level of the value opposite
-    to that, so that the two nodes have opposite values.
+    with the lowest levels. A node with a twin gets its lowest level if that is a positive value (above `cover.rest`).
+    Else, if the highest level of its twin is a positive value, it gets the level of the opposite value. So the two
+    nodes have opposite values.
     """
     twin, rounds = cover.mirror >= 0, list[_Round]()
     lowest = _levels(cover, np.zeros_like(twin), rounds)

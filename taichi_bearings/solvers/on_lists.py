@@ -142,8 +142,9 @@ class OnLists(Stepped):
 
     def load_numbers(self, launch: Launch) -> None:
         """Load the constants of a launch (repeated calls of the kernel) into the field `numbers`, unless they are there
-        already. The last constant is the number of sweeps that were made before this launch; a call of the kernel makes
-        two.
+        already. The last constant is the number of sweeps before this launch; a call of the kernel makes two sweeps.
+
+        launch : the launch, with its constants and the number of calls before it.
         """
         given = np.zeros(COPY_NUMBERS)
         given[: len(launch.numbers)] = launch.numbers
@@ -233,7 +234,7 @@ class OnLists(Stepped):
         return not self.bounds.proven > 0
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
-        """Return the larger of a lower bound (1,) and the best one that was proven before."""
+        """Return the larger of the lower bound `bound` (1,) and the best one that was proven before, energy/time."""
         found: np.ndarray = np.maximum(bound, self.bounds.proven)
         return found
 
@@ -300,9 +301,9 @@ class OnLists(Stepped):
 class StepsReached(PackingReached):
     """What a method that makes steps has reached in the one sample of a packing: the best forces, with the best spins.
 
-    What is reported is proven of the minima, as for other methods, but for four things, which are those of the last
-    state: contact forces and states (slipping or not) of a dynamics, and the torques that it leaves over; and the
-    states of contacts in parts of the packing that nothing drives.
+    Reported are numbers that are proven of the minima, as for other methods. Four things are those of the last state
+    instead: the contact forces of a dynamics, its contact states (slipping or not), and the torques that it leaves
+    over; and the states of contacts in parts of the packing that nothing drives.
 
     moves : True for a dynamics.
     spin_axes : numbers of the axes of the spin components.

@@ -224,9 +224,9 @@ class OnStrides(Stepped, WithMinima):
         return float(inertia)
 
     def fastest_modes(self, inertia: Inertia, slopes: np.ndarray | None) -> tuple[float, float]:
-        """Return two numbers of the fastest modes: the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, if
-        all contacts stick. R is the radius, I the moment of inertia, lambda the largest eigenvalue of the Laplacian of
-        the contacts.
+        """Return two bounds on how fast spins can change: the decay rate by viscosity of the fastest mode, 1/time; and
+        R^2 lambda / I, 1/mass, if all contacts stick. R is the radius, I the moment of inertia, lambda the largest
+        eigenvalue of the Laplacian of the contacts.
 
         inertia : I, mass * length^2.
         slopes : (R samples, E contacts), largest slope of each contact's force over its slip, force * time/length; None
@@ -255,11 +255,11 @@ class OnStrides(Stepped, WithMinima):
         return OfLattice(self.scene, spin_axes, unit)
 
     def stopped_spins(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """Return the spins (R samples, *N spheres), 1/time, to which friction brings one spin component; None if the
-        top is driven in it.
+        """Return the spins (R samples, *N spheres), 1/time, at which friction stops one spin component if nothing
+        drives it; None if the top is driven in it.
 
-        Without drive a component ends at 0. But about the height each layer keeps its mean spin, which no contact
-        changes.
+        A component that is not driven ends at 0. Only the component about the height keeps a mean spin in each layer,
+        which no contact changes.
 
         component : number of the axis of the spin component.
         spins : (R, *N), its spins now, 1/time, with signs that alternate between neighbours, less that of the bottom.

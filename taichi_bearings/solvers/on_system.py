@@ -85,7 +85,12 @@ class OnSystem(WithMinima):
         """
 
         def cut(number: int) -> Found:
-            """Return spins and forces of the sample with this number at its exact minimum."""
+            """Return the exact minimum of the power of one sample by minimum cuts: the spins u = radius * spin
+            (unknowns,), length/time, as sums of two doubles (the second one is `rest`), and the contact forces (d
+            tangents, A contacts).
+
+            number : which sample, counted from 0.
+            """
             (high, low), force = nested_cuts.least_power(self.system, self.samples[number])
             return Found(high, force, "planar-cut", rest=low, steps=1)
 
@@ -100,7 +105,8 @@ class OnSystem(WithMinima):
         return OneByOne(self, self.flowing, "linear-solver")
 
     def flowing(self, number: int) -> Found:
-        """Return the spins and forces of a sample at which its viscous forces, without friction, are in balance.
+        """Return the spins and the forces of one sample, with its viscosity alone and without friction, at which all
+        torques balance.
 
         number : number of the sample.
         """
@@ -188,12 +194,12 @@ class OnSystem(WithMinima):
         return Solution.joined(found, self.scene)
 
     def _without_contrast(self, number: int, found: Solution, ended: Ended) -> Solution:
-        """Return the answer `found`, or a better one if it is not certified and some contacts have far more friction
-        than others.
+        """Return the answer `found`; or a better one, if `found` is not certified and some contacts have far more
+        friction than others.
 
-        A contact that can bear far more than the power over the fastest driven surface hardly slips. So its friction is
-        cut off there, which makes the problem better conditioned; a lower bound with less friction is a lower bound
-        with all of it. The spins of that solution are then corrected so that these contacts roll, to the rounding of
+        A contact that can bear far more than the power over the speed of the fastest driven surface hardly slips. Its
+        friction is cut off there, which makes the problem better conditioned; a lower bound with less friction is also
+        one with all of it. The spins of that solution are corrected so that these contacts roll, up to the rounding of
         sums of two doubles, and judged with the whole friction. This is repeated with the new power while it pays.
 
         number : number of the sample.

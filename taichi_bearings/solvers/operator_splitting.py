@@ -164,6 +164,8 @@ class OperatorSplittingMethod(Method):
     def _load_potential(self, potential: np.ndarray) -> None:
         """Write potentials (stiffness times spins), (C components, R samples, *N spheres), into their field; and what
         rounding leaves out of them into another one, where that is stored.
+
+        potential : the potentials.
         """
         self.fields.load("potential", potential)
         if self.is_single:
@@ -272,9 +274,7 @@ class OperatorSplittingMethod(Method):
         return found
 
     def _seen(self, *names: str) -> list[np.ndarray]:
-        """Return fields by name: on a CPU the arrays themselves, so that they can be changed in place; of a GPU
-        copies.
-        """
+        """Return fields by name: on a CPU the arrays themselves, which can be changed in place; of a GPU copies."""
         see = self.fields.read if runtime.current().is_gpu else self.fields.view
         return [see(name) for name in names]
 

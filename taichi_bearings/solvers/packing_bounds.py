@@ -75,7 +75,8 @@ class PackingBounds:
         return best, proving
 
     def again(self, force: np.ndarray) -> float:
-        """Return the lower bound that the forces of the best bound prove, computed anew after a checkpoint.
+        """Compute anew, after a checkpoint, the lower bound that the forces of the best bound prove, and return it,
+        energy/time.
 
         force : (d tangents, 1, E contacts), these forces.
         """

@@ -112,8 +112,8 @@ class PackingPaths(Paths):
         self.samples = [_begun(system, path, of, shared.matrix) for of in self.strengths.values()]
 
     def _strengths(self, of: tuple[np.ndarray, ...]) -> "Strengths | None":
-        """Return the friction limits and viscosities of one sample, scaled so that the largest is about 1: forces by a
-        power of two near the largest force, speeds by `fastest`. Return None if no contact has friction.
+        """Return the friction limits and viscosities of one sample in units in which the largest is about 1; None if no
+        contact has friction. The unit of force is a power of two near the largest force, that of speed is `fastest`.
 
         of : coefficients of the law of the sample, a tuple of arrays (A contacts,).
         """
@@ -296,8 +296,8 @@ def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.nd
 
 
 def _everywhere(own: np.ndarray, of: np.ndarray, count: int) -> np.ndarray:
-    """Return values (A,) on all A contacts of a packing from those on the n contacts of its path; False or 0 for
-    contacts that no unknown spin makes slip, which are not on the path.
+    """Return an array (A,) over all contacts of a packing with the values of the n contacts on its path. Contacts that
+    no unknown spin makes slip are not on the path; they get False or 0.
 
     own : (n,), numbers of the n contacts among the A.
     of : (n,), their values.

@@ -158,7 +158,10 @@ def judgement_of(system: ContactSystem, samples: Sequence[Packing], found: Seque
 
 
 def _finite(force: np.ndarray) -> np.ndarray:
-    """Return forces with 0 in place of numbers that are not finite."""
+    """Return forces, an array of any shape, with 0 in place of numbers that are not finite.
+
+    force : the forces.
+    """
     found: np.ndarray = np.nan_to_num(force, posinf=0.0, neginf=0.0)
     return found
 

@@ -17,8 +17,8 @@ MOST_SIDE_BY_SIDE = 16  # samples that are solved side by side
 def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
     """Return the state of least dissipation of every sample of a packing.
 
-    Motions that make no contact slip are left at rest where nothing drives them. Small samples are solved side by side;
-    the bits of each do not depend on the others.
+    Motions without slip are held at 0 where nothing drives them. Small samples are solved side by side; the bits of
+    each result do not depend on the other samples.
 
     packing : a `taichi_bearings.Packing`.
     tolerance : proven relative gap at which the answer counts as certified.

@@ -24,7 +24,7 @@ class Paths(Descent, Part):
 
     @property
     def iteration(self) -> int:  # type: ignore[override]
-        """Number of Newton steps so far, the largest of all samples."""
+        """Number of Newton steps of the sample that has made the most."""
         return max((sample.steps for sample in self.samples), default=0)
 
     def state(self) -> dict[str, np.ndarray]:

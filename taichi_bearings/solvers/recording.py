@@ -177,9 +177,8 @@ class Recorder:
         return {**row, **progress.columns}
 
     def history(self) -> dict[str, np.ndarray]:
-        """Return the columns of the history by name, of equal length: (rows,), or (rows, R samples) with a value for
-        each sample.
-        """
+        """Return the columns of the history by name, all of equal length: (rows,) with one number for all samples, or
+        (rows, R samples)."""
         return {name: np.asarray(values) for name, values in self._columns.items()}
 
     def snapshots(self) -> Snapshots | None:

@@ -173,10 +173,10 @@ class RigidLimitMethod(Dynamics):
     def _error(self, step: Step, duration: float) -> float:
         """Return the error of the spins in a step, root mean square in the worst sample, over the largest spin.
 
-        A step of implicit Euler, of length h, has the error h^2 / 2 times the second derivative of the spins. To
-        estimate it, the step is compared with one made with the mean forces of the step before, of length h'. These
-        forces belong to a time that is (h + h') / 2 earlier. So the two differ by h (h + h') / 2 times the second
-        derivative, and the error is h / (h + h') of this difference.
+        A step of implicit Euler, of length h, has the error h^2 / 2 times the second derivative of the spins. It is
+        estimated by a comparison with a step that is made with the mean forces of the previous step, of length h'.
+        These forces belong to a time that is (h + h') / 2 earlier. So the two results differ by h (h + h') / 2 times
+        the second derivative, and the error is h / (h + h') of this difference.
 
         step : result of the step.
         duration : length h of the step, time.
@@ -264,8 +264,8 @@ class RigidLimitMethod(Dynamics):
         return super().may_be_at_rest(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return by name, (R samples,) each: the time since which the power has not fallen, NaN without rest, and the
-        Newton steps made.
+        """Return by name two findings, (R samples,) each: the time since which the power has not fallen, NaN if the
+        motion is not at rest; and the number of Newton steps.
 
         last : the progress at the end.
         """

@@ -193,7 +193,10 @@ class Look:
 
 
 def _length(components: list[np.ndarray]) -> np.ndarray:
-    """Return the lengths of vectors of one or two components, arrays of one shape; their squares must not overflow."""
+    """Return the lengths of vectors of one or two components, arrays of one shape; their squares must not overflow.
+
+    components : a list with the first, or the first and the second component of all vectors.
+    """
     if len(components) == 1:
         result: np.ndarray = np.abs(components[0])
         return result
@@ -204,6 +207,9 @@ def _length(components: list[np.ndarray]) -> np.ndarray:
 
 
 def _safe_length(components: list[np.ndarray]) -> np.ndarray:
-    """Return the lengths of vectors of one or two components, arrays of one shape, of any size."""
+    """Return the lengths of vectors of one or two components, arrays of one shape, of any size.
+
+    components : a list with the first, or the first and the second component of all vectors.
+    """
     found: np.ndarray = np.abs(components[0]) if len(components) == 1 else np.hypot(*components)
     return found

@@ -48,12 +48,13 @@ def split(scene: Scene, spin: np.ndarray) -> Progress:
 
 
 def centred(start: Iterate, spins: np.ndarray, dual: np.ndarray, matrix: NewtonMatrix) -> Iterate:
-    """Return a point near the central path with given spins and nearly the given forces; `start` if there is none whose
-    forces nearly balance.
+    """Return a point near the central path with given spins and nearly the given forces. If no such point with nearly
+    balanced forces is found, return `start`.
 
-    start : any point of the sample, of which the system and the friction are used.
-    spins : (unknowns,).
-    dual : (d, n), minus the forces; at most as large as friction, up to rounding.
+    start : any point of the sample; its system and its friction are those of the result.
+    spins : (unknowns,), spins of the result.
+    dual : (d, n), minus the forces on n contacts with up to d slip components; at most as large as friction, up to
+        rounding.
     matrix : matrix of springs at the contacts (`Surroundings.springs`), which is factorised anew.
     """
     friction, difference = start.friction, start.system.differences(spins)

@@ -43,7 +43,7 @@ def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[
     """Return a function of a law that says whether a method solves it: True for friction, viscosity or both, if a
     condition holds; False for laws that users have defined.
 
-    condition : function of the law that returns True or False.
+    condition : function of the law; True if the method solves it.
     """
     return staticmethod(lambda law: law.is_sum and condition(law))
 
@@ -634,7 +634,8 @@ class CundallStrack(Motion):
     )
 
     def after_slip(self, span: float) -> tuple[float, float]:
-        """Return two numbers a and b that give the elongation of a slipping spring after a step:
+        """Return two numbers a, length/force, and b, a pure number, from which the elongation of a slipping spring
+        after a step follows:
 
             elongation = a * force + b * elongation before the step.
 

@@ -23,6 +23,8 @@ MOST_ON_CPU, MOST_ON_GPU = 4_000, 4_000_000
 def samples_at_once(scene: Bearing) -> int:
     """Return how many samples of a packing to step at a time: so many that a GPU is busy, or that the caches of a CPU
     hold their numbers.
+
+    scene : the packing, with all its samples.
     """
     most = MOST_ON_GPU if runtime.current().is_gpu else MOST_ON_CPU
     return max(1, min(scene.replicas, most // max(scene.network.spheres, 1)))
@@ -86,8 +88,10 @@ class Together:
             launches = [_rest_of_plan(launch, turns, plan) for launch, (_, plan) in zip(launches, plans, strict=True)]
 
     def drop(self, ended: Method) -> None:
-        """Take out a method that has ended. Its fields go on to be stepped, to no effect on others, until half of the
-        methods have ended.
+        """Take out a method that has ended. Its fields stay in the common memory and are stepped with the others,
+        without any effect on them, until half of the methods have ended; then they are removed.
+
+        ended : the method.
         """
         self.going = [method for method in self.going if method is not ended]
         if self.joined and self.going and 2 * len(self.going) <= len(self.joined):

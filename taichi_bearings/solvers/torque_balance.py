@@ -169,10 +169,10 @@ class TorqueBalance:
     def solve(self) -> None:
         """Change the spins of the free spheres so that the springs balance.
 
-        On a CPU the sines of some columns are two products of the BLAS library, of one row for each column. So no
-        number depends on what else is solved at the time, nor on how many threads share the columns. The products are
-        in single precision, which is twice as fast. That is enough: the solution is only a change of the spins, small
-        in the end, and the next one makes up for the rounding.
+        On a CPU the sine transform of some columns is two products of the BLAS library, in which each column is a row.
+        So the result for a column does not depend on what else is solved, nor on how many threads share the columns.
+        The products are in single precision, which is twice as fast. That suffices, because the solution is only a
+        change of the spins, small in the end, and the next iteration makes up for the rounding.
         """
         if self.workers == 0:
             layout, values = self.fields.layout, self.fields.values
@@ -189,10 +189,10 @@ class TorqueBalance:
 
     @property
     def _places(self) -> tuple[int, ...]:
-        """Whole numbers by which kernels find a column in the fields and folded: length of a row of the fields, its
-        margin, spheres of all samples, distances to the neighbours along x and y, spheres of a sample, and how many
-        numbers of a folded column are sums, and how many it has.
-        """
+        """Whole numbers by which kernels find a column in the fields, in their order: length of a row of the fields;
+        margin of the fields; number of spheres of all samples; distances in memory to the neighbours along x and along
+        y; number of spheres of a sample; and of a folded column, how many of its numbers are sums, and how many numbers
+        it has."""
         layout = self.fields.layout
         return layout.length, layout.margin, *self.measures[:-1], len(self.sines[0]), self.column
 

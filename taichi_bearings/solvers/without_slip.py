@@ -10,8 +10,8 @@ from taichi_bearings.scene import Progress, Scene
 
 
 def without_slip(scene: Scene, final: Progress) -> Progress:
-    """Return the end of a minimisation with the slipless state in all samples whose least objective is 0. Other samples
-    stay.
+    """Return the end of a minimisation, with the slipless state put in for every sample whose least objective is 0.
+    Other samples are not changed.
 
     The least objective is 0 in a sample whose driven planes have the same spins, or are not joined by contacts. In the
     slipless state no contact bears a force. Spheres that contacts join to the top plane have the spin of the top, all

@@ -81,7 +81,8 @@ class _Heap:
         `away` cells from that of the place, a list in ascending order.
 
         place : (dimensions D,), coordinates.
-        away : with 1 no sphere is missing that can touch one at the place; with 2 none that can touch such a sphere.
+        away : number of cells. With 1 all spheres are found that can touch a sphere at the place; with 2 also all that
+            can touch one of those.
         """
         *own, height = self._cell(place)
         steps = range(-away, away + 1)
@@ -116,6 +117,10 @@ class _Heap:
     def is_free(self, place: np.ndarray, size: float, since: int = 0) -> bool:
         """Return True if a sphere of radius `size` at a place (dimensions D,) overlaps none of the spheres from number
         `since` on.
+
+        place : coordinates of the centre, in radii of the small spheres.
+        size : radius of the new sphere, in radii of the small spheres.
+        since : number of the first sphere that is looked at.
         """
         others: slice | np.ndarray = slice(since, self.count)
         if self.count - since > MOST_COMPARED:
@@ -127,8 +132,9 @@ class _Heap:
         return bool(((self.away(place, others) ** 2).sum(axis=1) >= reach**2).all())
 
     def _clearly_overlaps(self, place: np.ndarray, size: float, since: int) -> bool:
-        """Return True if a sphere of radius `size` at a place (dimensions D,) overlaps one of those from number `since`
-        on by more than rounding; this takes less time than arrays where there are few of them."""
+        """Return True if a sphere of radius `size` at a place (dimensions D,) surely overlaps one of the spheres from
+        number `since` on, by more than rounding. False says nothing. Spheres are looked at one by one, which takes less
+        time than arrays where there are few."""
         here, width = place.tolist(), float(self.sides[0])
         for numbers in self._numbers_in_cells(place, 1):
             for number in reversed(numbers):
@@ -183,9 +189,9 @@ class _Heap:
 
 
 class _Pairs:
-    """A sphere at 0 and n neighbours in D dimensions, in which places are sought for a further sphere that touches the
-    one at 0 and D - 1 neighbours: one in two dimensions, a pair in three. What depends on directions alone is computed
-    once, for spheres of either size.
+    """A sphere at 0 and n neighbours in D dimensions, for finding places where a further sphere touches the one at 0
+    and D - 1 of the neighbours (one in two dimensions, two in three). What depends only on the directions of the
+    neighbours is computed once, for further spheres of either size.
 
     vector : (n, D), centres of the neighbours. Lengths are in radii of the small spheres.
     others : (neighbours or pairs, D - 1), numbers of the neighbours that are to be touched together.
@@ -258,8 +264,8 @@ def _overlap_nothing(middle: np.ndarray, vector: np.ndarray, reach: np.ndarray) 
     vector : (spheres, D), centres of the others.
     reach : (spheres,), the least distance that the new centre must have from each of these.
 
-    Most places are clearly too close to some other one. Matrix products, whose rounding ROUGHLY covers, leave these
-    out.
+    Matrix products first leave out most of the places, those that are clearly too close to some other sphere; ROUGHLY
+    covers their rounding.
     """
     squares = (middle**2).sum(axis=1)[:, None] + (vector**2).sum(axis=1) - 2 * (middle @ vector.T)
     found: np.ndarray = (squares > reach**2 * (1 - ROUGHLY)).all(axis=1)

@@ -95,7 +95,7 @@ def _folded(discs: np.ndarray, a: float) -> np.ndarray:
 
 
 def _new_discs(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return those new discs, each once, that are not among the discs found already.
+    """Return those of the new discs that are not among the discs found already, each of them once, (discs, 4).
 
     found, new : (spheres N, 4), columns x, y, radius and sense of turning.
     tolerance : distance of centres up to which two discs are the same.

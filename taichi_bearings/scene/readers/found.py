@@ -63,9 +63,9 @@ def from_centers(
     center : (spheres N, dimensions D), length.
     radius : (N,) or one for all, length.
     tolerance : relative gap or overlap of spheres that touch.
-    given : `driven`, (N,), or `spin`, if they are known; without `driven`, spheres within `tolerance` radii of the
-        lowest and of the highest one along the last axis are driven.
-    sides : their spins, unless `spin` is given.
+    given : arrays that are known already, by name: `driven`, (N,), or `spin`. Without `driven`, spheres within
+        `tolerance` radii of the lowest and of the highest one along the last axis are driven.
+    sides : how these two bodies are driven, unless `spin` is given.
     periodic : (D,), lengths of the periodic sides, 0 or None along other axes.
 
     Raises InputError for spheres that overlap by more, and if nothing touches or it is not clear what is driven.
@@ -192,7 +192,7 @@ def _contacts(
 
 
 def _leads_up(shift: np.ndarray) -> np.ndarray:
-    """Return a mask (shifts,), True where the last component other than 0 is positive.
+    """Return a mask (shifts,), True where the last component of the shift that is not 0 is positive.
 
     shift : (shifts, dimensions D), vectors from spheres to their periodic images. Two spheres that touch across a
         periodic side do so by two opposite shifts; the mask picks one of them.

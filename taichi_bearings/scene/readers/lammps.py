@@ -364,8 +364,8 @@ def _periods(frame: Frame, asked: Asked) -> np.ndarray:
 
 
 def _pressing_forces(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
-    """Return the normal forces (contacts,) that press spheres together: those given, with 0 in place of forces that
-    pull. A warning says how many rows are left out since no such force acts.
+    """Return the normal forces (contacts,) that press spheres together: the given ones, with 0 in place of forces that
+    pull. A warning says how many rows are left out because no pressing force acts.
 
     rows : timestep of the dump of contacts, for messages.
     force : (contacts,), positive where it presses. If none is positive and some are negative, the file counts forces
