@@ -140,7 +140,8 @@ def _is_private(status: os.stat_result) -> bool:
 
 @contextlib.contextmanager
 def environment() -> Iterator[None]:
-    """Set, inside the block, the environment that the compiler reads when it is imported and started."""
+    """Context in which the environment variables that the compiler reads, when it is imported and started, have the
+    values that we want."""
     before, home = os.environ.copy(), _cache_home()
     cache = {"XDG_CACHE_HOME": str(home or os.devnull)}  # without a home folder it would abort
     os.environ.update(QUIET | before | cache)
@@ -176,7 +177,7 @@ def __getattr__(attribute: str) -> Any:
 
 @contextlib.contextmanager
 def _lines_found_quickly() -> Iterator[None]:
-    """Replace `inspect.getframeinfo` inside the block by a quick function.
+    """Context in which a quick function takes the place of `inspect.getframeinfo`.
 
     The compiler asks `inspect` for the line that defines each kernel, and `inspect` would go through all modules each
     time.
@@ -202,8 +203,9 @@ def _read_functions_once(reader: Any) -> None:
 
     reader : the module of Taichi that reads kernels.
 
-    Taichi reads a function wherever a kernel calls it, and notes each time where every expression stands. Here it is
-    read once, or as often as it calls itself, and the notes are kept. Quadrants is left as it is.
+    Taichi reads the source of a function anew for each kernel that calls it, and makes for every expression a text that
+    says where it stands. Here the source is read once (or as often as the function calls itself), and these texts are
+    kept. With Quadrants nothing changes.
     """
     read, walk, variables = reader._get_tree_and_ctx, reader.transform_tree, reader._get_global_vars
     context, found = reader.ASTTransformerContext, reader.ASTTransformerContext.get_pos_info

@@ -46,7 +46,8 @@ class Original:
     def begin(self) -> None:
         """Start the process, if there is to be one; it then loads the program while this one goes on.
 
-        There is none, either, where no folder for temporary files can be written: the process has its address in one.
+        Nothing is started where no folder for temporary files can be written, as the address of the process is a file
+        in one.
         """
         if self._server is None:
             return
@@ -61,7 +62,7 @@ class Original:
             leaving.add_helper(self._server._forkserver_pid)
 
     def start(self, target: Callable[..., None], arguments: tuple[Any, ...], name: str) -> BaseProcess:
-        """Return a new worker process, started. It ends with this process, and never hears of Ctrl-C and SIGTERM.
+        """Start a new worker process, and return it. It ends with this process, and Ctrl-C and SIGTERM do not reach it.
 
         target : function that the worker calls.
         arguments : what it is called with.
@@ -94,7 +95,7 @@ class Original:
                 self._server._stop()
 
     def _kill(self) -> bool:
-        """Kill the process, which has nothing to lose. Return False if it was not started."""
+        """Kill the process, which has no work to lose. Return False if it was not started."""
         pid = getattr(self._server, "_forkserver_pid", None)
         if pid is not None:
             with contextlib.suppress(ProcessLookupError):
@@ -103,8 +104,8 @@ class Original:
 
     @contextlib.contextmanager
     def _copied(self) -> Iterator[None]:
-        """Have processes that are started inside the block be copies of the original. By default they would be copies
-        of a server that all users of :mod:`multiprocessing` share, which has loaded other modules."""
+        """Context in which new worker processes are copies of the original. By default they would be copies of a server
+        that all users of :mod:`multiprocessing` share, which has loaded other modules."""
         from multiprocessing import forkserver, popen_forkserver
 
         own: Any = SimpleNamespace(**vars(forkserver))
@@ -153,7 +154,10 @@ def _main_left_out() -> Iterator[None]:
     preparation, ours = spawn.get_preparation_data, threading.get_ident()
 
     def without_main(name: str) -> dict[str, Any]:
-        """Return what :mod:`multiprocessing` tells a new process with this name, without the user's script."""
+        """Return what :mod:`multiprocessing` tells a new process with this name, without the user's script.
+
+        name : name of the new process.
+        """
         told = preparation(name)
         is_ours = threading.get_ident() == ours
         return {key: value for key, value in told.items() if not (is_ours and key.startswith("init_main_"))}

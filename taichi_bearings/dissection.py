@@ -145,8 +145,8 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
 def _best_cut(
     first: np.ndarray, second: np.ndarray, region: np.ndarray, ordered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return two masks (nodes,), for all regions at once: the upper half of each region, across the axis where fewest
-    nodes separate its halves; and these separating nodes.
+    """Return two masks (nodes,). The first marks the upper half of each region; each region is halved across the axis
+    along which fewest nodes separate the halves. The second marks these separating nodes.
 
     first, second : (edges,), numbers of the two nodes of each edge.
     region : (nodes,) number of the region of each node.

@@ -36,7 +36,10 @@ _ended: ContextVar[Callable[[], bool] | None] = ContextVar("ended", default=None
 
 @contextmanager
 def while_wanted(ended: Callable[[], bool]) -> Iterator[None]:
-    """Let work inside the block, at its next call of `look_up`, end with GivenUp once `ended` returns True."""
+    """Context in which work that is no longer wanted ends with GivenUp, at its next call of `look_up`.
+
+    ended : function that returns True once the work is no longer wanted.
+    """
     before = _ended.set(ended)
     try:
         yield
@@ -45,9 +48,8 @@ def while_wanted(ended: Callable[[], bool]) -> Iterator[None]:
 
 
 def look_up() -> None:
-    """Raise GivenUp if the work is no longer wanted (:func:`while_wanted`). Called in long loops, at places where
-    nothing is half done.
-    """
+    """Raise GivenUp if the work is no longer wanted (see :func:`while_wanted`). Long loops call this between two steps,
+    when no result is half written."""
     ended = _ended.get()
     if ended is not None and ended():
         raise GivenUp
@@ -55,7 +57,7 @@ def look_up() -> None:
 
 @contextmanager
 def awaited() -> Iterator[threading.Event]:
-    """Hold Ctrl-C and SIGTERM off inside the block: they only set the event that the block gets."""
+    """Context in which Ctrl-C and SIGTERM do nothing but set an event, which the block gets."""
     heard = threading.Event()
     with leaving.saving(), handled(lambda *_: heard.set()):
         yield heard
@@ -63,10 +65,10 @@ def awaited() -> Iterator[threading.Event]:
 
 @contextmanager
 def unheard_by_children() -> Iterator[None]:
-    """Start processes inside that never hear of Ctrl-C and SIGTERM: this process ends them.
+    """Context in which processes are started that ignore Ctrl-C and SIGTERM: this process ends them itself.
 
-    This process hears of such signals after the block, also where another thread got them. A start that is cut short
-    would leave a process that waits for its task, finds nothing and prints a traceback.
+    Signals that come during the block are handled after it, also if another thread got them. Otherwise the start could
+    be interrupted, and leave a process that waits for its task, finds nothing and prints a traceback.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -93,7 +95,8 @@ def is_loading(frame: FrameType | None) -> bool:
 
 
 def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
-    """Send Ctrl-C once more in a moment, because what the handler raises would be swallowed now, or was.
+    """Send Ctrl-C to this process once more after a moment, because the KeyboardInterrupt that the handler raises would
+    be swallowed now, or was.
 
     is_wanted : function that is called at that moment, and returns False if it is too late.
     """
@@ -117,9 +120,11 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
 
 
 def interrupt(_: int, frame: FrameType | None) -> None:
-    """Handle a signal by raising KeyboardInterrupt, or in a moment if a module is being loaded.
+    """Handle a signal: raise KeyboardInterrupt; or, while a module is being loaded, send the signal again a moment
+    later.
 
-    frame : what runs now.
+    frame : frame of Python that the signal interrupts.
+    _ : number of the signal.
     """
     leaving.note_heard()  # first, since libraries make another exception of the one raised here
     if is_loading(frame):
@@ -129,36 +134,44 @@ def interrupt(_: int, frame: FrameType | None) -> None:
 
 
 def ignored() -> None:
-    """Ignore Ctrl-C and SIGTERM, in a process of our own that is about to end."""
+    """Ignore Ctrl-C and SIGTERM from now on. Called in a command's own process that is about to end."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 def heard_at_once() -> None:
-    """Have Ctrl-C and SIGTERM end what is under way, in a process of our own."""
+    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt from now on. Called in a command's own process, not in that of a
+    user's program."""
     for number in SIGNALS:
         signal.signal(number, interrupt)
 
 
 def always_heard() -> None:
-    """Have Ctrl-C and SIGTERM end what is under way in the process of a command, whatever that is.
+    """Let Ctrl-C and SIGTERM end a command in every case. Called once in the command's own process.
 
-    It also ends where an interrupt is swallowed, or where Python cannot hear of it.
+    A KeyboardInterrupt that a destructor or a callback swallows is sent again. Where compiled code keeps Python from
+    handling the signal, a thread (`leaving.watch`) ends the process.
     """
     heard_at_once()
     leaving.watch()
     unraisable, in_thread = sys.unraisablehook, threading.excepthook
 
     def swallowed(what: Any) -> None:
-        """Handle what a destructor or a callback could not raise: a Ctrl-C is sent again, other errors are shown as
-        usual unless the process is ending."""
+        """Handle an exception of a destructor or a callback, which Python cannot raise: a Ctrl-C is sent again, other
+        errors are shown as usual unless the process is ending.
+
+        what : the exception and where it came from, as `sys.unraisablehook` gets them.
+        """
         if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
             again_soon()
         elif not leaving.heard():  # errors of objects that end with the process do not matter
             unraisable(what)
 
     def failed(what: Any) -> None:
-        """Handle what a thread raises: it is shown as usual, unless the process is ending."""
+        """Handle an exception that has ended a thread: it is shown as usual unless the process is ending.
+
+        what : the exception and its thread, as `threading.excepthook` gets them.
+        """
         if not leaving.heard():
             in_thread(what)
 
@@ -166,7 +179,7 @@ def always_heard() -> None:
 
 
 class Interrupt:
-    """Hears Ctrl-C or a batch queue's SIGTERM without breaking off a step.
+    """Notes Ctrl-C, or the SIGTERM of a batch queue, without interrupting a step of a solve.
 
     A second signal ends the process, unless it comes so soon that the step cannot have ended.
 
@@ -179,17 +192,17 @@ class Interrupt:
         self._context = handled(self._hear)
 
     def __enter__(self) -> "Interrupt":
-        """Have Ctrl-C and SIGTERM heard here from now on."""
+        """Handle Ctrl-C and SIGTERM by :meth:`_hear` from now on."""
         self._context.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the signals back to whoever heard them before."""
+        """Give Ctrl-C and SIGTERM back to the handlers that they had before."""
         self._context.__exit__(None, None, None)
 
     @contextmanager
     def at_once(self, seconds: float = math.inf) -> Iterator[None]:
-        """End the work inside the block with GivenUp, wherever it is, at Ctrl-C or SIGTERM or after so many seconds."""
+        """Context whose work ends with GivenUp, at whatever point it is, at Ctrl-C or SIGTERM, or after `seconds`."""
         timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), self._end)
         try:
             if threading.current_thread() is threading.main_thread() and seconds < math.inf:
@@ -213,7 +226,8 @@ class Interrupt:
     def _hear(self, _: int, frame: FrameType | None) -> None:
         """Handle a signal, or the end of the time that `at_once` allows: note it, and end the work inside `at_once`.
 
-        frame : what runs now.
+        frame : frame of Python that the signal interrupts.
+        _ : number of the signal.
         """
         late, self._too_late = self._too_late, False
         if late:
@@ -224,7 +238,8 @@ class Interrupt:
             raise KeyboardInterrupt
 
         def is_wanted() -> bool:
-            """Return True if the work inside `at_once` is still going on, when the signal is sent again."""
+            """Return True if the work inside `at_once` is still going on. It is asked just before the signal is sent
+            again."""
             self._too_late = late and self._at_once
             return self._at_once
 

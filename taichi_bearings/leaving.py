@@ -36,7 +36,7 @@ _last_word = threading.Lock()  # whoever holds it ends the process
 
 @contextlib.contextmanager
 def saving() -> Iterator[None]:
-    """Keep the process while the work inside lasts: it has something to save, and hears of signals by itself."""
+    """Context for work that saves something: the process is not ended in it. The work handles signals itself."""
     global _saving
     _saving += 1
     try:
@@ -47,8 +47,10 @@ def saving() -> Iterator[None]:
 
 @contextlib.contextmanager
 def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Iterator[None]:
-    """Have a handler called at Ctrl-C and SIGTERM inside the block; in threads other than the main one nothing
-    changes."""
+    """Context in which Ctrl-C and SIGTERM call a handler. In threads other than the main one nothing changes.
+
+    handler : function of the number of the signal and the frame that it interrupts.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -62,8 +64,8 @@ def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM off during the few steps inside the block, which belong together; they are heard after
-    it. In threads other than the main one, which hear of no signals, nothing changes."""
+    """Context for a few steps that belong together: Ctrl-C and SIGTERM that come in it are handled after it. In threads
+    other than the main one, which get no signals, nothing changes."""
     came: list[int] = []
     with handled(lambda number, _: came.append(number)):
         yield
@@ -73,7 +75,10 @@ def undisturbed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def saying(sentence: str) -> Iterator[None]:
-    """Have this sentence, on what is kept, printed if the process is ended inside the block."""
+    """Context in which a sentence is printed if the process is ended: it says what is kept.
+
+    sentence : the sentence.
+    """
     _sentences.append(sentence)
     try:
         yield
@@ -138,7 +143,7 @@ def _is_own() -> bool:
 
 @contextlib.contextmanager
 def by_default() -> Iterator[None]:
-    """Let signals end the command's process inside the block as the system does by default.
+    """Context in which signals end the command's process as the operating system does by default.
 
     That works even in a call of a library that never returns and lets no other thread work. Where something is being
     saved nothing changes.
@@ -152,7 +157,7 @@ def by_default() -> Iterator[None]:
 
 @contextlib.contextmanager
 def by_default_next_time() -> Iterator[None]:
-    """Let the second signal inside the block end the command's process, as the system does by default.
+    """Context in which a second signal ends the command's process, as the operating system does by default.
 
     The first signal is left to Python's handler as usual. Python runs a handler only between two of its own steps, so
     never while a call of a library does not return. Even then a second Ctrl-C ends the process. This needs the function
@@ -183,7 +188,8 @@ def by_default_next_time() -> Iterator[None]:
 
 
 def watch() -> None:
-    """Start the thread that ends this process, which must be a command of our own, wherever a signal is not heard."""
+    """Start a thread that ends this process if a signal comes that Python cannot handle. The process must be that of a
+    command, not that of a user's program."""
     global _watched
     if _watched or sys.platform == "win32":
         return
@@ -195,8 +201,8 @@ def watch() -> None:
 
 
 def _end_the_deaf(reading: int) -> None:
-    """Wait for a stop signal, give the process GRACE seconds to end (anew while something is being saved), then print
-    the last sentence and end it. Runs in a thread of its own.
+    """Wait for a signal, then give the process GRACE seconds to end by itself (again and again while something is being
+    saved). After that print the last sentence and end the process. Runs in a thread of its own.
 
     reading : pipe from which the numbers of signals can be read as they come.
     """
@@ -232,7 +238,7 @@ def end_now(sentence: str = "") -> None:
 
 
 def _leave() -> NoReturn:
-    """End the processes that this one has started, remove its temporary files, and end it."""
+    """End the processes that this one has started, remove its temporary files, and end this process."""
     with contextlib.suppress(Exception):
         multiprocessing: Any = sys.modules.get("multiprocessing")
         for child in multiprocessing.active_children() if multiprocessing else []:

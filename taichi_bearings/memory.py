@@ -73,8 +73,8 @@ def collect_cycles_seldom() -> None:
     """Have Python look for unreachable cycles of objects after 20 000 new ones only; the usual number is 700, or 2 000
     in newer versions.
 
-    A program that loads its modules makes many objects and no such cycles; looking through them again and again takes
-    a tenth of the start.
+    A program that loads its modules makes many objects but no unreachable cycles, and looking for them takes a tenth of
+    the time to start.
     """
     gc.set_threshold(*COLLECTED_AFTER)
 
@@ -82,8 +82,8 @@ def collect_cycles_seldom() -> None:
 def keep_freed() -> None:
     """Have the C library keep memory that large arrays give back, for the arrays that follow.
 
-    Otherwise the system clears each page, and faults it in, whenever it is used again. Without the GNU library nothing
-    changes.
+    Otherwise the operating system takes the pages back, and has to clear them again at their next use. Without the GNU
+    library nothing changes.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

@@ -32,7 +32,7 @@ CLAIMED_FACTOR, CLAIMED_BYTES = (
 
 @contextlib.contextmanager
 def writing(what: object, inside: bool = False) -> Iterator[None]:
-    """Turn an OSError inside the `with` block into a WriteError that says what cannot be written.
+    """Context that turns an OSError inside it into a WriteError, which says what cannot be written.
 
     what : the file or folder that the block writes, for the message.
     inside : `what` is a folder; the message names the file in it that cannot be written.

@@ -140,7 +140,7 @@ class Display:
         del self.stages[self.stages.index(old) :]
 
     def book(self) -> None:
-        """Add the time until now to the innermost stage."""
+        """Add the time since the last change of stages to the innermost stage."""
         now = time.perf_counter()
         self.seconds[self.stages[-1].name if self.stages else BETWEEN] += now - self._since
         self._since = now
@@ -186,7 +186,7 @@ def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
 
 
 def standing(report: Any) -> str:
-    """Return in words where a solve stands: iterations, simulated time, power and gap.
+    """Return in words how far a solve is: iterations, simulated time, power and gap.
 
     report : what the solve says at a check, a solvers.drive.Report.
     """
@@ -260,7 +260,10 @@ def seconds_left(points: Sequence[tuple[float, float]]) -> float:
 
 
 def duration(seconds: float) -> str:
-    """Return seconds in words."""
+    """Return seconds in words.
+
+    seconds : a time, 0 or more.
+    """
     if seconds < 100:
         return f"{max(seconds, 0):.0f} s"
     if seconds < 6000:

@@ -88,14 +88,19 @@ def _fact(name: str) -> Callable[[Answer], object]:
 
 
 def _of_unique_slips(of: Callable[[Answer], object]) -> Callable[[Answer], object]:
-    """Return a function of an answer that calls `of` where the slips of the minimum are unique, as on lattices;
-    elsewhere, in packings, it returns None.
+    """Return a function of an answer that calls `of` on lattices, where the slips at the minimum are unique; for
+    packings it returns None.
+
+    of : function of an answer.
     """
     return lambda answer: of(answer) if answer.solution.scene.driving.slips_are_unique else None
 
 
 def _shape(answer: Answer) -> object:
-    """Return the number of spheres along each axis of the lattice of an answer; None for other packings."""
+    """Return the number of spheres along each axis of the lattice of an answer; None for other packings.
+
+    answer : a result of one or several samples.
+    """
     shape = answer.solution.scene.facts.get("shape")
     return None if shape is None else Whole(shape)
 
@@ -103,6 +108,8 @@ def _shape(answer: Answer) -> object:
 def _iterations(answer: Answer) -> object:
     """Return the iterations of the method that found an answer: one number if all samples were stepped together, else
     one for each sample.
+
+    answer : a result of one or several samples.
     """
     solution = answer.solution
     if solution.scene.driving.samples_step_together:
@@ -470,7 +477,10 @@ def found_in(answer: object, rows: Mapping[str, Quantity]) -> Iterator[tuple[Qua
 
 
 def _ratio(value: float, unit: float) -> float:
-    """Return value / unit, or not-a-number where the unit is 0."""
+    """Return value / unit, or not-a-number where the unit is 0.
+
+    value, unit : two numbers.
+    """
     return value / unit if unit > 0 else np.nan
 
 

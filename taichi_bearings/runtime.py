@@ -192,9 +192,8 @@ _computing = threading.RLock()
 
 @contextlib.contextmanager
 def computing_in(kind: str) -> Iterator[None]:
-    """Have kernels that are compiled inside the block compute with numbers of the type `kind`, "float32" or "float64",
-    whatever the precision of the runtime. Other threads that compile in such a block wait.
-    """
+    """Context in which kernels are compiled for numbers of the type `kind`, "float32" or "float64", whatever the
+    precision of the runtime. Other threads that compile in such a block wait."""
     from taichi_bearings.compiler import ti
 
     with _computing:
@@ -227,7 +226,7 @@ def wait() -> None:
 
 @contextlib.contextmanager
 def _out_of_memory() -> Iterator[None]:
-    """Turn what Taichi raises without enough memory into MemoryError."""
+    """Context that turns what Taichi raises when memory is short into MemoryError."""
     try:
         yield
     except RuntimeError as error:

@@ -36,7 +36,10 @@ class Stage:
     expected: float = 0.0
 
     def tell(self, report: object) -> None:
-        """Report to the listener where this stage stands: `report` becomes its attribute of this name."""
+        """Store a report on how far this stage is, and notify the listener.
+
+        report : the new value of the attribute `report`.
+        """
         self.report = report
         if who := listener.get():
             who.hear(self)
@@ -84,5 +87,8 @@ def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None 
 
 
 def alike(_: object) -> float:
-    """Return 1, as the work of each of many items that take about the same time."""
+    """Return 1, as the work of each of many items that take about the same time.
+
+    _ : the item, which does not matter.
+    """
     return 1.0

@@ -448,7 +448,10 @@ def _constant_from(core: Any, sort: int, value: Any, more: Any = None) -> Any:
 
 
 def _is_ours(module: str) -> bool:
-    """Return True for the name of a module of this package's kernels."""
+    """Return True for the name of a module of this package's kernels.
+
+    module : the name.
+    """
     return module == KERNELS or module.startswith(f"{KERNELS}.")
 
 

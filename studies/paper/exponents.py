@@ -67,7 +67,7 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
 
 
 def study(folder: Path, effort: Effort) -> StudyResult:
-    """Find the lightest cuts of random lattices; return table, figure and values for the claims.
+    """Compute the lightest cuts of random lattices; return table, figure and values for the claims.
 
     Some cuts have held ends (they begin and end in the middle of both sides), for several lengths of the cut; others
     have free ends, for several heights of the lattice.

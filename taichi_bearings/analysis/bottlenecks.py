@@ -360,9 +360,9 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
 
 
 def _send_home(levels: Sequence[_Level], is_target: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Send one unit from every target back to the source of each search, split over its shortest paths. Return two
-    things: a list with what arrives at the spheres of each level, and one array with what flows through the links, from
-    the farthest level to the nearest.
+    """Divide one unit, which starts at every target, over the shortest paths back to the source of its search. Return
+    two things: a list with the amount that arrives at the spheres of each level, and an array with the amount that
+    flows through each link, levels one after the other from the farthest to the nearest.
 
     levels : levels of the searches, the nearest first.
     is_target : (spheres,) mask of the targets.

@@ -119,9 +119,8 @@ class RigidDomains:
 
     @cached_property
     def kind(self) -> np.ndarray:
-        """(domains D,) for each rigid domain the index in `locks` of its kind: to which driven bodies it is locked in
-        its components.
-        """
+        """(domains D,) the kind of each rigid domain, as an index in `locks`: to which driven bodies slipless contacts
+        join it in its components."""
         own = [(self.lock >> body & 1 > 0).all(axis=1) for body in range(len(self.bodies))]
         held, several = self.lock != Lock.NEITHER, np.sum(own, axis=0) > 1
         answers = [several, *own, held.all(axis=1), held.any(axis=1)]
@@ -130,8 +129,8 @@ class RigidDomains:
 
     @property
     def turn(self) -> np.ndarray:
-        """(domains D, components C) spin of each rigid domain by component as a fraction: 0 is that of the bottom, 1
-        that of the top in its layers.
+        """(domains D, components C) spin of each rigid domain, by component, as a fraction: 0 for the spin of the
+        bottom, 1 for the spin of the top in the layers of the domain.
 
         It is 0 where bottom and top have the same spin.
         """
@@ -180,8 +179,8 @@ def domains_of_packing(
 
     network : the slipless contacts.
     signed_speeds : (spheres N, components C), sign * radius * spin, length/time.
-    states : (2, N, C), these numbers if all spheres rotated with the first, or with the second, of two driven bodies;
-        None if there are no two bodies in bearing states.
+    states : (2, N, C), sign * radius * spin of all spheres if they rotated with the first, or with the second, of two
+        driven bodies; None if there are not two bodies in bearing states.
     near : difference of speeds within a domain that rounding may cause, length/time.
     axes : numbers of the components that are compared.
     """
@@ -212,8 +211,8 @@ def domains_of_packing(
 
 
 def _near_values_grouped(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
-    """Return labels (spheres,) of groups of spheres. Two spheres of one connected piece are in one group if, of all
-    values in the piece between theirs, no two successive ones differ by more than `near`.
+    """Return labels (spheres,) that divide spheres into groups of nearly equal values. The values in a connected piece
+    are sorted; a new group begins wherever two successive ones differ by more than `near`.
 
     piece : (spheres,), number of the connected piece of each sphere.
     values : (spheres,), the values that are compared.
@@ -243,8 +242,8 @@ def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tup
 
     network : the slipless contacts.
     component : number of the component.
-    uneven : True if the imposed spins vary along a driven plane. Each layer across the component's axis then counts as
-        having a bottom and a top body of its own.
+    uneven : True if the imposed spins vary along a driven plane. Then each layer across the axis of the component has a
+        bottom body and a top body of its own.
     """
     # contacts along the axis of the component do not slip by it and join nothing
     chosen = network.axis != component

@@ -121,8 +121,8 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> Samp
     bins_per_decade : bins per decade of the new bins; it must divide that of `fine`, which callers check.
     unit : (S,), the new unit of power in each sample.
 
-    Each sample is shifted by a whole number of fine bins, so a power may be off by half a fine bin; where the unit is 1
-    nothing is shifted.
+    Each sample is shifted by a whole number of fine bins, so its powers may be off by half a fine bin. If its unit is 1
+    it is not shifted.
     """
     merged = fine.bins_per_decade // bins_per_decade
     move = np.rint(fine.bins_per_decade * np.log10(1 / unit)).astype(int)

@@ -60,7 +60,8 @@ class SliplessNetwork:
 
     @cached_property
     def axis(self) -> np.ndarray:
-        """(edges,), axis of each edge of a lattice: all contacts along x first, then y (then z)."""
+        """(edges,), number of the axis along which each edge of a lattice lies: first all edges along x, then y (then
+        z)."""
         return np.asarray(self.lattice.axis[self.slipless])
 
     @cached_property

@@ -258,6 +258,8 @@ class Structure:
     def _slipping_components(self, near: float) -> tuple[int, ...]:
         """Return the numbers of the spin components in which some contact slips by more than `near`, length/time; all
         if none does.
+
+        near : slip speed, length/time, up to which a contact counts as not slipping.
         """
         acts = self.state != ContactState.DRIVEN
         both, normal = self.speeds(self.spin)[self.whole.contact[:, acts]].sum(axis=0), self.whole.normal[acts]

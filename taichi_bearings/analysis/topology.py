@@ -55,7 +55,10 @@ class Topology:
 
 
 def topology_of(bearing: Bearing) -> Topology:
-    """Return the topology of a bearing, which depends on its contacts alone and not on their coefficients."""
+    """Return the topology of a bearing, which depends on its contacts alone and not on their coefficients.
+
+    bearing : a lattice or a packing.
+    """
     network = bearing.network
     count, held = network.spheres, ~network.free
     label = pieces(count, *network.contact)

@@ -115,8 +115,9 @@ class Team:
         """Choose how many workers (threads) the next launches have, and how long these are, by the processor time that
         the last one got.
 
-        If the team got nearly as many processors as it has workers, the next launch may take twice as long. Else it
-        goes on for `rest` seconds with as many workers as it got processors; `rest` is doubled for the next time.
+        If the team got nearly as many processors as it has workers, the next launch may take twice as long. Else the
+        team goes on with only as many workers as it got processors, for `rest` seconds; the next such pause is twice as
+        long.
 
         processors : processor time over wall time of the last launch, the mean number of processors at work.
         """
@@ -238,16 +239,17 @@ class Sweeps:
         """Return the list of numbers that a worker (a thread with a share of the blocks of sites) passes from each of
         its blocks to the next in one sweep, as its first block gets it.
 
-        Where a worker does both parts of a step for a block before the next one (`joined`), the list has the index of
-        the first site for which the second part may follow at once, since all its lower neighbours are the worker's
-        own; else it is [0.0], which is not used. Methods that pass on something else override this.
+        If a worker makes both parts of a step for one block before it begins the next block (`joined`), the list has
+        the index of the first site for which the second part may follow at once, since all its lower neighbours belong
+        to the same worker. Else it is [0.0], which is not used. Methods that pass on something else override this.
 
         values : all fields, flat; not used here.
         size : integers; on lattices first the length of a row (one number of every site), the numbers in a row before
             the first site, the number of blocks, and the distance in memory to the neighbour along x.
         low : number of the worker's first block.
         numbers : constants of the kernel; not used here.
-        sweep : number of the sweep; not used here."""
+        sweep : number of the sweep; not used here.
+        """
         if ti.static(self.joined):
             return [size[1] + (low + size[3] // self.block + 1) * self.block]
         return [0.0]

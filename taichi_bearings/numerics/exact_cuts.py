@@ -28,8 +28,8 @@ class LightestCuts:
     """What all lightest cuts of a graph have in common. A cut divides the nodes into a side with the first node and a
     side with the last one; its weight is the sum of the weights of the edges between the sides.
 
-    near, far : (nodes,) True for nodes that lie on the side of the first, or of the last, node in every cut that is as
-        light as the lightest one, or heavier by no more than the slack that the caller of `lightest_cuts` allows.
+    near, far : (nodes,) True for nodes that are on the side of the first, or of the last, node in every lightest cut.
+        Cuts that are heavier by no more than the slack of `lightest_cuts` count as lightest here.
     above : (nodes,) True on the last node's side, for the lightest cut with the fewest nodes on the other side.
     some, every : (edges,) True for edges with capacity that belong to some lightest cut, or to every one (no slack).
     residual : directed graph (nodes, nodes) of the arcs with capacity left. A lightest cut that has node i on the side

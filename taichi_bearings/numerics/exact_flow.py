@@ -86,9 +86,9 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
     pairs : (2, P) nodes of each of P joined pairs, lower and upper.
     part : (nodes,) number of the connected part of each node.
 
-    Each round finds a largest flow of the leading bits of all capacities, in a unit of each part, and takes it away.
-    What can still flow is then less than a unit per edge of some cut; the next round cuts capacities down to that bound
-    and so works in a finer unit, until nothing is left.
+    Each round takes the leading bits of all capacities, in a unit for each connected part, and takes the largest flow
+    of these whole numbers away. After that less than one unit for each edge of some cut can still flow. So the next
+    round can cut capacities down to that bound and work with a finer unit, until nothing is left.
     """
     count, nodes = int(part.max(initial=-1)) + 1, len(part)
     kind = left.there.dtype

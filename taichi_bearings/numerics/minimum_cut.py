@@ -113,8 +113,9 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
     weight : weights of the contacts of R lattices of shape N, one array (R, *contacts) for each axis.
     cut : lightest cuts for these weights, the answer of :func:`minimum_cut`.
 
-    No other cut of this kind contains all contacts of `cut`. So the lightest one is found by leaving out, in turn, each
-    of the contacts of `cut`: it is given an infinite weight. That takes a flow for each, so this is for small lattices.
+    Another cut of this kind lacks at least one contact of `cut`. So for each contact of `cut` in turn the lightest cut
+    without it is found, by giving it an infinite weight, and the lightest of all these is returned. That takes a flow
+    for each contact, so this is for small lattices.
     """
     sides, lattice = np.empty_like(cut.above), Lattice.of(weight)
     for replica in range(len(sides)):

@@ -135,9 +135,9 @@ def _no_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence if a run ended early: why, and what it had reached, which is the proven gap of a minimisation,
-    or the simulated time of a dynamics and the torques that were left over if its motion was not at rest. If power and
-    slips of a minimisation that got no closer are so small that they may be rounding alone, that is said instead.
+    """Yield a sentence if a run ended early: why, and what it had reached. That is the proven gap of a minimisation; or
+    the simulated time of a dynamics, with the leftover torques if its motion was not at rest. If power and slips of a
+    minimisation that got no closer may be rounding alone, the sentence says so instead.
 
     solution : the answer to all samples.
     settings : settings of the run, with the tolerance and the duration that were asked for.

@@ -126,9 +126,8 @@ def _seconds_in_all(settings: RunSettings, others: float, solve: float | None) -
 
 
 def _steps(settings: RunSettings, row: type[MethodOptions], scene: Scene) -> int | None:
-    """Return how many steps a dynamics or a descent on a lattice makes at most: the limit on the iterations, or the
-    duration of a dynamics over the length of its time step, if that is less. None where it continues until it is at
-    rest.
+    """Return the most steps that a dynamics or a descent on a lattice makes: the limit on the iterations, or the
+    duration of a dynamics over the length of a step, whichever is less. None if it continues until it is at rest.
 
     settings : settings of the run.
     row : class of the method.

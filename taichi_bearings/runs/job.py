@@ -93,7 +93,7 @@ class Door(ABC):
     @abstractmethod
     def are_solved_together(self, settings: RunSettings, spheres: int) -> bool:
         """Return True if samples that differ in their seeds alone can be solved at once, each with the same bits as
-        alone. False where one of them could end before the others, or where a file gives what seeds would change.
+        alone. False if one of them could end before the others, or if a file gives what would be drawn from the seeds.
 
         settings : settings of any of them.
         spheres : number of spheres of a sample.

@@ -308,9 +308,9 @@ def solve_job(
 
 
 def _better_answer(first: Solution, second: Solution, tolerance: float) -> Solution:
-    """Return the better of two answers to one sample. Both get the forces that prove the higher of their two lower
-    bounds. The second answer is returned only if it alone is within the tolerance, or if its gap is less than half of
-    the other.
+    """Return the better of two answers to one sample. First the forces that prove the higher of the two lower bounds
+    are put into both. Then the second answer is better if it alone is within the tolerance, or if its gap is less than
+    half of the gap of the first.
 
     first, second : the two answers.
     tolerance : relative gap that was asked for.

@@ -99,7 +99,7 @@ class Result:
 
     @property
     def packing(self) -> Bearing | None:
-        """The :class:`Packing` that was solved, or the first of several samples; None for lattices."""
+        """The :class:`Packing` that was solved; if there are several samples, the first of them; None for lattices."""
         return self.scene.sample(0) if self.scene.network.lattice is None else None
 
     @property
@@ -154,8 +154,8 @@ class Result:
 
     @cached_property
     def separation(self) -> Separation:
-        """The largest slip of slipless contacts and the smallest of slipping ones, with the powers of ten between them:
-        arrays (samples R,)."""
+        """The largest slip of a slipless contact and the smallest slip of a slipping contact, length/time, with the
+        powers of ten between them: arrays (samples R,)."""
         return separate(self.scene, self.solution.slip, self.solution.state)
 
     @property
@@ -469,9 +469,9 @@ for _name, _row in CONTACTS.items():
 
 
 def together(ones: Sequence[Mapping[str, object]]) -> Json:
-    """Return the numbers of all samples by name: lists with one entry each, or, for a single sample, its numbers as
-    they are.
+    """Return the numbers of all samples by name. With one sample they are its numbers as they are, with several samples
+    lists with an entry for each.
 
-    ones : numbers of each sample, by name.
+    ones : for each sample its numbers, by name.
     """
     return dict(ones[0]) if len(ones) == 1 else {key: [one[key] for one in ones] for key in ones[0]}

@@ -46,9 +46,10 @@ class RunDirectory:
     replaced: os.stat_result | None = None
 
     def publish(self) -> None:
-        """Give the directory its name in one move; the directory that it replaces is removed.
+        """Give the directory its name `path` in one move, and remove the directory that had this name.
 
-        Raises WriteError if that is not possible. Whatever else has taken the name in the meantime stays.
+        Raises WriteError if that is not possible. If another program created something under this name in the meantime,
+        that stays.
         """
         with writing(self.path):
             standing = os.lstat(self.path) if os.path.lexists(self.path) else None
@@ -286,7 +287,10 @@ def writable_folder(path: Path, part: str = "") -> Iterator[None]:
 
 
 def default_run_path(command: str = "run") -> Path:
-    """Return a new name for a run directory, outputs/<time>-<command>-<id> below the working folder."""
+    """Return a new name for a run directory, outputs/<time>-<command>-<id> below the working folder.
+
+    command : word for the middle of the name, such as "run".
+    """
     return Path("outputs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{command}-{secrets.token_hex(2)}"
 
 

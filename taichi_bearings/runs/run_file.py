@@ -163,8 +163,8 @@ def opened_to_draw(
 
 
 def replica_drawn(found: Result, replica: int) -> dict[str, int]:
-    """Return two numbers by name, for reports on a picture: `replica`, the sample that it shows, and `replicas`, how
-    many samples the run has; an empty dictionary if the run has only one.
+    """Return two numbers by name, for the report on a picture: `replica`, the sample that it shows, and `replicas`, the
+    number of samples of the run. Return an empty dictionary if the run has one sample only.
 
     found : the run.
     replica : number of the sample, from 0.

@@ -68,10 +68,11 @@ def _read_times(value: Any) -> str:
 
 
 def _read_bearing_state(value: object) -> tuple[float, ...]:
-    """Return a bearing state as (A_x, A_y, A_z, C), or (A_z,) of discs: the spin A of a driven plane, 1/time, and the
-    rate C at which it changes with the place. Raises ValueError for anything else.
+    """Return a bearing state, (A_x, A_y, A_z, C) of spheres or (A_z,) of discs. A is the spin of a driven plane,
+    1/time. C, 1/(time length), is the growth of component k of the spin for each unit of length along axis k; it is 0
+    if three numbers are given. Raises ValueError unless the value is one, three or four real numbers.
 
-    value : a text such as "1,1,0;0.2", or numbers.
+    value : a text such as "1,1,0;0.2", or a list of numbers.
     """
     parts = numbers(REAL.read, (1, 3, 4))(value.replace(";", ",") if isinstance(value, str) else value)
     return (*parts, 0.0) if len(parts) == 3 else parts
@@ -597,9 +598,11 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
 
 
 def placed(value: object, folder: Path) -> Any:
-    """Return the name of a file, or a list of names, with the folder put before it if the folder has such a file.
+    """Return the name of a file with a folder put before it, if the folder has such a file; else the name as it is. Of
+    a list of names each is treated so.
 
     value : a name or a list of names; anything else is returned as it is.
+    folder : the folder.
     """
     if isinstance(value, list):
         return [placed(part, folder) for part in value]
@@ -610,6 +613,7 @@ def _refuse_unwritable(value: object, depth: int = 0) -> None:
     """Raise ValueError for integers of more than 64 bits, and for values nested too deeply, which TOML allows.
 
     depth : how deep the value itself is nested.
+    value : a value as TOML may have it, such as a number, a text, a list or a table.
     """
     if isinstance(value, int) and value.bit_length() > 64:
         raise ValueError("a whole number needs more than 64 bits, the most that is read")

@@ -112,13 +112,14 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
 
 
 def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
-    """Return by name four findings on a torque on the top, (samples R,) each: `yields`, True if friction is proven not
-    to hold it; `yield_torque` and `yield_torque_lower_bound`, force*length, proven bounds on the torque that friction
-    holds; and `amplitude`, the factor by which the imposed motion is multiplied: 0 if the torque is held, not-a-number
-    if nothing limits the motion or the bounds do not decide.
+    """Return by name four findings on a torque on the top, (samples R,) each. `yields` is True if friction is proven
+    not to hold the torque. `yield_torque` and `yield_torque_lower_bound`, force*length, are proven bounds on the torque
+    that friction holds. `amplitude` is the factor by which the imposed motion is multiplied, with the sign of the
+    torque: 1 is the imposed motion, 0 means that the torque is held; not-a-number if nothing limits the motion or the
+    bounds do not decide.
 
-    solution : the answer with the top moved as imposed, which is the factor 1.
-    torque : force*length.
+    solution : the answer for the imposed motion of the top.
+    torque : force*length, along the imposed motion of the top; negative against it.
     solve : function that solves another scene or packing in the same way.
     """
     scene = solution.scene
@@ -174,9 +175,9 @@ def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> floa
     """Return the factor a such that a torque keeps the top moving with a times the imposed motion. NaN if a solve
     misses its tolerance.
 
-    Callers take `least` from a bound on the torque P(a) / a, where P is the power. Let P_f be the least power of
-    friction alone, and Q the power that viscosity adds in that motion. The potential is convex, and at most a P_f + a^2
-    Q / 2; so the torque is at most P_f + 2 a Q.
+    `least` comes from a bound on the torque P(a) / a, where P is the power at a times the imposed motion. Let P_f be
+    the least power of friction alone, and Q the power that viscosity adds in that motion. The potential is convex, and
+    at most a P_f + a^2 Q / 2; so the torque is at most P_f + 2 a Q.
 
     scene : one sample.
     torque : size of the torque, force*length, above what friction holds.

@@ -363,7 +363,10 @@ def _summary_contradictions(run: Result, path: Path) -> Iterator[str]:
 
 
 def _as_json(value: Any) -> Any:
-    """Return the value of an attribute as summary.json has it: None for an empty text or not-a-number."""
+    """Return the value of an attribute as summary.json has it: None for an empty text or not-a-number.
+
+    value : the value in the HDF5 file.
+    """
     plainly = np.asarray(value).tolist()
     listed = [None if v == "" or v != v else v for v in (plainly if isinstance(plainly, list) else [plainly])]
     return listed if isinstance(plainly, list) else listed[0]

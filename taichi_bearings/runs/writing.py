@@ -119,7 +119,7 @@ def write_state(file: Path, found: "Result", stored: RunSettings) -> None:
 
 @contextlib.contextmanager
 def _unless_full() -> Iterator[None]:
-    """Context in which a WriteError, such as on a full disk, becomes a warning: the files written before are enough."""
+    """Context that turns a WriteError, such as on a full disk, into a warning, as the files written before suffice."""
     try:
         yield
     except WriteError as error:

@@ -164,10 +164,10 @@ class WorkLeft:
             kind.seconds += seconds + seconds_beside(sample.settings, self.structure)
 
     def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
-        """Return the seconds left at the pace so far, None while too little is finished to tell. The pace includes how
-        fast the machines are and all that is done apart from solving.
+        """Return the seconds left at the pace so far; None while too little is finished to tell. The pace is wall time
+        per estimated work, so it includes the speed of the machines and all that is done apart from solving.
 
-        running : units (tuples of samples) in work, which are taken to be half done.
+        running : units (tuples of samples) in work; half of each is taken to be done.
         workers : number of workers.
         elapsed : seconds since the start.
         """

@@ -117,9 +117,8 @@ def _source_of_scan(scan: StoredScan) -> Source:
         return table[name]
 
     def disorder() -> list[Any]:
-        """Return for each sample with a result a name of its disorder, equal for samples with the same coefficients in
-        one system.
-        """
+        """Return for each sample with a result a name of its disorder: samples with the same coefficients, in one
+        system, have equal names."""
         document = parse_toml(str(scan.attributes["scan"]))  # keys that all samples share
         alike = RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
         return disorder_of({name: values[own] for name, values in table.items()}, alike)

@@ -60,9 +60,9 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     plan : all samples of the scan with their settings.
     of : number of parts.
 
-    Samples that differ in the seed only are shared out evenly, with successive seeds together, since those can be
-    solved as one block. What remains goes to the next parts in turn, large lattices first, so that the parts have
-    similar amounts of work. The order does not depend on the scan file otherwise.
+    Samples that differ in the seed only are divided evenly among the parts; successive seeds stay together, as they can
+    be solved as one block. What cannot be divided evenly goes to the parts in turn, large lattices first, so that all
+    parts have similar amounts of work. The order of other entries in the scan file does not matter.
     """
     groups = sorted(groups_of(plan.samples), key=lambda group: (-spheres_of(group[0].settings), group[0].key))
     numbers: dict[str, int] = {}

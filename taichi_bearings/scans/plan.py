@@ -88,8 +88,10 @@ class ScanPlan:
         return toml_text(self.options) + self.settings
 
     def going_on_in(self, folder: Path) -> "ScanPlan":
-        """Return the plan completed by options of the scan (SCAN_OPTIONS) that were given before: they are taken from
-        scan.toml in the folder where this plan gives none.
+        """Return the plan completed by options that `folder` was given earlier: options of the scan (SCAN_OPTIONS) that
+        this plan lacks are taken from the scan.toml there.
+
+        folder : folder of the scan.
         """
         file = folder / "scan.toml"
         known = _scan_options_in(read_toml(file)) if file.is_file() else {}
@@ -331,8 +333,9 @@ def _content(name: str, path: Path, *_: int) -> str:
 
 
 def spheres_of(settings: RunSettings) -> int:
-    """Return the number of spheres of a sample with these settings; raise FileError for a packing that cannot be
-    read.
+    """Return the number of spheres of a sample with these settings; raise FileError for a packing that cannot be read.
+
+    settings : settings of one sample.
     """
     packing = settings.packing
     return math.prod(settings.shape) if packing is None else _spheres(packing, content_of(packing))
@@ -342,6 +345,8 @@ def spheres_of(settings: RunSettings) -> int:
 def _spheres(name: str, _: str) -> int:
     """Return the number of spheres in the packing file `name`; it is read again only if the hash of its content, the
     last argument, has changed.
+
+    _ : hash of the content of the file; the result is kept for each pair of name and hash.
     """
     from taichi_bearings.scene.packing import Packing  # and with it much of SciPy
 

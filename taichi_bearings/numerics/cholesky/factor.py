@@ -69,7 +69,7 @@ class Memory:
         self._numbers, self.changes = np.zeros(0), 0
 
     def free(self) -> None:
-        """Give the memory back to the system."""
+        """Give the memory back to the operating system."""
         self._numbers, self.changes = np.zeros(0), self.changes + 1
 
     def take(self, size: int, what: str) -> np.ndarray:
@@ -156,7 +156,8 @@ class Cholesky:
         return factor.solution[:, :samples].take(self.pattern.place, axis=0)
 
     def forget(self) -> None:
-        """Give the memory of a large factor back; it has to be factorised anew before it solves."""
+        """Give the memory of the factor back if it has more than tuning.LARGE_FACTOR_NUMBERS entries. The matrix has to
+        be factorised anew before it is solved with again."""
         if self.pattern.factor_entries > tuning.LARGE_FACTOR_NUMBERS:
             for factor in self._factors.values():
                 factor.forget()

@@ -125,8 +125,9 @@ class Pattern(SparsePattern):
         return float(self.operations_of_fronts.sum())
 
     def within(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
-        """Return the row (n,) of each of n unknowns within a front, a dense matrix. Its first rows are those of its own
-        unknowns, which are eliminated in it; then come those of its border, later unknowns that are coupled to its own.
+        """Return for each of n unknowns its row (n,) within a front, a dense matrix. The first rows of a front belong
+        to its own unknowns, which are eliminated in it; then come rows for the later unknowns that these are coupled
+        to, its border.
 
         front : (n,) index of the front.
         unknown : (n,) place of the unknown in the order of elimination.

@@ -193,8 +193,8 @@ def _relatives(parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _runs(rows: np.ndarray, border: np.ndarray) -> np.ndarray:
-    """Return for each row of a border, (rows,), how many rows from it on, itself included, also follow each other in
-    the front above, so that they can be added together.
+    """Return for each row of a border, (rows,), the length of the run that begins there: how many rows of the border,
+    this one included, go to successive rows of the front above, so that they can be added together.
 
     A front is a dense block of the factorisation; its border are the rows that are added to the front above.
 

@@ -182,8 +182,8 @@ def _trace(
 
 
 def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return for each face, (faces,), the position on the shortest path, from the left to the right outside, of the
-    last face that this path shares with the shortest way from the left outside to the face; 0 for none.
+    """Return for each face, (faces,), how far the shortest way to it follows the shortest path: the position on this
+    path of the last face that both share; 0 if they share none. Both start at the left outside.
 
     before : (faces,) the face before each face on the shortest way to it; a number beyond all faces for the outside.
     order : (faces,) position of each face on the shortest path, counted from 1, and 0 off it.
