@@ -26,6 +26,8 @@ class Text(click.types.StringParamType):
     def shell_complete(self, context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Return what the shell can complete the typed text `incomplete` to: names that begin with it, or files. Click
         calls this with its own context and option, which are not used.
+
+        param : the option, not used.
         """
         if not self.names:
             return [CompletionItem(incomplete, type="file")]
@@ -107,7 +109,10 @@ EVERYTHING = "taichi_bearings_cli.everything"  # key in a context's `meta`: True
 
 
 def _show_everything(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Print the help with all options and exit the context of the command, if `asked`: the callback of --help-all."""
+    """Print the help with all options and exit the context of the command, if `asked`: the callback of --help-all.
+
+    _ : the option of click, not used.
+    """
     if asked:
         context.meta[EVERYTHING] = True
         click.echo(context.get_help())
@@ -131,6 +136,8 @@ def _section_of(item: Option | None) -> str:
 def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
     """Return the settings of a run as options. The argument, names of methods and laws, is not used: it only makes the
     cache depend on these, since others can register their own.
+
+    _ : names of methods and laws, not used: the cache depends on them, since others can register their own.
     """
     options = []
     for key, item in settings_table().items():

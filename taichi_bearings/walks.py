@@ -376,8 +376,8 @@ class _Record:
         raise Unkept
 
     def _constant(self, described: tuple[Any, ...]) -> int:
-        """Return the place (a negative number, by which the recorded calls refer to it) of a constant of the walk; a
-        constant gets a new place when it is first seen.
+        """Return the place of a constant of the walk, a negative number by which recorded calls refer to it. A constant
+        that is seen for the first time gets a new place.
 
         described : its sort (PLAINLY, KIND or MEMBER) and what `_constant_from` makes it of. Its text is part of the
             key, so that equal numbers of different types, and the two zeros, are different constants.

@@ -149,6 +149,7 @@ def _our_seconds_a_step(method: Any, steps: int, _: int) -> float:
 
     method : the dynamics, begun.
     steps : number of steps.
+    _ : number of the round, not used.
     """
     began = time.process_time()
     method.advance(steps)
@@ -161,6 +162,7 @@ def _their_seconds_a_step(code: Code, request: Mapping[str, Any], _: int) -> flo
 
     code : the other code.
     request : lattice and number of steps, as :func:`request_of` returns them.
+    _ : number of the round, not used.
     """
     found, shape = code.measure(request), tuple(request["shape"])
     seen, ours = found["contacts"], Lattice(shape).contacts

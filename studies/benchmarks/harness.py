@@ -103,6 +103,8 @@ def clocked(call: Callable[[int], None], number: int = 1, _: int = 0) -> tuple[f
     """Return wall and processor time, seconds, of one repetition, as the mean over one call.
 
     call : function that repeats something `number` times. The last argument, the number of the round, is not used.
+    number : how often it is repeated.
+    _ : number of the round, not used.
     """
     began, at = time.perf_counter(), time.process_time()
     call(number)

@@ -128,6 +128,7 @@ def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int
     programme : the conic programme that it is given.
     threads : number of threads.
     seconds : time limit for each tolerance. The last argument, the number of the round, is not used.
+    _ : number of the round, not used.
     """
     answers, asked = [], []
     for tolerance in TOLERANCES:

@@ -108,7 +108,8 @@ def draw_plane_cuts(shown: Structure) -> Figure:
 
 def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
     """Return up to PLANES upright lattice planes that hold most of a path, each as (axis across it, index along that
-    axis). Each next one is the plane with most contacts of the path that are not in those before.
+    axis). They are chosen one by one: each is the plane with most contacts of the path that are in no plane chosen
+    before.
 
     path : (spheres, 3) lattice indices of the spheres along the path.
     """

@@ -127,8 +127,8 @@ def exponent(
     """Return the exponent with which the standard deviation of samples (or another quantity) grows with the size.
 
     samples : for each size, (samples, ...).
-    square : function that returns what grows like A L^(2 value), from the samples of one size; by default their
-        variance.
+    square : function that returns, from the samples of one size, the quantity that grows like A L^(2 value); by default
+        the variance.
     further : exponents of L in further terms that are fitted as well, first that of a constant offset, 0.
     """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
@@ -271,6 +271,7 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
         """Return the trial exponent with which the curves of some sizes lie closest together, and their misfit.
 
         drawn : function that resamples the samples of a point; by default they are taken as they are.
+        sizes : the sizes, keys of `curves`.
         """
         means = {L: np.array([drawn(v).mean() for v in curves[L].values()]) for L in sizes}
         courses = {L: CubicSpline(np.log(list(curves[L])), means[L]) for L in sizes}

@@ -196,9 +196,9 @@ def well_sampled(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
 
 
 def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
-    """Return the entries of `curves` whose interface, the layer of slipping contacts below the discs that roll
-    with the top, can only be held by odd contacts: it is at least FEWEST_LAYERS layers below the top, and far
-    above the bottom, since less than LARGEST_SHARE of the discs roll.
+    """Return the entries of `curves` in which nothing but odd contacts can hold the interface, the layer of slipping
+    contacts below the discs that roll with the top: it is at least FEWEST_LAYERS layers below the top, and far above
+    the bottom, since less than LARGEST_SHARE of the discs roll.
 
     curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares
         (samples,) of discs that roll. n = 0 is left out.

@@ -78,6 +78,7 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
     layers : effective number of layers over which the spin changes: 1 / sum of share^2, where the share of a gap
         between two layers is its part of the change of the mean spin, with signs that alternate between neighbours. It
         is 1 if all of the change is between two layers.
+    structure : network, domains and cut of the sample.
     """
     scene, cut = of_lattice(structure.scene), structure.interface
     assert cut is not None  # as a lattice has two planes

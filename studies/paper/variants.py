@@ -101,8 +101,10 @@ def samples_of(
 
 def spread_numbers(structure: Structure) -> dict[str, Any]:
     """Return the columns of one sample of a distribution: those of :func:`.samples.shared_numbers`, and `decades`, the
-    orders of magnitude from the smallest to the largest power of a slipping contact; None where it is not proven
-    which contacts slip.
+    orders of magnitude from the smallest to the largest power of a slipping contact; None where it is not proven which
+    contacts slip.
+
+    structure : network, domains and cut of the sample.
     """
     scene = structure.scene
     power = scene.law.power(scene.material, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
@@ -119,6 +121,7 @@ def driven_numbers(structure: Structure) -> dict[str, Any]:
     power_over_jump : power over F_n R times the part of the jump across the height (times the whole jump, where it has
         no such part).
     angle : direction of the jump, degrees from x.
+    structure : network, domains and cut of the sample.
     """
     scene = of_lattice(structure.scene)
     jump = np.abs(scene.driving.difference.spin[0])

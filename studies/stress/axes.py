@@ -163,13 +163,18 @@ def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
 
 
 def _uniform(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
-    """Return coefficients, an array of this shape, that are drawn from a generator uniformly in [0.1, 1]."""
+    """Return coefficients, an array of this shape, that are drawn from a generator uniformly in [0.1, 1].
+
+    rng : generator of random numbers.
+    """
     return rng.uniform(0.1, 1.0, shape)
 
 
 def _log_uniform(rng: np.random.Generator, shape: Sequence[int], value: float) -> np.ndarray:
     """Return coefficients, an array of this shape, that are drawn from a generator uniformly in their logarithm, over
     `value` decades around 1.
+
+    rng : generator of random numbers.
     """
     return 10.0 ** (value * (rng.uniform(0, 1, shape) - 0.5))
 
@@ -275,6 +280,7 @@ def _nearly_equal(_: Scene, value: str) -> dict[str, Any]:
     """Return a spin of the bottom that is nearly, or exactly, the spin 1 of the top.
 
     value : 1 - omega_B / omega_T as a text, "an ulp" for the next double, or "equal".
+    _ : the scene, not used.
     """
     bottom = {"equal": 1.0, "an ulp": np.nextafter(1.0, 0.0)}.get(value) or 1.0 - float(value)
     return {"spin_bottom": float(bottom)}
@@ -284,8 +290,9 @@ def _common_state(_: Scene, value: float) -> dict[str, Any]:
     """Return bearing states A + C x of top and bottom, (A_x, A_y, A_z, C) by name, to both of which the same large
     state is added; the minimum then differs by this state alone.
 
-    value : size of the added state, 1/time. Its spins along y vanish at the second sphere along y, where A_y cancels
-        C y.
+    value : size of the added state, 1/time. Its spins along y vanish at the second sphere along y, where A_y cancels C
+        y.
+    _ : the scene, not used.
     """
     top, bottom = (1.0, 0.5, 0.0, 0.5), (value, -value, value, value)
     return {"top": tuple(one + other for one, other in zip(top, bottom, strict=True)), "bottom": bottom}
@@ -297,6 +304,7 @@ def _pivot(_: Scene, value: float) -> dict[str, Any]:
     sphere along x.
 
     value : spin that is left over there, 1/time: the small sum A_x + C x, in which the two terms nearly cancel.
+    _ : the scene, not used.
     """
     return {"top": (value - 1.0, 1.0, 0.0, 1.0), "bottom": (0.0,) * 4}
 
@@ -525,6 +533,8 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
     def order(cell: Cell) -> tuple[Any, ...]:
         """Return a key by which cells are sorted: long ones last, and those of one device and precision together, so
         that few workers have to start.
+
+        cell : the cell.
         """
         row = cell.row
         return AXES[cell.axis].patience > 1, row.arch != "cpu", row.arch, row.precision != "f64", cell.axis == "threads"

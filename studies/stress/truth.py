@@ -168,8 +168,8 @@ class Sample:
         along the central path the cost a |slip| of a contact is replaced by a smooth function near it, which tends to
         it as `barrier` goes to 0.
 
-        barrier : energy/time. Friction is a slip / (width + root) with width = barrier / a and root = sqrt(width^2 +
-            slip^2).
+        barrier : energy/time, how much the cost is smoothed. Friction is a slip / (width + root) with width = barrier /
+            a and root = sqrt(width^2 + slip^2).
         """
         slip = self.slips()
         length = np.sqrt((slip * slip).sum(axis=1, keepdims=True))

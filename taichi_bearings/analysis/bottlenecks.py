@@ -155,10 +155,11 @@ class Bottlenecks:
 
 
 def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
-    """Return the number (links,) of the biconnected block of each link: any two links of a block lie on a common cycle.
+    """Return the number (links,) of the biconnected block of each link. Two links are in one block if they lie on a
+    common cycle, or join the same two nodes.
 
     low, high : (links,), the two nodes of each link.
-    bodies : number of nodes. Links between the same two nodes are in one block.
+    bodies : number of nodes.
     """
     graph = rustworkx.PyGraph(multigraph=False)
     graph.add_nodes_from(range(bodies))

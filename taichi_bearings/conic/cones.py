@@ -11,7 +11,10 @@ Point = tuple[np.ndarray, np.ndarray]
 
 
 def length(tail: np.ndarray) -> np.ndarray:
-    """Return the length (n,) of each of n vectors (d, n). Letters: d slip components."""
+    """Return the length (n,) of each of n vectors (d, n). Letters: d slip components.
+
+    tail : (d, n), the vectors.
+    """
     found: np.ndarray = np.abs(tail[0]) if len(tail) == 1 else np.sqrt(inner(tail, tail))
     return found
 

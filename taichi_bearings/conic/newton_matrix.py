@@ -260,7 +260,10 @@ class NewtonMatrix:
 
 
 def _side_by_side(values: np.ndarray) -> np.ndarray:
-    """Return an array (n, S) of S samples as it is, and an array (n,) of one sample as (n, 1)."""
+    """Return an array (n, S) of S samples as it is, and an array (n,) of one sample as (n, 1).
+
+    values : the array.
+    """
     return values if values.ndim == 2 else values[:, None]
 
 

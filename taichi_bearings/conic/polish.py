@@ -126,7 +126,10 @@ class _PreciseSystem:
 
     def differences(self, unknown: Pair) -> Pair:
         """Return the slips (d, n) as sums of two doubles, from the unknowns (unknowns,). Letters: n contacts with up to
-        d slip components."""
+        d slip components.
+
+        unknown : (unknowns,), values of the unknowns, sums of two doubles.
+        """
         assert self.contracted.ends is not None
         (below, above), (places, more) = self.contracted.ends, self.imposed
         high, low = (np.append(part, 0.0) for part in unknown)

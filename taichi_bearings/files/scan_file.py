@@ -125,7 +125,10 @@ def write_scan(
             put(group, name, values, units, text, dtype=values.dtype, **packed)
 
     def cell(value: object) -> str:
-        """Return a value as scan.csv has it."""
+        """Return a value as scan.csv has it.
+
+        value : the value.
+        """
         if isinstance(value, bool):
             return str(value).lower()
         return "" if value is None or value != value else str(value)

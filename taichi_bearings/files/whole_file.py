@@ -63,7 +63,10 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     writer.writerow(names)
 
     def harmless(cell: object) -> Any:
-        """Return numbers as they are; a text that spreadsheets would take for a formula gets an apostrophe in front."""
+        """Return numbers as they are; a text that spreadsheets would take for a formula gets an apostrophe in front.
+
+        cell : number or text of a cell of the table.
+        """
         if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")):
             try:
                 float(cell)

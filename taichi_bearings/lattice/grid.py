@@ -147,7 +147,7 @@ class Lattice:
 
     @cached_property
     def axis(self) -> np.ndarray:
-        """(E contacts,) axis along which each contact lies, in bytes."""
+        """(E contacts,) number of the axis along which each contact lies, int8."""
         return np.repeat(np.arange(self.dimension, dtype=np.int8), [span.stop - span.start for span in self.spans])
 
     def along(self, axis: int) -> tuple[Index, Index]:
@@ -213,7 +213,7 @@ class Lattice:
 
     @cached_property
     def lower_parity(self) -> np.ndarray:
-        """(E contacts,) s = +1 or -1 of the lower sphere of each contact, in bytes."""
+        """(E contacts,) sign s = +1 or -1 of the lower sphere of each contact, int8."""
         sign = self.parity.astype(np.int8)
         return self.flat([sign[self.along(axis)[0]] for axis in range(self.dimension)])
 
@@ -289,9 +289,9 @@ def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray
 
 
 def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return contact forces f (C components, R samples, E contacts) along the difference of staggered spins, whose
-    signs alternate between neighbours, from friction in the laboratory. The friction is -s f x n, with n the direction
-    of a contact and s = +1 or -1 the sign of its lower sphere.
+    """Return contact forces f (C components, R samples, E contacts), from friction in the laboratory. f is along the
+    difference of staggered spins, whose signs alternate between neighbours: the friction is -s f x n, with n the
+    direction of a contact and s = +1 or -1 the sign of its lower sphere.
 
     friction : (R, E, 3), in 2D (R, E), on the upper sphere of each contact.
     lattice : lattice of the contacts.

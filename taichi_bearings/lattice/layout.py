@@ -72,7 +72,7 @@ class Layout:
 
     @property
     def blocks(self) -> int:
-        """Number of blocks that hold all sites."""
+        """Number of blocks, of `block` sites each, that hold all sites."""
         return -(-self.sites // self.block)
 
     @property

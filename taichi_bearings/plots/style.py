@@ -181,7 +181,10 @@ def label_in_plain_text(*axes: Axis) -> None:
 
 
 def shades(number: int) -> list[Any]:
-    """Return `number` colours for curves that have an order, from dark to light."""
+    """Return `number` colours for curves that have an order, from dark to light.
+
+    number : how many colours.
+    """
     return [colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
 
 
@@ -228,7 +231,10 @@ SPEED_OF = {True: r"\omega_T", False: r"\omega_B"}  # symbol of the spin of the 
 
 
 def _printed_unit(unit: str) -> str:
-    """Return a unit as figures print it; nothing for pure numbers."""
+    """Return a unit as figures print it; nothing for pure numbers.
+
+    unit : unit as the table of quantities has it, such as "energy/time" or "1".
+    """
     return "" if unit == "1" else unit.replace("/", " / ").replace("*", " · ")
 
 
@@ -249,7 +255,10 @@ def describe(scene: Bearing, sample: int | None = 0) -> str:
 
 
 def mathematics(value: float, digits: int = 6) -> str:
-    """Return a value to so many significant digits as mathematics of LaTeX: 5e-12 as 5 times a power of ten."""
+    """Return a value to so many significant digits as mathematics of LaTeX: 5e-12 as 5 times a power of ten.
+
+    value : the number.
+    """
     mantissa, power, exponent = f"{value:.{digits}g}".partition("e")
     return mantissa + (rf"\times10^{{{int(exponent)}}}" if power else "")
 
@@ -265,6 +274,8 @@ def larger_spin(spin_top: float, spin_bottom: float) -> str:
 def driving(scene: Bearing) -> tuple[float, str]:
     """Return the imposed spin of a scene that serves as unit of times and powers, 1/time, and its symbol; for packings
     1 and "".
+
+    scene : what was solved.
     """
     natural = scene.natural_spin
     return (1.0, "") if natural is None else (natural, SPEED_OF[bool(scene.sides[0])])
@@ -273,6 +284,8 @@ def driving(scene: Bearing) -> tuple[float, str]:
 def power_unit(scene: Bearing) -> tuple[float, str]:
     """Return the unit of power F_n R |spin| of a scene, energy/time, and its symbol; 1 and "" for packings and laws
     without friction.
+
+    scene : what was solved.
     """
     spin, symbol = driving(scene)
     unit = scene.natural_energy
@@ -288,7 +301,10 @@ def time_label(symbol: str) -> str:
 
 
 def energy_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of energy F_n R of a scene and its symbol; 1 and "" for packings and laws without friction."""
+    """Return the unit of energy F_n R of a scene and its symbol; 1 and "" for packings and laws without friction.
+
+    scene : what was solved.
+    """
     unit = scene.natural_energy
     return (1.0, "") if unit is None else (unit, r"F_n R")
 

@@ -261,7 +261,10 @@ class Enclosure:
 
 
 def joined(members: list[Enclosure]) -> Enclosure:
-    """Return the concatenation of enclosures (n_1,), (n_2,), ... as one enclosure."""
+    """Return the concatenation of enclosures (n_1,), (n_2,), ... as one enclosure.
+
+    members : the enclosures.
+    """
     return Enclosure(*(np.concatenate(parts) for parts in zip(*(m.parts for m in members), strict=True)))
 
 

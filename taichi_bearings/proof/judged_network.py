@@ -202,12 +202,18 @@ class JudgedNetwork:
 
         def of(values: np.ndarray) -> np.ndarray:
             """Return the entries of an array (n,) or (m,), over all spheres or all contacts, that belong to the chosen
-            samples."""
+            samples.
+
+            values : the array.
+            """
             return values.reshape(self.count, -1)[pick].reshape(-1)
 
         def part(values: Enclosure) -> Enclosure:
             """Return the entries of an enclosure (n,) or (m,), over all spheres or all contacts, that belong to the
-            chosen samples."""
+            chosen samples.
+
+            values : the enclosure.
+            """
             return Enclosure(*map(of, values.parts))
 
         return replace(
@@ -403,7 +409,10 @@ class JudgedNetwork:
 
 @in_cache
 def _product_in(first: Enclosure, second: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return the product of two enclosures (m,) where the mask `some` (m,) is True, and exactly 0 elsewhere."""
+    """Return the product of two enclosures (m,) where the mask `some` (m,) is True, and exactly 0 elsewhere.
+
+    first, second : the enclosures.
+    """
     return (first * second).where(some)
 
 

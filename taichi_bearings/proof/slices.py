@@ -366,7 +366,10 @@ class Grid(Listed):
         return found
 
     def of_spheres(self, values: Enclosure) -> Enclosure:
-        """Return an enclosure (n,) of all spheres as views (R, *N): R samples of a lattice of shape *N."""
+        """Return an enclosure (n,) of all spheres as views (R, *N): R samples of a lattice of shape *N.
+
+        values : the enclosure.
+        """
         return Enclosure(*(self.on_spheres(part) for part in values.parts))
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:

@@ -238,7 +238,8 @@ def _hardly_apart(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence on how many contacts slip at some minima and not at others; none if there are none.
+    """Yield a sentence with the number of contacts that slip at some minima and not at others; none if there are no
+    such contacts.
 
     solution : the answer to all samples.
     settings : not used.

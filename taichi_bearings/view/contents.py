@@ -193,12 +193,18 @@ def _of_packing(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
 
 
 def _name_of_minimum(law: Law) -> str:
-    """Return words for what the stationary state of a law minimises, "its potential "; empty if that is the power."""
+    """Return words for what the stationary state of a law minimises, "its potential "; empty if that is the power.
+
+    law : the contact law.
+    """
     return "" if law.minimises == "power" else f"its {law.minimises} "
 
 
 def _median(radius: np.ndarray) -> float:
-    """Return the median radius; of an even number of radii the upper one of the two in the middle."""
+    """Return the median radius; of an even number of radii the upper one of the two in the middle.
+
+    radius : (spheres,), radii, length.
+    """
     return float(np.sort(radius)[len(radius) // 2])
 
 
