@@ -473,6 +473,7 @@ def _named(value: Any, above: tuple[int, ...]) -> Any:
         return [type(value).__name__, *(_named(item, inside) for item in value)]
     if isinstance(value, dict):
         return ["dict", *((_named(k, inside), _named(item, inside)) for k, item in value.items())]
+    # Functions and objects must come from this package's kernels or the compiler, which do not change in between.
     if isinstance(value, types.FunctionType):
         if not (_is_ours(value.__module__) or value.__module__.startswith("taichi.lang.")):
             raise Unkept

@@ -376,6 +376,7 @@ def judged(claim: str, /, **named: Any) -> list[Claim]:
         return []
     found = []
     for case in rule("cases", [{}]):
+        # Names that rules and sentences of this case use: its own, then those of `let`, then its numbers.
         scope |= case
         for key, expression in text.get("let", {}).items():
             scope[key] = eval(expression, scope)

@@ -227,13 +227,16 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     if len(known) < LEAST_OF_LIMIT or (spread <= ROUND_OFF * np.abs(mean)).any():
         return None
     rng, sizes = np.random.default_rng(0), np.array(list(known))
+    # Resampled means, widened as resampling makes them too narrow.
     drawn = np.array([rng.choice(of, (RESAMPLES, len(of))).mean(axis=1) for of in known.values()]) - mean[:, None]
     again = mean[:, None] + drawn * _resampling_factors(known)[:, None]
+    # A straight line in L^-STATED through all sizes from the first, the second, ... on.
     parts = [slice(first, None) for first in range(len(sizes) - LEAST_OF_LIMIT + 1)]
     fits = [line_through(sizes[part] ** -STATED, spread[part], mean[part]) for part in parts]
     chosen = first_that_fits([goodness for _, goodness in fits])
     part, ((value, amplitude), goodness) = parts[chosen], fits[chosen]
     error = line_through(sizes[part] ** -STATED, spread[part], again[part])[0][0].std(ddof=1)
+    # Other exponents that fit as well are a systematic error.
     alternatives = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
     others = [abs(found[0] - value) for found, fit in alternatives if fit >= LEAST_GOODNESS]
     by_smallest = {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)}
@@ -288,6 +291,7 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
 
     trials = np.linspace(*EXPONENTS, TRIALS)
     errors = {L: np.array([v.std(ddof=1) / len(v) ** 0.5 for v in of.values()]) for L, of in curves.items()}
+    # The smallest sizes are left out one by one until the curves of the others collapse.
     fits = {sizes[k]: fitted(sizes[k:]) for k in range(max(1, len(sizes) - LEAST_CURVES + 1))}
     found = list(fits.values())
     chosen = next((number for number, fit in enumerate(found) if fit[2] <= MOST_MISFIT), len(found) - 1)
@@ -336,6 +340,7 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
     growth = sizes[:, None] ** (theta * np.array([2, 3]))
+    # Both cumulants are straight lines in powers of the size; their slopes give the skewness.
     found = np.array([_cumulants(samples[L]) for L in sizes])
     again = np.array([[_cumulants(rng.choice(samples[L], len(samples[L]))) for _ in range(RESAMPLES)] for L in sizes])
     spread = again.std(axis=1, ddof=1)

@@ -168,12 +168,14 @@ class ContactSystem:
         if not network.along_axes(self.numbers):
             return None
         feels, contact = self.feels, network.contact[:, self.contact]
+        # Signs by which neighbours differ, component by component; an odd loop has none.
         sign = np.ones(self.known.shape)
         for k in needed:
             ends = contact[:, feels[:, k]]
             odd, sign[:, k] = odd_pieces(network.spheres, *ends)
             if odd[ends].any():
                 return None
+        # A slip is now the difference of two signed spins, or of a signed spin and an imposed one.
         known = sign * self.known
         own, slot, felt = slipping_components(feels[:, needed].T)
         slot, pair = needed[slot], contact[:, own]

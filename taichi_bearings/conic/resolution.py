@@ -433,6 +433,7 @@ def _smooth_minima(
         again = np.flatnonzero(trial.tied.owners.any(at_rest)).tolist()
         if not again:
             break
+        # Samples in which contacts came to rest are tried again from where they are, with these contacts tied.
         whole, resting = trial.tied.expanded(trial.spins), trial.everywhere(at_rest)
         high, low = (part.reshape(len(numbers), -1) for part in whole)
         spins = [(high[sample], low[sample]) for sample in again]

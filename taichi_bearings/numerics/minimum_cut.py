@@ -157,6 +157,8 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
     bound, further = np.empty((2, replicas * planes))
     for part, cuts in minimum_cuts(sideways, upward):
         above[part], bound[part], further[part] = cuts.above, cuts.weight, cuts.next_weight - cuts.weight
+        # Where several cuts tie, remove all contacts of any of them: spheres that the others still join to bottom or
+        # top are on this side of every cut.
         for grid in np.flatnonzero(~cuts.unique):
             cut = np.diff(cuts.above[grid], axis=0), np.diff(cuts.above[grid], axis=1)
             apart = cut[0] | cuts.sideways_tied[grid], cut[1] | cuts.upward_tied[grid]

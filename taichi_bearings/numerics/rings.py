@@ -31,10 +31,13 @@ def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice,
         node, ends = graph_of_lattice(lattice)
         above, open_ = np.zeros((2, int(node.max()) + 1), dtype=bool)
         above[node], open_[node] = cut.above, cut.between
+        # What the flow of rounded weights leaves open is cut again, exactly.
         tied = np.zeros(ends.shape[1], dtype=bool)
         if open_.any():
             exact, place = cuts_between(ends, edges_of(weight), above, open_)
             tied, above = exact.some & ~exact.every, exact.above[place]
+        # Values of the edges of the graph go back to the contacts; those along the end rows, which are no edges, stay
+        # 0.
         beside, rising = np.zeros(sideways.shape[1:], dtype=bool), np.zeros(upward.shape[1:], dtype=bool)
         ring, risen = np.zeros(sideways.shape[1:]), np.zeros(upward.shape[1:])
         for along, up, values in ((ring, risen, cut.flow * cut.unit), (beside, rising, tied)):

@@ -303,6 +303,7 @@ class Centre:
         factor = None if curvature is None else curvature.elimination.factorised()
         if curvature is None or factor is None:
             return self
+        # The last rows of the curvature are those of the springs: `fixed` gives what each spring bears.
         there, rest = self.number >= 0, slice(curvature.rows.shape[0] - 3 * len(self.resting), None)
         fixed, root = curvature.rows[rest], np.tile(np.sqrt(stiffness), 3)
         best, least, found = self, np.inf, self
@@ -313,6 +314,7 @@ class Centre:
             best, least = found, left
             if np.abs(torque).max() < NEGLIGIBLE:
                 return best
+            # A Newton step; what the springs bear in it is added to the friction of the resting contacts.
             stretch = root * np.concatenate([part.value[self.resting] for part in best.slips])
             step = -factor.solve(curvature.scale * torque + fixed.T @ stretch)
             borne = root * (stretch + fixed @ step)

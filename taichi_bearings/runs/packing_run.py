@@ -306,6 +306,7 @@ def packing_of(
         sides = Sides(settings.spin_bottom, settings.spin_top, settings.direction)
         share = TOLERANCE if settings.touching is None else settings.touching
         found = completed({"radius": settings.radius, **found}, share, sides)
+    # Arrays of the file with one axis more than usual hold several samples.
     axes = {name: np.ndim(values) - AXES_OF_PACKINGS.get(name, 1) for name, values in found.items()}
     axes["spin"] = np.ndim(found["spin"]) - (1 if np.shape(found["center"])[-1:] == (2,) else 2)
     samples = {len(values) for name, values in found.items() if axes[name] == 1} or {settings.replicas}

@@ -126,14 +126,18 @@ def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[st
     if scene.sides[1]:
         return _findings_above_driven_bottom(scene, torque, solve)
     friction = _by_friction(solution, solve)
+    # Friction alone decides whether the top yields: bounds on its least power are the bounds on the torque.
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
     if scene.law.holds:
         low, high = friction.lower_bound, friction.power * SURELY
     yields, held = np.abs(torque) > high, np.abs(torque) <= low
+    # The torque is held (0), or the factor is still unknown (NaN).
     amplitude = np.where(held, 0.0, np.nan)
+    # Viscosity alone: the torque grows in proportion to the motion.
     limited = yields & (solution.power > 0) & scene.law.flows
     amplitude[limited] = np.abs(torque) / solution.power[limited]
     if scene.law.holds:
+        # Friction and viscosity: solve for the factor, if the torque is clear of both bounds.
         resolved = np.abs(torque) - high >= RESOLVED * (high - low)
         amplitude[limited & ~resolved] = np.nan
         for number in np.flatnonzero(limited & resolved):

@@ -88,6 +88,7 @@ def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[R
     waiting, last, tries = deque(units), deque[Unit](), Counter[str]()
     lost, any_result = 0, False
     while waiting or last or engine.running:
+        # Begin what can begin; samples that failed once come last, alone.
         while engine.has_room and waiting:
             engine.submit(waiting.popleft())
         if last and not waiting and not engine.running:
@@ -95,6 +96,7 @@ def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[R
         yield []
         finished: list[Record] = []
         unwritten = ""
+        # A unit without any result is split into its samples; a sample without a result is tried once more.
         for outcome in engine.collect(LOOK_SECONDS):
             lost = lost + 1 if outcome.records is None else 0
             any_result |= outcome.records is not None

@@ -181,6 +181,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
         terms.append(columns[name].astype(float))
     if len(terms) > 2:
         raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")
+    # Samples without x or y are in no point; samples of one disorder count as one.
     reasons, disorder = columns[REASON], numbered(disorder_of(columns))
     if (reasons != "").all():
         raise InputError(f"no sample has both {request.y} and {request.x}: {Census.of(reasons.tolist()).reasons}")
@@ -196,6 +197,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
         point: Point = {"x": x, "number": len(own[0]), **_statistics(own, at)}
         point |= zip(CENSUS_COLUMNS, (census.used, census.asked, census.reasons), strict=True)
         points.setdefault(tuple(part), []).append(point)
+    # Logarithmic axes need positive numbers.
     every = list(itertools.chain(*points.values()))
     if "x" in request.log and any(isinstance(point["x"], str) for point in every):
         raise InputError(f"log is {request.log!r}, but the column {request.x} holds texts; for sizes use the column L")

@@ -229,6 +229,7 @@ def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
     """
     points: list[list[tuple[Any, ...]]] = []
     for axis in axes:
+        # Values of each setting of this axis, as far as the number of samples allows.
         columns, most = dict[str, list[Any]](), MOST_SAMPLES // math.prod(map(len, points))
         for key, given in axis.items():
             if isinstance(given, Mapping):

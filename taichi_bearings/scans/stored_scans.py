@@ -80,6 +80,7 @@ def open_scan(path: Path) -> StoredScan:
         stored, why = read_scan(file), ""
     except FileError as error:
         stored, why = None, str(error)
+    # scan.h5 is up to date if it was made of the journals and the scan.toml that are here now.
     scan = folder / "scan.toml"
     if stored is not None and stored.attributes.get("asked") == stored.samples and scan.is_file():
         made_of = stored.attributes.get("journals"), stored.attributes["scan"].encode()

@@ -126,6 +126,7 @@ class _Contacts:
         Of several mistakes it is the one whose correction makes most contacts direct: spheres that touch, with a normal
         along their centres. The text is empty if none makes more contacts direct than already are.
         """
+        # Three kinds of mistake, each with the number of contacts that it would explain.
         turned = self.touches & (np.linalg.norm(self.along + self.normal, axis=1) <= SAME_LINE)
         found = [(int(turned.sum()), "normals seem to point from the second sphere to the first, so turn their signs")]
         if self.contact.min() > 0:

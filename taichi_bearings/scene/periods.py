@@ -106,6 +106,7 @@ def nearest_images(vector: np.ndarray, periods: np.ndarray, reach: np.ndarray) -
     if not len(periods):
         return found, doubtful
     periods = reduced(periods)
+    # A near image first, then step by step to the nearest one.
     found -= np.round(found @ np.linalg.pinv(periods)) @ periods
     shifts = [np.array(steps) @ periods for steps in product((-1, 0, 1), repeat=len(periods)) if any(steps)]
     for _ in range(100):

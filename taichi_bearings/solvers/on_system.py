@@ -214,6 +214,8 @@ class OnSystem(WithMinima):
                 capped = held > most
                 if found.gap[0] <= tolerance or not capped.any() or not most > 0:
                     break
+                # The minimum with friction cut off; then strong contacts are made to roll, and all is judged with the
+                # whole friction.
                 paths = PackingPaths(self, {number: (np.minimum(held, most),)})
                 paths.advance(MOST_STEPS)
                 (end,) = paths.found()

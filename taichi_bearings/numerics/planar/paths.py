@@ -59,9 +59,11 @@ def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
     faces = batch * (columns - 1) * gaps
     distance, before = dijkstra(_dual_graph(inner, upward), indices=[faces, faces + 1], return_predecessors=True)
     from_left, from_right = distance[:, :faces].reshape(2, *shape)
+    # The last step leads across the last column of contacts to the right outside.
     ends = from_left[:, -1] + upward[:, -1]
     last = ends.argmin(axis=1)
 
+    # Distances with the outsides as first and last column; the shortest path; the block of each face.
     here, nowhere = np.zeros((batch, 1, gaps)), np.full((batch, 1, gaps), np.inf)
     from_left = np.concatenate([here, from_left, nowhere], axis=1)
     from_right = np.concatenate([nowhere, from_right, here], axis=1)
@@ -69,6 +71,7 @@ def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
     block = _blocks(before[0, :faces], order).reshape(shape)
     outside = np.zeros((batch, 1, gaps), dtype=np.int32)
     blocks = np.concatenate([outside, block, outside + grids(contacts)], axis=1)
+    # The shortest other path uses a contact that leads to a later block.
     rightward, leftward, climbing, falling = through(inner, upward, from_left, from_right)
     later = np.diff(blocks, axis=1)
     other = np.where(later > 0, rightward, np.where(later < 0, leftward, np.inf))
@@ -123,12 +126,14 @@ def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
     shape = (batch, columns - 1, gaps)
     faces = batch * (columns - 1) * gaps
     face = np.arange(faces, dtype=np.int32).reshape(shape)
+    # Neighbours of a face in rising order: in the column before, below, above, in the next column.
     beside = np.stack([face - gaps, face - 1, face + 1, face + gaps], axis=-1)
     weight = np.zeros((*shape, 4))
     weight[..., 0], weight[..., 3] = upward[:, :-1], upward[:, 1:]
     weight[..., 1:, 1], weight[..., :-1, 2] = inner, inner
     there = np.ones((*shape, 4), dtype=bool)
     there[:, 0, :, 0] = there[:, -1, :, 3] = there[..., 0, 1] = there[..., -1, 2] = False
+    # Rows of the matrix: the faces, then both outsides with an edge to each face beside them.
     edges = np.concatenate([there.sum(axis=-1, dtype=np.int32).ravel(), np.full(2, batch * gaps, dtype=np.int32)])
     return csr_array(
         (
@@ -162,6 +167,7 @@ def _trace(
     grid, column, gap = np.arange(batch), np.full(batch, across - 1), last
     upward[grid, column + 1, gap] = True
     walked = []
+    # One step back on all paths that have not reached the left outside; the contact between both faces is crossed.
     while len(grid):
         here = (grid * across + column) * gaps + gap
         walked.append((grid, here))
@@ -172,6 +178,7 @@ def _trace(
         upward[grid[straight], np.maximum(column, new_column)[straight], gap[straight]] = True
         inner[grid[~straight], column[~straight], np.minimum(gap, new_gap)[~straight]] = True
         grid, column, gap = grid[~out], new_column[~out], new_gap[~out]
+    # Places on each path, counted from its beginning.
     steps = np.zeros(batch, dtype=np.int32)
     for grid, _ in walked:
         steps[grid] += 1

@@ -72,12 +72,14 @@ def built(
     closed = set(axis_numbers(periodic_axes(periodic, AXIS_NAMES[:dimension])))
     if short := [AXIS_NAMES[axis] for axis in closed if cells[axis] < 2]:
         raise InputError(f"cells is {shown(cells)}; along the periodic axis {short[0]} it must be 2 or more")
+    # Spheres cell by cell, then the contacts of each bond of the cell in all cells.
     grid = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, dimension)
     basis, size = np.array(cell.basis), np.array(cell.size)
     place = ((grid[:, None] + basis) * size).reshape(-1, dimension)
     parts = [_of_bond(grid, cells, closed, len(basis), *bond) for bond in _bonds(cell)]
     contact = np.concatenate([pairs for pairs, _ in parts])
     normal = np.concatenate([np.broadcast_to(vector, (len(pairs), dimension)) for pairs, vector in parts])
+    # Signs of the sublattices: parity within the cell, exchanged from cell to cell where the lattice says so.
     sign = np.ones(len(place))
     if cell.parity is not None:
         sign = np.where((np.array(cell.parity[0]) + (grid @ np.array(cell.parity[1]))[:, None]).ravel() % 2, -1.0, 1.0)
@@ -96,6 +98,7 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
     kind, _, size = driven.partition(":") if isinstance(driven, str) else ("", "", "")
     body = np.full(len(place), -1)
     if kind in ("planes", "walls") and not size:
+        # Bottom and top along the height, or both ends along x.
         axis = place.shape[1] - 1 if kind == "planes" else 0
         if kind == "walls" and axis in closed:
             raise InputError(
@@ -104,6 +107,7 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
         if axis not in closed:
             body[_at_end(place, axis, 1)], body[_at_end(place, axis, -1)] = 1, 0
         return body
+    # A shaft: its walls are the ends along x and y, the shaft itself is found by distance from the middle.
     try:
         radius = float(size) if kind == "shaft" else np.nan
     except ValueError:

@@ -152,16 +152,20 @@ class _Heap:
         """Add a sphere of radius `size` at a place (D,), and find the pockets that it forms with others: the places
         where a further sphere would touch it and D - 1 others, and overlap none.
         """
+        # Neighbours near enough to touch a further sphere that touches the new one.
         near = self.near(place, 2)
         vector = self.away(place, near)
         close = (vector**2).sum(axis=1) < (size + self.radius[near] + 2 * self.sizes[1]) ** 2
         near, vector = near[close], vector[close]
+        # Store the new sphere.
         own = self.count
         self.place[own, :-1], self.place[own, -1] = np.mod(place[:-1], self.sides[:-1]), place[-1]
         self.radius[own], self.count = size, own + 1
         self.inside.setdefault(self._cell(self.place[own]), []).append(own)
         self.spots.append(self.place[own].tolist())
         self.radii.append(size)
+        # New pockets, for a further sphere of either size: above the new one, touching it and D - 1 others, overlapping
+        # none.
         pairs = _Pairs(vector)
         for new, pockets in self.pockets.items():
             reach = self.radius[near] + new

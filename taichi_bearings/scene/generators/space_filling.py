@@ -51,10 +51,12 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
             "strip"
         )
     discs, half = _half_period(m, n, least)
+    # Half a period, its mirror image, then all periods.
     inside = (discs[:, 0] > SAME_DISC * least) & (discs[:, 0] < half - SAME_DISC * least)
     discs = np.concatenate([discs, discs[inside] * [-1.0, 1.0, 1.0, 1.0] + [2 * half, 0.0, 0.0, 0.0]])
     discs = np.concatenate([discs + [2 * half * period, 0.0, 0.0, 0.0] for period in range(periods)])
     place, radius, sign = discs[:, :2], discs[:, 2], discs[:, 3]
+    # Large discs first; discs that touch a line are driven.
     order = np.lexsort((place[:, 1], place[:, 0], -radius.round(12)))
     place, radius, sign = place[order], radius[order], sign[order]
     contact, normal = _contacts(place, radius, 2 * half * periods)

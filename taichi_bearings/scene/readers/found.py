@@ -161,6 +161,7 @@ def _contacts(
 
     Raises InputError if spheres overlap by more, or if none touch.
     """
+    # Images of spheres across periodic sides stand beside the spheres themselves; pairs that touch are found among all.
     inside, closed = np.array(center), length > 0
     inside[:, closed] = np.mod(inside[:, closed], length[closed])
     number, shift = images(inside, radius, np.diag(length)[closed], 1 + share)
@@ -169,10 +170,12 @@ def _contacts(
     first, image = (np.concatenate(part) for part in zip(*found, strict=True))
     second = number[image]
     normal = place[image] - inside[first]
+    # Each contact is found from both of its spheres; one of the two is kept.
     leads_up = _leads_up(shift[image])
     kept = (first < second) | ((first == second) & leads_up)
     first, second, normal = first[kept], second[kept], normal[kept]
     size, reach = np.linalg.norm(normal, axis=1), radius[first] + radius[second]
+    # Refuse overlaps beyond the tolerance, and a packing without contacts.
     if (deep := size < (1 - share) * reach).any():
         own = int(np.argmin(np.where(deep, size / reach, np.inf)))
         like = "; radii look like diameters" if abs((size / reach).min() / 0.5 - 1) < 0.1 else ""

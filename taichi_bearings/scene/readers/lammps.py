@@ -151,6 +151,7 @@ def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tu
     """
     first, second = Frames.of(atoms), Frames.of(contacts)
     cut = [str(part.cut) for part in (first, second) if part.cut is not None]
+    # From the last timestep back, the first that is whole in both files.
     for step in dict.fromkeys(own for own, _ in reversed(first.starts)):
         if asked.step is not None and step != asked.step:
             continue
@@ -314,6 +315,7 @@ def _normals(
     Raises InputError for two atoms that do not touch, touch both ways around a periodic side, or come twice.
     """
     center, reach = spheres["center"], spheres["radius"][contact].sum(axis=1)
+    # Shortest vectors around periodic sides, and which contacts are wrong, doubtful or there twice.
     vector = center[contact[:, 1]] - center[contact[:, 0]]
     vector, is_doubtful = nearest_images(vector, _periods(frame, asked), (1 + GAP) * reach)
     size = np.linalg.norm(vector, axis=1)
@@ -324,6 +326,7 @@ def _normals(
     again[np.unique(pair, return_index=True)[1]] = False
     if not (wrong | again).any():
         return np.asarray(vector / size[:, None])
+    # The first contact at fault is named.
     own = int(np.argmax(wrong | again))
     i, j = number[contact[own]].tolist()
     line = rows.at(int(row[own]))
