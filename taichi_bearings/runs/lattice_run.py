@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.drive import Checkpoints, Monitor
     from taichi_bearings.solvers.method import Method
 
-BLOCK_SAMPLES = 24  # samples of a unit for the interior point, which steps eight at once: others follow those done
+# samples of a unit for the interior point, which steps eight at once: others follow those done. The more there are, the
+# fewer steps are made with free places; small samples take the second number of spheres together
+BLOCK_SAMPLES, BLOCK_SPHERES = 24, 50_000
 
 
 def build_scene(settings: RunSettings, seeds: Sequence[int] | None = None) -> Scene:
@@ -198,7 +200,8 @@ class LatticeDoor(Door):
         settings : settings of any of them.
         spheres : number of spheres of a sample.
         """
-        return BLOCK_SAMPLES if spheres < self.row(settings).alike_in_a_block else 1
+        block = max(BLOCK_SAMPLES, BLOCK_SPHERES // spheres)
+        return block if spheres < self.row(settings).alike_in_a_block else 1
 
     def seconds(self, settings: RunSettings) -> float | None:
         """Return the estimated seconds to solve one sample with these settings; None where they are not known, as for
