@@ -177,6 +177,10 @@ FRICTION_QUANTITIES = {
 }
 """Descriptions of the friction on lattices, by dimension. These forces prove the lower bound: none exceeds
 the friction limit, and torques that they leave over are paid for."""
+ENERGY_RESIDUAL = (
+    "energy that the balance misses, divided by the energy put in, that at the start included, or by the energy "
+    "dissipated if that is larger"
+)
 
 # fmt: off
 SPHERES = _named(
@@ -214,7 +218,7 @@ CHECK_ROWS = _named(
         Quantity("spring_energy", "energy", "energy stored in the springs of the contacts"),
         Quantity("injected_energy", "energy", "work of the driven spheres since the start"),
         Quantity("dissipated_energy", "energy", "energy dissipated at the contacts since the start"),
-        Quantity("energy_residual", "1", "error of the energy balance, as a share of the energy put in or dissipated"),
+        Quantity("energy_residual", "1", ENERGY_RESIDUAL),
         Quantity("largest_balance_residual", "force*length",
                  "largest net torque on a free sphere, 0 where all torques balance"),
     ]
@@ -296,12 +300,13 @@ SAMPLES = _named(
         Quantity("version", "1", "version of the program that solved the sample", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force * radius * |spin_top|)",
                  _normalised, r"P\,/\,(F_n R\,\omega_T)"),
-        Quantity("minimum_is_unique", "1", "whether only these slips have the least power, as far as that is proven",
+        Quantity("minimum_is_unique", "1",
+                 "whether all minima have the same slips: true or false if proven, null if neither is",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time that the dynamics has reached", _at_end("time")),
         Quantity("duration", "time", "simulated time at which the dynamics was asked to end",
                  lambda a: a.asked.duration if "time" in a.solution.history else None),
-        Quantity("energy_residual", "1", "error of the energy balance, as a share of the energy put in or dissipated",
+        Quantity("energy_residual", "1", ENERGY_RESIDUAL,
                  _at_end("energy_residual")),
     ]
 )
@@ -389,14 +394,14 @@ STRUCTURE = {
                  lambda s: s.network.winds_around(1, spanning=True)),
     ],
     "rigid domains": [
-        Quantity("domains", "1", "number of rigid domains (spheres that turn as one)",
+        Quantity("domains", "1", "number of rigid domains, sets of spheres that turn as one",
                  lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
-        Quantity("domains_locked_to", "1", "number of rigid domains by the driven plane they turn with"
-                 " (mixed: with different planes in different spin components; partly: in some components only)",
+        Quantity("domains_locked_to", "1", "number of rigid domains by the driven plane that they turn with; those"
+                 " called mixed turn with different planes in different spin components, those called partly turn"
+                 " with a plane in some components only",
                  lambda s: s.rigid_domains.domains_of_kind()),
         Quantity("free_spheres_locked_to", "1", "number of free spheres by the driven plane that their rigid"
-                 " domain turns with (mixed: with different planes in different spin components; partly: in some"
-                 " components only)",
+                 " domain turns with; mixed and partly as for domains_locked_to",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
         Quantity("largest_intermediate_domain", "1",
                  "number of spheres of the largest rigid domain that does not turn with one driven plane in all spin"

@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_bearings.analysis.statistics import Census
 from taichi_bearings.errors import InputError
-from taichi_bearings.proof.contact_state import ContactState, counts
+from taichi_bearings.scene.solution import ContactState, counts_of_states
 
 ENERGY_PER_TIME = "energy/time"
 # states that are counted, in this order
@@ -108,7 +108,7 @@ def count_powers(
     number = np.floor(bins_per_decade * np.log10(power[replica, contact] / scale[replica])).astype(int)
     first, bins = (int(number.min()), int(np.ptp(number)) + 1) if len(number) else (0, 0)
     count = np.bincount(replica * bins + number - first, minlength=len(power) * bins).reshape(len(power), bins)
-    return SampleCounts(first, bins_per_decade, count, counts(state)[:, COUNTED_STATES])
+    return SampleCounts(first, bins_per_decade, count, counts_of_states(state)[:, COUNTED_STATES])
 
 
 MOST_POWER_BINS = 100_000  # no spread of floating-point numbers needs more

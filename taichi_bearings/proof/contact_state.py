@@ -170,11 +170,3 @@ def by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.nd
     state : (..., E), DRIVEN for contacts that take no part; other states are not read."""
     state_by_slip = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
     return np.where(state == ContactState.DRIVEN, state, state_by_slip).astype(np.uint8)
-
-
-def counts(state: np.ndarray) -> np.ndarray:
-    """Return (R, S), how many contacts of each of R samples are in each of the S states, in the order of
-    `ContactState`.
-
-    state : (R, E), states of E contacts."""
-    return np.stack([np.bincount(one, minlength=len(ContactState)) for one in state])

@@ -63,6 +63,15 @@ class ContactState(IntEnum):
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN, TIED = ContactState
 
 
+def counts_of_states(state: np.ndarray) -> np.ndarray:
+    """Return (R, S), how many contacts of each of R samples are in each of the S states, in the order of
+    `ContactState`.
+
+    state : (R, E), states of E contacts.
+    """
+    return np.stack([np.bincount(one, minlength=len(ContactState)) for one in state])
+
+
 @dataclass(frozen=True)
 class Energy:
     """Energy balance of a dynamics since its start; each field is an array (samples R,), one number for each sample, in
@@ -296,7 +305,7 @@ class Solution:
     def counts(self) -> np.ndarray:
         """(samples R, states S), how many contacts of each sample are in each of the states, in the order of
         `ContactState`."""
-        return np.stack([np.bincount(one, minlength=len(ContactState)) for one in self.state])
+        return counts_of_states(self.state)
 
     @property
     def unproven(self) -> np.ndarray:
