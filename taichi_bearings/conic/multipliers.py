@@ -5,12 +5,15 @@ Alart & Curnier 1991). The minimum with these springs is found repeatedly, and e
 that it bore at the last one. So a slipless contact creeps less each time, and a contact at its friction limit slips
 along its force.
 
+Where minima tie, groups of spheres can turn without a change of power, so that springs do not determine all spins, and
+Newton's method fails. Then a weak inertia draws the spins to those found before (the proximal method of multipliers;
+Rockafellar, Math. Oper. Res. 1, 1976). It is weakened from one minimum to the next, with the torques that it takes.
+
 Letters: n contacts with d tangents each; the unknowns are components of u = R omega. The *dual* is minus the contact
 force.
 """
 
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +26,11 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
 HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs one after the other, in units of friction
+# With inertia: stiffnesses of the springs one after the other; first weight of the inertia, in units of friction over
+# spin; factors of the last weight that are tried one after the other at each minimum.
+HOLDS_WITH_INERTIA, FIRST_INERTIA, INERTIA_FACTORS = (1e6, 1e8, 1e8, 1e8, 1e8), 1e-5, (0.1, 1.0, 10.0, 100.0)
 SETTLED_FORCE = 1e-11  # largest change of a force, in units of the mean friction, at which the forces are settled
+ROUNDED_EXCESS = 1e-12  # share of a friction limit by which rounding may exceed it
 LEAST_SLIP = 1e-13  # slip, in units of the largest imposed one, that is more than rounding
 WORSE = 10.0  # growth of the change of the forces by which springs are too stiff for double precision
 WORSE_POWER = 1e-10  # relative growth of the power that settling may cause
@@ -46,34 +53,98 @@ def settled_by_springs(
     a mask (n,) of the undecided ones, which slip by more than rounding but bear less than the friction limit. If the
     method fails the masks are None, and spins and forces are those of the path.
     """
-    contacts, spins, held, whole = point.system, point.spins, -point.dual, point.whole_dual
-    slipping: Any = None
-    open_, last = slipping, np.inf
-    firm, rest = np.where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
+    best = _Multipliers(point, matrix)
     for hold in HOLDS:
-        # the change of the spins is solved for, with slips in twice the precision, and springs that bear `held`
-        here = contacts.with_offset(contacts.to_all_digits(spins))
-        stage = FrictionStage(here, matrix, 1.0, SMALL_SPINS, 1.0)
-        with one_thread():
-            end = stage.solve(Friction(point.friction, hold * firm, 0.0, point.viscosity), rest, held, rest)
-        if end is None:
+        if best.is_settled:
             break
-        change, slip = length(end.held - held).max(initial=0.0), length(here.differences(end.spins))
-        spins, held, whole = spins + end.spins, end.held, -end.force
-        creeps = np.where(end.slips, 0.0, slip) >= LEAST_SLIP
-        if change < WORSE * last:
-            slipping, open_, last = end.slips, creeps, change
-        else:  # the springs are so stiff that rounding moves them: what changes its state now is open
-            open_ = open_ | creeps | (end.slips != slipping)
-        if change < SETTLED_FORCE and not open_.any():
+        if not best.take(hold):
+            best.take_with_inertia()
             break
-    powers = (_power(point, of) for of in (point.spins, spins))
+    powers = (_power(point, of) for of in (point.spins, best.spins))
     if next(powers) * (1 + WORSE_POWER) < next(powers):
         # with many minima of the same power, springs can lead away from all of them: the path itself is returned
         with suppress(NotPositiveDefinite):
             point = balance(point, matrix)
         return point.spins, point.whole_dual, None, None
-    return spins, whole, slipping, open_
+    return best.spins, best.within_friction, best.slipping, best.open
+
+
+class _Multipliers:
+    """The spins and forces of one sample, as the method of multipliers improves them.
+
+    point : the end of the central path, with n contacts of d tangents.
+    spins : (unknowns,).
+    held : (d, n), forces of friction, with which the next springs begin.
+    whole_dual : (d, n), minus the contact forces.
+    slipping : (n,) mask of the contacts that slip; None before the first minimum.
+    open : (n,) mask of the contacts that slip by more than rounding but bear less than the friction limit; or None.
+    change : largest change of a force by the last minimum.
+    """
+
+    slipping: np.ndarray | None = None
+    open: np.ndarray | None = None
+
+    def __init__(self, point: Iterate, matrix: NewtonMatrix) -> None:
+        """Begin at the end of a central path.
+
+        point : that end.
+        matrix : Newton matrix of its contacts.
+        """
+        self.point, self._matrix, self.change = point, matrix, np.inf
+        self.spins, self.held, self.whole_dual = point.spins, -point.dual, point.whole_dual
+        self._firm = np.where(point.friction > 0, point.friction, 1.0)
+
+    @property
+    def within_friction(self) -> np.ndarray:
+        """(d, n), minus the contact forces, with friction cut to its limit where it is above by more than rounding: a
+        force above its limit lowers the lower bound by the ratio of both, far more than the torque that is left."""
+        size, limit = length(self.held), self.point.friction
+        beyond = size > limit * (1 + ROUNDED_EXCESS)
+        return self.whole_dual + np.where(beyond, self.held * (1 - limit / size), 0.0)
+
+    @property
+    def is_settled(self) -> bool:
+        """True if forces change no more and no contact is open."""
+        return self.open is not None and self.change < SETTLED_FORCE and not self.open.any()
+
+    def take(self, hold: float, inertia: float = 0.0) -> bool:
+        """Go on to the minimum with springs that begin with the forces `held`, and return True; False if Newton's
+        method fails to find it.
+
+        hold : stiffness of the springs, in units of the friction of each.
+        inertia : weight of the inertia that draws spins to the present ones, in units of friction over spin.
+        """
+        # the change of the spins is solved for, with slips in twice the precision
+        contacts, point, rest = self.point.system, self.point, np.zeros(len(self.spins))
+        here = contacts.with_offset(contacts.to_all_digits(self.spins))
+        stage = FrictionStage(here, self._matrix, 1.0, SMALL_SPINS, 1.0)
+        with one_thread():
+            friction = Friction(point.friction, hold * self._firm, inertia, point.viscosity)
+            end = stage.solve(friction, rest, self.held, rest)
+        if end is None:
+            return False
+        change, slip = length(end.held - self.held).max(initial=0.0), length(here.differences(end.spins))
+        change = max(change, inertia * np.abs(end.spins).max(initial=0.0))  # the torques that inertia took
+        self.spins, self.held, self.whole_dual = self.spins + end.spins, end.held, -end.force
+        creeps = np.where(end.slips, 0.0, slip) >= LEAST_SLIP
+        if self.slipping is None or self.open is None or change < WORSE * self.change:
+            self.slipping, self.open, self.change = end.slips, creeps, change
+        else:  # the springs are so stiff that rounding moves them: what changes its state now is open
+            self.open = self.open | creeps | (end.slips != self.slipping)
+        return True
+
+    def take_with_inertia(self) -> None:
+        """Go on with inertia, which makes spins unique where minima tie, until forces settle or no weight of it is left
+        to try."""
+        inertia = FIRST_INERTIA
+        for hold in HOLDS_WITH_INERTIA:
+            if self.is_settled:
+                break
+            weights = (factor * inertia for factor in INERTIA_FACTORS)
+            found = next((weight for weight in weights if self.take(hold, weight)), None)
+            if found is None:
+                break
+            inertia = found
 
 
 def _power(point: Iterate, spins: np.ndarray) -> float:

@@ -130,6 +130,26 @@ def test_a_crooked_direction_of_equal_contacts_in_a_row_is_certified():
     assert found.power == pytest.approx(3 * 0.5 * np.linalg.norm(np.cross(spin[4], normal)), rel=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("kind", "cells", "friction", "seed"),
+    [
+        ("diamond", 4, "bimodal:0.1,1.0,0.5", 1),  # springs alone leave a gap of 2e-8
+        ("bcc", 5, "bimodal:1,2,0.5", 2),  # 2e-9
+        ("bcc", 5, "bimodal:1e-6,1.0,0.5", 0),  # 2e-2
+    ],
+)
+def test_minima_of_two_frictions_that_tie_are_certified_and_clarabels(kind, cells, friction, seed):
+    """Spheres of tied minima turn without a change of power, so no springs determine their spins."""
+    pytest.importorskip("clarabel")
+    packing = tb.Packing.lattice(kind, (cells,) * 3, seed=seed, distribution=friction)
+    found = tb.solve(packing)
+    assert found.status == "certified"
+    assert found.gap < (1e-8 if "1e-6" in friction else 1e-9)
+    least, _, status = clarabel_least(packing)
+    assert status in ("Solved", "AlmostSolved")
+    assert found.lower_bound * (1 - 1e-7) <= least <= found.power * (1 + 1e-7)
+
+
 STILL = {
     "discs that turn alike": lambda: tb.Packing.lattice("square", (4, 5), seed=1, spin_top=1.0, spin_bottom=1.0),
     "spheres that turn alike": lambda: tb.Packing.lattice("bcc", (3, 3, 3), seed=1, spin_top=0.3, spin_bottom=0.3),
