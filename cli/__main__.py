@@ -23,7 +23,7 @@ from taichi_bearings import interrupts, leaving  # noqa: E402
 def main() -> None:
     """Run the command line. Ctrl-C ends it with a sentence and exit code 130 at any time."""
     try:
-        interrupts.always_heard()
+        interrupts.end_at_signals()
         from taichi_bearings.later import postpone
         from taichi_bearings.memory import collect_cycles_seldom, keep_freed
 
@@ -34,7 +34,7 @@ def main() -> None:
 
         bearings()
     except KeyboardInterrupt:
-        interrupts.ignored()
+        interrupts.ignore_signals()
         leaving.end_now(BEFORE)
         print(BEFORE, file=sys.stderr)
         sys.exit(130)

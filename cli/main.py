@@ -90,7 +90,7 @@ def bearings() -> None:
 
 def main() -> None:
     """Run the command line, and exit. An error made by the user is one sentence and exit code 2, never a traceback."""
-    interrupts.heard_at_once()
+    interrupts.raise_at_signals()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's shell names its own, which need not be installed here
     os.environ.setdefault(
         "HDF5_USE_FILE_LOCKING", "FALSE"
@@ -119,7 +119,7 @@ def main() -> None:
         if not leaving.heard():
             raise
         code = _interrupted(INTERRUPTED)  # a library has made something else of it
-    interrupts.ignored()
+    interrupts.ignore_signals()
     if code == leaving.EXIT_CODE:
         leaving.end_now()
     sys.exit(code)
@@ -131,7 +131,7 @@ def _interrupted(sentence: str) -> int:
 
     sentence : what is printed.
     """
-    interrupts.ignored()
+    interrupts.ignore_signals()
     leaving.end_now(sentence)
     click.echo(sentence, err=True)
     return leaving.EXIT_CODE

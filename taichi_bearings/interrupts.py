@@ -1,8 +1,8 @@
-"""How work that takes long hears of Ctrl-C, a batch queue's SIGTERM and limits of time, and ends without loss.
+"""How long work reacts to Ctrl-C, to the SIGTERM of a batch queue and to limits of time, and ends without loss.
 
 Python runs the handler of a signal in its main thread, between two of its own steps. There are two kinds of work:
 
-* What may be broken off anywhere ends at once (`heard_at_once`).
+* What may be broken off anywhere ends at once (`raise_at_signals`).
 * What must not be half done *looks up* at places where it may end (`look_up`, inside `while_wanted`).
 
 A command that does not end by these means is ended by :mod:`taichi_bearings.leaving`.
@@ -85,8 +85,11 @@ def unheard_by_children() -> Iterator[None]:
 
 
 def is_loading(frame: FrameType | None) -> bool:
-    """Return True if a module is being loaded in the frame or above it: compiled modules then swallow an exception, or
-    make another one of it."""
+    """Return True if a module is being loaded in the frame or above it. An exception that is raised then may be lost or
+    turned into another one by compiled modules.
+
+    frame : what runs at a signal; None if nothing does.
+    """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
@@ -98,7 +101,7 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
     """Send Ctrl-C to this process once more after a moment, because the KeyboardInterrupt that the handler raises would
     be swallowed now, or was.
 
-    is_wanted : function that is called at that moment, and returns False if it is too late.
+    is_wanted : function that is called at that moment; if it returns False, nothing is sent.
     """
 
     def ring() -> None:
@@ -152,7 +155,7 @@ def always_heard() -> None:
     A KeyboardInterrupt that a destructor or a callback swallows is sent again. Where compiled code keeps Python from
     handling the signal, a thread (`leaving.watch`) ends the process.
     """
-    heard_at_once()
+    raise_at_signals()
     leaving.watch()
     unraisable, in_thread = sys.unraisablehook, threading.excepthook
 
@@ -181,13 +184,14 @@ def always_heard() -> None:
 class Interrupt:
     """Notes Ctrl-C, or the SIGTERM of a batch queue, without interrupting a step of a solve.
 
-    A second signal ends the process, unless it comes so soon that the step cannot have ended.
+    A second signal raises KeyboardInterrupt, unless it comes within IMPATIENCE seconds of the first, in which the step
+    may not have ended yet.
 
     heard : True once a signal has come.
     """
 
     def __init__(self) -> None:
-        """Begin without having heard anything."""
+        """Begin before any signal; the handlers change when the context begins."""
         self.heard, self._first, self._at_once, self._too_late = False, 0.0, False, False
         self._context = handled(self._hear)
 
@@ -224,7 +228,8 @@ class Interrupt:
         _thread.interrupt_main()
 
     def _hear(self, _: int, frame: FrameType | None) -> None:
-        """Handle a signal, or the end of the time that `at_once` allows: note it, and end the work inside `at_once`.
+        """Handle a signal, or the end of the time that `at_once` allows: set `heard` at a signal, and raise GivenUp if
+        work runs inside `at_once`.
 
         frame : frame of Python that the signal interrupts.
         _ : number of the signal.

@@ -12,11 +12,11 @@ from taichi_bearings.compiler import ti
 
 
 def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
-    """Return a function without arguments that calls ``kernel(*arguments)``, quickly.
+    """Return a function without arguments that does what ``kernel(*arguments)`` does, but starts faster.
 
     kernel : a kernel of Taichi.
-    arguments : arrays that the kernel reads with one index, of which it sees the numbers that they hold at the call;
-        and whole numbers.
+    arguments : whole numbers, and arrays in C order that the kernel reads with one index. A kernel sees what the arrays
+        contain when it is called, so their numbers may change between calls.
 
     Taichi inspects all arguments at every start, which takes 0.1 ms: as long as a pass over the contacts of a small
     sample. Its findings are kept here, through its inner functions. Where the compiler has other inner functions, the

@@ -21,10 +21,10 @@ class Kind:
         if it cannot.
     allowed : words that complete "it must be ...".
     metavar : what stands for the value in help texts.
-    known : the words that the value is one of, if it is one of some.
+    known : the words among which the value must be, for suggestions to mistyped ones; empty for numbers and free texts.
     """
 
-    known: Collection[str] = ()  # words that it is one of, if it is
+    known: Collection[str] = ()
 
     def __init__(self, read: Reader, allowed: str, metavar: str) -> None:
         """Take what the kind is made of.

@@ -18,14 +18,15 @@ COPY_NUMBERS = 10  # constants of a copy that kernels read
 
 @dataclass(frozen=True)
 class Lists:
-    """The spheres and contacts of a network as they stand in memory. A *place* is a position there.
+    """The order of the spheres and contacts of a network in memory. A *place* is an index into an array of all spheres,
+    or of all contacts, in this order. Both arrays are filled up with unused places to whole blocks.
 
-    sphere, contact : number in the packing of the sphere, or contact, at each place.
-    size : lengths of the rows of spheres and of contacts, in whole blocks.
+    sphere, contact : (spheres N,) and (contacts E,), number in the packing of the sphere, or contact, at each place.
+    size : lengths of an array of spheres and of one of contacts, with unused places.
     ends : (2 size[1],) places of the first sphere of each contact, then of the second.
-    start, incident : the contacts of the sphere at place i are incident[start[i] : start[i + 1]].
-    block : places that a kernel works on together.
-    copies : samples of the network that stand one after another, each in whole blocks.
+    start, incident : the places of the contacts of the sphere at place i are incident[start[i] : start[i + 1]].
+    block : number of places that a kernel works on together.
+    copies : number of samples of the network; they follow one another, each in whole blocks.
     """
 
     sphere: np.ndarray

@@ -170,7 +170,8 @@ class Lattice:
 
     @cached_property
     def column(self) -> np.ndarray:
-        """(E contacts,) number, in C order, of the sphere of the top plane above the upper end of each contact."""
+        """(E contacts,) number of the column of spheres, upright in the lattice, that holds the upper sphere of each
+        contact: the index of its top sphere in the top plane, in C order."""
         found: np.ndarray = self.ends[1] // self.shape[-1]
         return found
 
@@ -307,13 +308,13 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
 
 
 def _laboratory_axes(lattice: Lattice, spin_axes: tuple[int, ...]) -> Iterator[tuple[int, slice, int, np.ndarray]]:
-    """Yield, for each spin component and the contacts across it, where its forces go in the laboratory frame.
+    """Yield, for each axis of contacts and each spin component that makes these contacts slip, how a force f along this
+    component becomes a force -s f x n in the laboratory, which lies along one axis of the lattice.
 
-    lattice : lattice of the contacts.
+    lattice : lattice of the contacts; n is along their axis, and s = +1 or -1 is the sign of their lower sphere.
     spin_axes : numbers of the axes of the spin components.
-    yields : index of the component in `spin_axes`; slice of the contacts along one axis, among all contacts; number of
-        the axis along which the cross product -e_component x e_axis of unit vectors points; and (contacts,) the sign of
-        that product times the sign s of the lower sphere.
+    yields : index of the component in `spin_axes`; slice of these contacts among all contacts; number of the axis along
+        which the laboratory force lies; and (contacts,) its sign for f = 1.
     """
     for axis, span in enumerate(lattice.spans):
         for slot in tangential(axis, spin_axes):

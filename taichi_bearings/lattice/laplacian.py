@@ -55,13 +55,15 @@ def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
 
 
 def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
-    """Return inverse pivots g (side, chains) of Gauss elimination for chains of springs. With them the displacements x
-    of the nodes s = 0, 1, ... of a chain that is pulled by the forces `pull` follow in two sweeps: upwards y_s = g_s
-    (pull_s + weight y_s-1), then downwards x_s = y_s + weight g_s x_s+1.
+    """Return the inverse pivots g (side, chains) of Gauss elimination for chains of nodes joined by springs. From them
+    follow the displacements x of a chain whose nodes s = 0, 1, ... are pulled by forces `pull`, in two sweeps:
+
+        y_s = g_s (pull_s + weight y_(s-1)) from the first node to the last;
+        x_s = y_s + weight g_s x_(s+1) from the last node to the first.
 
     side : number of nodes of a chain.
-    weight : stiffness of the springs along the chain.
-    held : (chains,), stiffness of the spring that holds each node of a chain.
+    held : (chains,), stiffness of the spring that ties each node of a chain to its place.
+    weight : stiffness of the springs between the nodes of a chain.
     """
     factors = np.empty((side, len(held)))
     for s in range(side):
@@ -71,13 +73,13 @@ def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
 
 
 def ring_closures(side: int, held: np.ndarray, weight: float) -> np.ndarray:
-    """Return vectors z (side, chains) that turn solutions for chains of springs into solutions for rings. If the nodes
-    of a chain that is pulled by the forces `pull` move by y, those of the ring, which has one more spring from end to
-    end, move by y - z (z . pull).
+    """Return vectors z (side, chains) that turn solutions for chains of springs into solutions for rings. A ring is a
+    chain with one more spring, between its two ends. If forces `pull` displace the nodes of the chain by y, they
+    displace those of the ring by y - z (z . pull).
 
     side : number of nodes of a chain.
-    held : (chains,), stiffness of the spring that holds each node of a chain.
-    weight : stiffness of the springs along the chain.
+    held : (chains,), stiffness of the spring that ties each node of a chain to its place.
+    weight : stiffness of the springs between the nodes of a chain.
 
     That is Sherman and Morrison's formula. It needs the motion under opposite pulls at both ends of the chain, which is
     a sum of q^s and q^-s with q + 1/q = 2 + held / weight.

@@ -35,21 +35,22 @@ PALE = np.array([0.93, 0.93, 0.93, 1.0])  # colour of discs that only carry cont
 
 @dataclass(frozen=True)
 class Sheet:
-    """N discs and E contacts as they lie on paper. Lengths are those of the bearing.
+    """A picture of spheres as N discs, with E contacts. All lengths but `rim` are in the unit of the bearing's own
+    lengths; on a lattice in diameters of a sphere.
 
-    sphere : (N,), number of each disc in the bearing.
-    place, radius : (N, 2) and (N,), centres and radii.
+    sphere : (N,), number in the bearing of the sphere that each disc shows.
+    place, radius : (N, 2) and (N,), centres and radii on paper.
     rim : (N,), width of the outline of each disc, points.
-    depth : (N,), distance towards the reader.
-    ends : (2, E), the two discs of each contact.
-    way : (2, E, 2), vectors from each of the two discs to the middle of the contact; over a periodic side both lead
-        outwards.
-    wall : (E,), half the length of a line across the contact.
+    depth : (N,), position along the line of sight; discs with larger numbers are nearer to the reader.
+    ends : (2, E), indices of the two discs of each contact.
+    way : (2, E, 2), vectors from the centres of the two discs to the point of contact; for a contact over a periodic
+        side both lead out of the picture.
+    wall : (E,), half the length of a line that is drawn across the contact.
     contact : (E,), number of each contact in the bearing.
-    corners : (2, 2), lowest and highest point of the picture.
+    corners : (2, 2), lower left and upper right corner of the picture.
     pitch : distance between the centres of two neighbouring discs.
-    grid : number of discs along each axis of a plane of a lattice; empty for anything else.
-    rows : numbers of the driven rows of that plane.
+    grid : numbers of discs along both axes of a plane of a lattice; empty for anything else.
+    rows : indices of the driven rows of that plane.
     """
 
     sphere: np.ndarray
@@ -68,11 +69,11 @@ class Sheet:
 
     @classmethod
     def of_lattice(cls, lattice: Lattice, plane: tuple[int, int] | None = None, view: View = VIEW) -> "Sheet":
-        """Return the picture of a flat lattice, of a plane of a cubic one, or of all of a cubic one.
+        """Return the picture of a square lattice, of one plane of a cubic lattice, or of a whole cubic lattice.
 
         lattice : the lattice.
-        plane : (axis, index) of the plane; None for the whole lattice.
-        view : from where all of a cubic lattice is seen.
+        plane : number of the axis across the plane, and index of the plane along it; None for the whole lattice.
+        view : direction from which a whole cubic lattice is seen.
         """
         across, index = plane or (-1, 0)
         center = np.argwhere(np.ones(lattice.shape, dtype=bool))

@@ -54,13 +54,13 @@ def draw_coefficients(structure: Structure, page: Page) -> Figure:
 
 
 def _panels(page: Page, sheets: int, coefficients: int, height: float) -> tuple[Figure, list[list[Axes]], float]:
-    """Return a figure, its axes as a list for each coefficient with one for each picture, and the width of a picture in
-    inches.
+    """Return a figure of panels, the axes of its panels, and the width of a panel in inches. The axes are a list with
+    an entry for each coefficient: the list of the axes of its pictures.
 
     page : how the figure is printed.
-    sheets : number of pictures of one coefficient.
-    coefficients : 1, or 2 for a column each.
-    height : height of a picture, as a share of its width.
+    sheets : number of pictures that show one coefficient.
+    coefficients : number of coefficients: 1, or 2, which get a column of panels each.
+    height : height of a panel over its width.
     """
     if coefficients == 1:
         figure, axes, width = panels(page, sheets, (height, 0.75), widest="single")

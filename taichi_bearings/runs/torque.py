@@ -70,8 +70,8 @@ def _with_driven_contacts(found: Solution) -> Solution:
 
 
 def _by_friction(solution: Solution, solve: Solve) -> Solution:
-    """Return the answer for the imposed motion of the top without viscosity. It is solved anew if the law has both
-    friction and viscosity; otherwise it is the given answer.
+    """Return the answer for the imposed motion of the top as if there were no viscosity. It is solved anew if the law
+    has both friction and viscosity; with one of the two alone the given answer is returned.
 
     solution : the answer for the imposed motion.
     solve : function that solves another scene in the same way.
@@ -84,7 +84,7 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
     """Return an answer with four findings on a torque on the top added, (samples R,) each.
 
     solution : the answer with the top moved as imposed.
-    torque : force*length.
+    torque : force*length, about the axis of the imposed motion; a negative one acts against it.
     solve : function that solves another scene or packing in the same way.
 
     The findings are:
@@ -176,8 +176,8 @@ def _findings_above_driven_bottom(scene: Bearing, torque: float, solve: Solve) -
 
 
 def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> float:
-    """Return the factor a such that a torque keeps the top moving with a times the imposed motion. NaN if a solve
-    misses its tolerance.
+    """Return the factor a, above 0, such that a torque keeps the top moving with a times the imposed motion; NaN if a
+    solve misses its tolerance.
 
     `least` comes from a bound on the torque P(a) / a, where P is the power at a times the imposed motion. Let P_f be
     the least power of friction alone, and Q the power that viscosity adds in that motion. The potential is convex, and

@@ -293,7 +293,7 @@ class Bearing(ABC):
         """Return two bounds for each of C components, (2, C), the lower and the upper ones: some minimum has all its
         spins between them. Spins are meant as solvers store them. Both bounds are 0 if none are known.
 
-        spin_axes : numbers of the C components.
+        spin_axes : axes of the C components, as numbers from 0 to 2.
         """
         found = self.driving.box(spin_axes)
         return np.zeros((2, len(spin_axes))) if found is None else found

@@ -153,11 +153,12 @@ class Interface:
 
 
 def _needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
-    """Return known surface speeds (spheres N, components C), length/time, and a mask (C,) of the spin components that
-    have to be solved for.
+    """Return surface speeds radius * spin that are known beforehand, (spheres N, components C), length/time, and a mask
+    (C,) of the spin components that have to be solved for.
 
-    The speeds are those of the other components: there all spheres can have values by which no contact slips, the
-    driven ones their imposed values. This is looked for only where normals lie along the axes.
+    A component need not be solved for if all free spheres can have values in it by which no contact slips. These values
+    are the known speeds; driven spheres have their imposed ones. Such components are sought only if all contact normals
+    lie along the axes.
 
     bearing : a lattice or a packing.
     """
@@ -174,8 +175,8 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
     states : (2, spheres N, components C), the two bearing states as sign * radius * spin, length/time.
     bearing : a lattice or a packing.
 
-    The states are fitted to imposed spins, so they are uncertain by rounding, and by as much as the imposed spins miss
-    them.
+    The states are fitted to the imposed spins. So they are uncertain by rounding, and by the largest difference between
+    a fitted state and an imposed spin.
     """
     bodies, sign = bearing.network.bodies, bearing.network.sublattices[1]
     signed_speeds, largest = sign[:, None] * bearing.driven_speed, np.abs(states).max()

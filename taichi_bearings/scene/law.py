@@ -95,7 +95,7 @@ class Law:
         """Return the largest force (..., E) that each of E contacts bears without slipping; None for a law without
         friction.
 
-        of : coefficients of the law, a tuple of arrays (..., E).
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         """
         return of[0] if self.holds else None
 
@@ -103,14 +103,14 @@ class Law:
         """Return the viscous force over the slip, (..., E), force * time/length, of each contact; None for a law
         without viscosity.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         """
         return of[-1] if self.flows else None
 
     def resistance(self, of: Coefficients, slip: np.ndarray) -> np.ndarray | None:
         """Return (force - holding force) / slip, (..., E), force * time/length; None for friction alone.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
 
         The holding force is the largest force without slip. The result is the viscosity at any slip. For a law that
@@ -166,7 +166,7 @@ class Law:
     def objective(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the power or the potential (..., E) of each contact, energy/time: whichever the law `minimises`.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
         """
         return self.power(of, slip) if self.minimises == "power" else self.potential(of, slip)
@@ -175,7 +175,7 @@ class Law:
         """Return the convex conjugate of the potential (..., E), energy/time, of each contact: phi*(f) = max over slips
         v of (f v - potential(v)).
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         force : sizes f of forces, (..., E).
 
         With friction alone it is 0, or infinite for a force above the friction force.

@@ -240,12 +240,11 @@ class Network:
         return found
 
     def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return the sum of the contact forces on each sphere, (C, samples R, spheres *N); times the radius it is a
-        torque.
+        """Return the sum of the contact forces on each sphere, by spin component: (C, samples R, spheres *N). Times the
+        radius it is the torque on the sphere. As a linear map it is minus the transpose of :meth:`differences`.
 
-        force : (tangents d, R, contacts E), along the components of the slips that :meth:`differences` returns: the
-            result is minus the transpose of that linear map.
-        spin_axes : numbers of the C components.
+        force : (d, R, contacts E), contact forces by the d components that the vectors of :meth:`differences` have.
+        spin_axes : axes of the C components, as numbers from 0 to 2; not used in a packing.
         """
         if self.lattice is not None:
             return torques(force, self.lattice, spin_axes)
@@ -255,11 +254,11 @@ class Network:
         return found
 
     def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
-        """Return an upper bound on the eigenvalues of M^-1 K^T W K over the free spheres, where K turns radius * spin
-        of spheres into slips of contacts, and W and M are diagonal.
+        """Return an upper bound on the eigenvalues of M^-1 K^T W K over the free spheres, in units of weight over
+        inertia. K turns radius * spin of spheres into slips of contacts; W and M are diagonal.
 
-        weight : diagonal of W, (contacts E,), one number for all tangents of a contact.
-        inertia : diagonal of M, (spheres N,).
+        weight : diagonal of W, (contacts E,), such as stiffnesses; one number for all tangents of a contact.
+        inertia : diagonal of M, (spheres N,): moments of inertia over squared radii, all positive.
 
         For any vector x > 0 no eigenvalue of a matrix A exceeds the largest (|A| x)_i / x_i (Collatz and Wielandt; x =
         1 gives Gershgorin's circles). Here x comes near the best such vector by steps of the power method.
@@ -305,10 +304,13 @@ class Network:
     ) -> tuple[np.ndarray, np.ndarray, int | None]:
         """Return which spin components have to be solved for, and the values of those that are known beforehand.
 
-        The three results are: known values of u = radius * spin, (spheres N, components C), length/time: of driven
-        spheres, and of components by which no contact has to slip; a mask (N, C) of the components to be solved for;
-        and the number of independent motions without slip, None where normals are oblique. In each such motion one spin
-        is set to 0, so that the solution is unique.
+        The three results are
+
+        * known values of u = radius * spin, (spheres N, components C), length/time: those of driven spheres, and those
+          of components by which no contact has to slip; 0 elsewhere;
+        * a mask (N, C) of the components to be solved for;
+        * the number of independent motions without slip, None where normals are oblique. In each such motion one spin
+          is set to 0, so that the solution is unique.
 
         imposed : u (N, C) of driven spheres, 0 of others, length/time.
         contact : (n,) numbers of the contacts to consider.

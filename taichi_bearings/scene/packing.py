@@ -305,12 +305,13 @@ class Packing(Bearing):
         return found
 
     def as_stepped(self, spins: np.ndarray, at_rest: np.ndarray) -> "Packing":
-        """Return a copy with only those contacts that can slip, for methods that make steps. Contacts that are absent
-        or between driven spheres are left out.
+        """Return a copy for methods that make steps: with those contacts alone that can slip, neither absent nor
+        between driven spheres, and with `jump` and `is_cut_off` set.
 
-        spins : radius * spin at the start, (components C, 1, spheres N), length/time; its largest size is the unit of
-            speeds if imposed spins do not differ.
-        at_rest : (samples R,) mask of the samples for which a state without any slip is proven to exist.
+        spins : radius * spin at the start, (components C, 1, spheres N), length/time. Their largest size becomes
+            `jump`, the unit of speeds, if imposed spins do not differ.
+        at_rest : (samples R,) mask of the samples for which a state without any slip is proven to exist; it becomes
+            `is_cut_off`.
         """
         own = self.acting
         of = {name: None if (v := getattr(self, name)) is None else v[..., own] for name in OF_SAMPLES}

@@ -60,7 +60,7 @@ def heard():
 def own_handlers():
     """Those of the command line, for this test."""
     before = {number: signal.getsignal(number) for number in interrupts.SIGNALS}
-    interrupts.heard_at_once()
+    interrupts.raise_at_signals()
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -219,7 +219,7 @@ def test_a_limit_of_time_is_not_taken_for_a_wish_to_end(tmp_path, loads):
 import time
 from contextlib import suppress
 from taichi_bearings import interrupts
-interrupts.always_heard()
+interrupts.end_at_signals()
 with interrupts.Interrupt() as interrupt:
     with suppress(interrupts.GivenUp), interrupt.at_once(0.3):
         {first}

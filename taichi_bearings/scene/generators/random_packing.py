@@ -43,18 +43,18 @@ class _Heap:
     """The spheres placed so far, in D dimensions, and the pockets (places for a further sphere that touches D others),
     lowest first.
 
-    place : (spheres N, D), centres.
-    radius : (N,). Lengths are in radii of the small spheres.
+    All lengths are in radii of the small spheres.
+
+    place, radius : (spheres N, D) and (N,), centres and radii of the spheres; only the first `count` are placed.
     sides : (D,), lengths of the periodic sides, infinite along the height.
     sizes : the two radii.
-    count : number of spheres placed so far.
-    made : number of pockets made so far.
-    pockets : for each radius of the sphere to come a heap of pockets: height, number, place, numbers of the D spheres
-        that form it, and number of spheres when it was made.
+    count, made : numbers of spheres placed, and of pockets made, so far.
+    pockets : for each of the two radii a heap (of `heapq`) of the pockets for a sphere of this radius. A pocket is a
+        tuple: height, number of the pocket, place, numbers of the D spheres that form it, and `count` when it was made.
     across : (D,), lengths of the cells of a grid: spheres that touch are in one cell or in neighbouring ones.
     cells : D - 1 numbers of cells along the periodic sides.
     inside : numbers of the spheres in each cell, by the D indices of the cell, in ascending order.
-    spots, radii : lists of the D coordinates and of the radius of each sphere, as `place` and `radius` have them.
+    spots, radii : the contents of `place` and `radius` as lists, which are read faster one by one.
     """
 
     def __init__(self, count: int, width: float, ratio: float, dimension: int) -> None:
@@ -198,7 +198,7 @@ class _Pairs:
     neighbours is computed once, for further spheres of either size.
 
     vector : (n, D), centres of the neighbours. Lengths are in radii of the small spheres.
-    others : (neighbours or pairs, D - 1), numbers of the neighbours that are to be touched together.
+    others : (choices, D - 1), numbers of the neighbours that the new sphere is to touch: each one, or each pair.
     """
 
     def __init__(self, vector: np.ndarray) -> None:
