@@ -55,7 +55,7 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
     "--shape",
     multiple=True,
     metavar="NX,NY[,NZ]",
-    help="Lattice to measure on instead of the usual ones; may be repeated.",
+    help="Lattice to measure on, such as 32,32,32, instead of the default ones of each part; may be repeated.",
 )
 @click.option(
     "--threads",
@@ -106,7 +106,9 @@ def command(
     from taichi_bearings.runs.run_directory import default_run_path, writable_folder
 
     if parts is not None and PARTS[what]:
-        raise InputError(f"--parts belongs to `bearings benchmark speed`, not to `bearings benchmark {what}`")
+        raise InputError(
+            f"--parts belongs to `bearings benchmark speed`, not to `bearings benchmark {what}`; leave it out"
+        )
     benchmarks = {name: BENCHMARKS[name] for name in chosen("parts", PARTS[what] or parts, BENCHMARKS)}
     for name, part in USED_BY.items():
         if part not in benchmarks and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:

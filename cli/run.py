@@ -34,7 +34,10 @@ LAST_COLUMNS = (
     "--resume", metavar="RUN", type=FILES, help="Continue this run from its last checkpoint, in the same directory."
 )
 @click.option(
-    "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
+    "--verify",
+    is_flag=True,
+    help="At the end prove power, bounds and contact states anew from the written file, as `bearings verify` does; "
+    "exit code 1 if the file claims more.",
 )
 @click.option("--dry-run", is_flag=True, help="Solve nothing; print the method, and the time and memory to expect.")
 @title_option

@@ -19,8 +19,8 @@ from taichi_bearings.words import counted
 @click.argument("scan", metavar="SCAN", type=FILE_PATH)
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
-    help="Set an option of `run` for all samples by KEY=VALUE, or vary it by scan.KEY=LIST or scan.KEY=RANGE; this "
-    "wins over the file. May be repeated.",
+    help="Set an option of `run` for all samples, such as law=viscous, or vary it by a list or range, such as "
+    "\"scan.seed=[1, 2]\" or \"scan.seed={start=0, stop=9}\"; this wins over the file. May be repeated.",
 )  # fmt: skip
 @click.option(
     "--workers",

@@ -136,20 +136,20 @@ def interrupt(_: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
-def ignored() -> None:
+def ignore_signals() -> None:
     """Ignore Ctrl-C and SIGTERM from now on. Called in a command's own process that is about to end."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
-def heard_at_once() -> None:
+def raise_at_signals() -> None:
     """Let Ctrl-C and SIGTERM raise KeyboardInterrupt from now on. Called in a command's own process, not in that of a
     user's program."""
     for number in SIGNALS:
         signal.signal(number, interrupt)
 
 
-def always_heard() -> None:
+def end_at_signals() -> None:
     """Let Ctrl-C and SIGTERM end a command in every case. Called once in the command's own process.
 
     A KeyboardInterrupt that a destructor or a callback swallows is sent again. Where compiled code keeps Python from

@@ -138,8 +138,8 @@ def parse_json(text: str) -> Any:
     """
     if len(text) > MOST_JSON or text.count("[") + text.count("{") > MOST_PARTS:
         raise ValueError(
-            f"the text is longer than {MOST_JSON:,} characters or has more than {MOST_PARTS:,} lists and objects, the "
-            "most that is read"
+            f"it is longer than {MOST_JSON:,} characters or has more than {MOST_PARTS:,} lists and objects, the most "
+            "that this program reads"
         )
     return json.loads(text)
 

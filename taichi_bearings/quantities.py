@@ -185,7 +185,7 @@ ENERGY_RESIDUAL = (
 # fmt: off
 SPHERES = _named(
     [
-        Quantity("spin", "1/time", "angular velocity in the laboratory frame", lambda s: s.spin),
+        Quantity("spin", "1/time", "angular velocity of each sphere in the laboratory frame", lambda s: s.spin),
         Quantity("spin_rounding", "1/time",
                  "remainder of the spins beyond double precision: the spins are `spin` plus this",
                  lambda s: s.spin_rounding if s.spin_rounding.any() else None),
@@ -367,7 +367,8 @@ STRUCTURE = {
         Quantity("slipless_fraction", "1", "share of the contacts that do not slip",
                  lambda s: s.contacts_in(ContactState.SLIPLESS) / s.movable if s.movable else None,
                  r"N_\mathrm{slipless}\,/\,N_\mathrm{contacts}"),
-        Quantity("components", "1", "number of pieces into which the network of slipless contacts falls",
+        Quantity("components", "1", "number of connected pieces of the network of slipless contacts, without single"
+                 " spheres",
                  lambda s: s.network.components),
         Quantity("spans", "1", "whether slipless contacts join bottom and top", lambda s: s.network.spans),
         Quantity("reached_fraction", "1", "share of the free spheres that touch a slipless contact",
@@ -396,12 +397,13 @@ STRUCTURE = {
     "rigid domains": [
         Quantity("domains", "1", "number of rigid domains, sets of spheres that turn as one",
                  lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
-        Quantity("domains_locked_to", "1", "number of rigid domains by the driven plane that they turn with; those"
-                 " called mixed turn with different planes in different spin components, those called partly turn"
-                 " with a plane in some components only",
+        Quantity("domains_locked_to", "1", "for each driven plane, the number of rigid domains (spheres that turn as"
+                 " one) that turn with it; mixed: with different planes in different spin components; partly: with one"
+                 " in some components only; neither: with none",
                  lambda s: s.rigid_domains.domains_of_kind()),
-        Quantity("free_spheres_locked_to", "1", "number of free spheres by the driven plane that their rigid"
-                 " domain turns with; mixed and partly as for domains_locked_to",
+        Quantity("free_spheres_locked_to", "1", "for each driven plane, the number of free spheres whose rigid domain"
+                 " turns with it; mixed: with different planes in different spin components; partly: with one in some"
+                 " components only; neither: with none",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
         Quantity("largest_intermediate_domain", "1",
                  "number of spheres of the largest rigid domain that does not turn with one driven plane in all spin"

@@ -118,7 +118,8 @@ def conic_programme(scene: Scene) -> ConicProgramme:
     """
     if scene.replicas != 1:
         raise InputError(
-            f"the scene has {scene.replicas} replicas; the conic programme for other solvers describes a single sample"
+            f"the scene has {scene.replicas} samples; the conic programme for other solvers describes one, so give one "
+            "of them, such as scene.sample(0)"
         )
     if scene.law.holds and scene.law.flows:
         raise InputError(

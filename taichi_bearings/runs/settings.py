@@ -577,7 +577,7 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
         import tomli as tomllib
     try:  # texts that would exhaust Python's stack, or take too much memory or time, are refused
         if len(text) > MOST_SETTINGS_TEXT:
-            raise ValueError(f"the text is longer than {MOST_SETTINGS_TEXT:,} characters, the most that is read")
+            raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} characters, the most that this program reads")
         is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
         if is_deep and max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED:
             raise ValueError("the brackets of lists and tables do not close")

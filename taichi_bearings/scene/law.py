@@ -127,7 +127,7 @@ class Law:
         """Return the largest derivative (..., E) of the force by the slip speed, force * time/length, over all speeds
         from 0 to `slip`.
 
-        of : coefficients of the law, a tuple of arrays (..., E) over E contacts.
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : largest slip speed, length/time.
 
         The derivative is infinite for laws with friction, and where it is not known. A law of one's own that overrides
@@ -141,7 +141,7 @@ class Law:
     def force(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the size of the force (..., E) at each slipping contact.
 
-        of : coefficients of the law in the order of `quantities`, a tuple of arrays (..., E) over E contacts.
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
         """
         return self._sum(of, np.ones_like(slip), slip)
@@ -149,7 +149,7 @@ class Law:
     def power(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the dissipated power (..., E) of each contact, energy/time.
 
-        of : coefficients of the law in the order of `quantities`, a tuple of arrays (..., E) over E contacts.
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
         """
         return self._sum(of, slip, slip**2)
@@ -158,7 +158,7 @@ class Law:
         """Return the dissipation potential (..., E) of each contact, energy/time: the integral of the force from 0 to
         the slip.
 
-        of : coefficients of the law in the order of `quantities`, a tuple of arrays (..., E) over E contacts.
+        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
         """
         return self._sum(of, slip, slip**2 / 2)

@@ -224,13 +224,16 @@ class Network:
         return self.whole.T.tocsr()
 
     def differences(self, spins: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return vectors (d, samples R, contacts E) across all contacts, from which slips follow. On lattices they are
-        differences of spins in the d = C components, 1/time; a slip is the radius times the length of a vector. In
-        other packings they are the slips, length/time, along d tangents: 1 for discs, 2 for spheres.
+        """Return a vector for each contact, (components d, samples R, contacts E), whose length gives the slip speed.
 
-        spins : (C, R, spheres *N). On lattices spins with signs that alternate between neighbours, 1/time; in other
-            packings radius * spin in all components, length/time.
-        spin_axes : numbers of the C components.
+        * On a lattice it is the difference of the spins of both spheres, 1/time, without its component along the
+          contact. Its d = C components are those in `spin_axes`; the slip speed is the radius times its length.
+        * In another packing it is the slip itself, length/time. Its d components are along the tangents of the contact:
+          1 for discs, 2 for spheres.
+
+        spins : (C, R, spheres *N). On a lattice spins with signs that alternate between neighbours, 1/time; in another
+            packing radius * spin in all C components, length/time.
+        spin_axes : axes of the C components, as numbers from 0 to 2; not used in a packing.
         """
         if self.lattice is not None:
             return contact_differences(spins, self.lattice, spin_axes)

@@ -118,7 +118,8 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
     if isinstance(columns, str) or len(columns) not in {2, 3, most, 5}:
         raise InputError(
             f"columns is {shown(columns)}; it must name columns of {contacts}: two with the ids of both atoms, and "
-            "after them none, one with the normal force, or those with all components of the force"
+            "after them none, one with the normal force, or one for each of the two (in 2D) or three components of the "
+            "force"
         )
     frame, rows = _frames(atoms, contacts, list(columns), asked)
     kinds, sizes, places = len(asked.kinds), len(asked.size(frame.names)), asked.place(frame.names)
