@@ -27,10 +27,11 @@ LOADED = "taichi_bearings.scans.loaded"  # the module that the original loads, w
 
 
 class Original:
-    """The process that is copied to make workers. Elsewhere than under Linux there is none, and workers start anew.
+    """A process that has loaded the program, and of which worker processes are made as copies (forks). On systems other
+    than Linux there is none, and each worker loads the program anew.
 
-    It is started with the first worker, or before by :meth:`begin`. The owner must see to it that one thread at a time
-    starts workers.
+    The process is started with the first worker, or before by :meth:`begin`. Only one thread at a time may start
+    workers.
     """
 
     def __init__(self) -> None:

@@ -197,10 +197,10 @@ def standing(report: Any) -> str:
 
 
 def gap_of(report: Any) -> float:
-    """Return the largest relative gap of all samples; where nothing is proven on the way, the gap that the central path
-    of the interior-point method implies.
+    """Return the largest relative gap of all samples so far. If nothing is proven during a solve, as for packings, it
+    is the gap of the interior-point method on its central path, which is no proof.
 
-    report : what the solve says of where it stands.
+    report : what the solve says at a check, a solvers.drive.Report.
     """
     on_path = report.progress.gap_of_path
     return float(np.max(report.gap)) if on_path is None else on_path
@@ -225,11 +225,11 @@ def forecast(stage: Stage) -> tuple[float, str]:
 
 
 def share_of(report: Any) -> tuple[float, str]:
-    """Return which share of a solve is done, and in words what ends it. The share is not-a-number where it says nothing
-    of the time.
+    """Return the share of a solve that is done, from 0 to 1, and in words what will end it. The share is not-a-number
+    if the time left does not follow from it.
 
-    report : what a solve says of where it stands: `progress` (iteration, time, gap) and `stop`, its limits and
-        tolerance.
+    report : what the solve says at a check, a solvers.drive.Report: `progress` has iteration, time and gap; `stop` has
+        limits and tolerance.
     """
     gap = gap_of(report)
     progress, stop = report.progress, report.stop
@@ -249,9 +249,9 @@ def _by_decades(gap: float, aim: float) -> float:
 
 
 def seconds_left(points: Sequence[tuple[float, float]]) -> float:
-    """Return the time left after the last of these points, at their pace; infinite if it is not known.
+    """Return the seconds left after the last of some points, at the pace of these points; infinite if it is not known.
 
-    points : seconds, and the share of the work that was done then.
+    points : pairs of a time in seconds and the share of the work that was done then.
     """
     if len(points) < 3:
         return math.inf

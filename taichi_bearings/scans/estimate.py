@@ -111,12 +111,13 @@ def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False
 
 @dataclass(eq=False)
 class Kind:
-    """Samples that take about the same time.
+    """Samples of a scan that take about the same time each.
 
     method : name of the method that solves them, with the kind of scene.
-    cost : estimated seconds of one; where there is no estimate, spheres times simulated time.
-    remaining : number of those without a result.
-    done, seconds : number of those with a result, and the time that these have taken together.
+    cost : estimated seconds for one of them; for dynamics and packings, which have no estimate, its number of spheres
+        times its simulated time.
+    remaining : number of samples without a result.
+    done, seconds : number of samples with a result, and the time that they have taken together.
     """
 
     method: str
@@ -129,9 +130,9 @@ class Kind:
 class WorkLeft:
     """Estimate of the work that is left of a scan, which learns from the times of finished samples.
 
-    Samples that cost alike form a kind. The remaining ones of a kind are expected to take what its finished ones have
-    taken; if none is finished, their estimated cost, times the ratio of measured seconds to cost that their method has
-    had so far.
+    Samples that cost about the same form a kind. A sample that is left is expected to take as long as the finished ones
+    of its kind have taken on average. If none of its kind is finished, it is expected to take its estimated cost, times
+    the ratio of measured time to cost that its method has had so far.
 
     structure : True if the structure of samples is analysed as well.
     """

@@ -169,10 +169,12 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
 
 
 def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
-    """Return the statistics of y at each value of x, for each curve. Raise InputError if no sample has both x and y.
+    """Return the points of each curve of a figure: a dictionary by the curve's values of the columns `request.by`. A
+    point is itself a dictionary, of a value x, the statistics of y over the samples with this x, and numbers of samples
+    (see `Point`). Raises InputError if no sample has both x and y.
 
-    columns : table of the samples, with the column REASON.
-    request : what is drawn: the quantities x and y, and the columns whose values tell curves apart.
+    columns : table of the samples, with the column REASON: why a sample is in no point, "" if it is in one.
+    request : what is drawn: the columns x and y, and those whose values tell curves apart.
     """
     names, terms = request.y.split("/"), list[np.ndarray]()
     for name in names:
@@ -211,8 +213,8 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
 
 
 def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
-    """Return (samples,) why each sample is in no point of the figure, in words that follow a number; "" for those that
-    are in one.
+    """Return for each sample why it is in no point of the figure, (samples,), in words that can follow a number, such
+    as "failed"; "" for samples that are in a point.
 
     scan : a stored scan.
     table : samples of the scan, by column.
@@ -229,12 +231,12 @@ def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request
 
 
 def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
-    """Return the statistics of one point of a curve, and what is drawn: x, y and the ends of the bar. Too few samples
-    give no bar.
+    """Return by name the statistics of one point of a curve, and what is drawn of it: x, y and both ends of the error
+    bar, which are not-a-number for fewer than LEAST_SAMPLES samples.
 
-    terms : one array of numbers of the samples, for its mean and standard error; or two, for the ratio of their means
-        and its confidence interval.
-    x : place of the point.
+    terms : one array (samples,), of which the mean and its standard error are drawn; or two, of which the ratio of the
+        means and its 95 % confidence interval are drawn.
+    x : value on the x axis.
     """
     values, number = terms[0], len(terms[0])
     if len(terms) == 2:
@@ -250,9 +252,11 @@ def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
 
 
 def curves_of(points: Points, request: Request) -> list[Curve]:
-    """Return the curves to be drawn, one for each combination of values of the columns in `request.by`.
+    """Return the curves to be drawn, one for each combination of values of the columns `request.by`. Raises InputError
+    for more than MOST_CURVES.
 
-    points : points of each curve, with the numbers to draw, by such combinations.
+    points : by such combinations the points of the curve (see `Point`), with x, y and ends of error bars.
+    request : what is drawn; only `by` is used.
     """
     if len(points) > MOST_CURVES:
         raise InputError(
@@ -343,10 +347,10 @@ def named(key: str, value: object) -> str:
 
 
 def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:
-    """Return the table beside the figure: names of columns, and rows with the values of curve and x, and then all
-    numbers of the point.
+    """Return the table that is written beside the figure: the names of its columns, and a row for each point. A row has
+    the values of the columns `request.by` that name the curve, then x, then all numbers of the point.
 
-    points : the points of the figure, by curve.
+    points : the points of each curve, by these values.
     request : what is drawn.
     """
     rows = [[*part, *point.values()] for part, own in points.items() for point in own]

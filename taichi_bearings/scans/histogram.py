@@ -46,16 +46,18 @@ MOST_GROUPS = 24  # most histograms in a figure
 
 @dataclass(frozen=True)
 class Source:
-    """The samples of a run or a scan.
+    """The samples of a run or a scan, as histograms need them. Of all samples that were asked for, S have a result.
 
     path : path of its file.
-    reasons : (samples asked,), why each sample has no result; "" for the S that have one.
-    whole_column : function that returns the values (samples asked,) of a scalar by its name, or raises InputError.
-    contacts : (samples S,), number of contacts that are not between driven spheres.
-    counts : function that returns the distributions of power, from the number of bins a decade and the unit of power
-        (S,).
-    disorder : function that returns names (S,), equal for samples with the same coefficients in one system.
-    is_scan : True if only the bins of powers are known, not the powers.
+    reasons : (samples asked for,), why each sample has no result, in words; "" for the S samples that have one.
+    whole_column : function that returns the values (samples asked for,) of a number or setting by its name, or raises
+        InputError if there is none of this name.
+    contacts : (S,), number of contacts of each sample, without those between driven spheres.
+    counts : function that returns how many contacts have which power; its arguments are the number of bins a decade,
+        and the unit of power of each sample, (S,).
+    disorder : function that returns a name for each sample, (S,); the names of two samples are equal if their lattice
+        and its coefficients are.
+    is_scan : True for a scan, which stores powers by bins alone.
     """
 
     path: Path
@@ -175,13 +177,13 @@ def _source_of_run(run: Result) -> Source:
 def pooled(
     sources: Sequence[Source], bins_per_decade: int = 5, normalise: str = "none", by: str | None = None
 ) -> dict[Any, PowerHistogram]:
-    """Return one histogram of the power of contacts for each value of a column, all in the same bins; {None: histogram}
-    without a column.
+    """Return histograms of the power of contacts, all in the same bins: one for each value of a column, by this value;
+    without a column one of all samples, by the key None.
 
     sources : runs and scans whose samples are pooled.
-    bins_per_decade : bins for each factor of 10 of the power. For scans it must divide 20, as they store powers by 20
-        bins a decade; where samples have different units, each is shifted by whole such bins. Powers of runs are binned
-        anew.
+    bins_per_decade : bins for each factor of 10 of the power. For scans it must divide 20, as they store powers in 20
+        bins a decade. If the units of their samples differ, the bins of each sample are shifted by the nearest whole
+        number of such bins.
     normalise : unit of power: "none", or "mean" for the mean power of a contact of the sample.
     by : name of the column whose values tell the histograms apart, or None.
     """

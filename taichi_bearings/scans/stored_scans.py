@@ -184,9 +184,10 @@ def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> S
 
 
 def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None = None) -> list[tuple[Any, ...]]:
-    """Return a name for the disorder (the coefficients, in one system) of each row of a table of samples. Rows with
-    equal names depend on each other: they differ at most in how they were solved, and in settings that their methods or
-    laws do not use. Where a table has no seeds no two rows are equal.
+    """Return for each row of a table of samples a name for its disorder, the coefficients of its contacts. Rows with
+    equal names are the same system with the same coefficients, so they are no independent samples: they differ at most
+    in how they were solved, and in settings that their methods or laws do not use. In a table without seeds all names
+    differ.
 
     columns : the table, arrays (rows,) by name.
     settings : settings of all rows, where no column has them; needed to compare the names of several tables.
