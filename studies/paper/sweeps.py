@@ -22,8 +22,9 @@ TO_THE_RIGHT, TO_THE_LEFT = 1, 2  # bits: the neighbour on that side has not see
 
 
 def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
-    """Return the least weight of a path from the outside on the left, which is column 0, to each face: (B, w, h - 1)
-    for B grids.
+    """Return the least weight of a path from the outside on the left to each face: (B, w, h - 1) for B grids, of which
+    column 0 is that outside. A face is a square between four discs; a path over faces has the weight of the contacts
+    that it crosses.
 
     sideways, upward : weights of the contacts of grids with w columns and h rows of discs, (B, w - 1, h) and (B, w, h -
         1), none negative; those of the lowest and the highest row of `sideways` are not used, since they join driven
@@ -54,8 +55,8 @@ def _sweep(found: WEIGHTS, inner: WEIGHTS, upward: WEIGHTS, unseen: CHANGES):
     """Lower the distances by sweeps over the columns of each grid, rightward and leftward in turn, until none falls
     any more.
 
-    found : (B, w, h - 1) distances of the faces of B grids with w columns and h rows of discs from the outside on the
-        left, changed in place.
+    found : (B, w, h - 1) distances of the faces (squares between four discs) of B grids with w columns and h rows of
+        discs from the outside on the left, changed in place.
     inner : (B, w - 1, h - 2) weights of the sideways contacts without those of the driven rows.
     upward : (B, w, h - 1) weights of the upward contacts.
     unseen : (B, w) bits TO_THE_RIGHT and TO_THE_LEFT: the neighbour on that side has not seen the last change of the
