@@ -87,13 +87,13 @@ def _fact(name: str) -> Callable[[Answer], object]:
     return lambda answer: answer.solution.scene.facts.get(name)
 
 
-def _of_unique_slips(of: Callable[[Answer], object]) -> Callable[[Answer], object]:
-    """Return a function of an answer that calls `of` on lattices, where the slips at the minimum are unique; for
+def _of_unique_slips(value_of: Callable[[Answer], object]) -> Callable[[Answer], object]:
+    """Return a function of an answer that calls `value_of` on lattices, where the slips at the minimum are unique; for
     packings it returns None.
 
-    of : function of an answer.
+    value_of : function of an answer.
     """
-    return lambda answer: of(answer) if answer.solution.scene.driving.slips_are_unique else None
+    return lambda answer: value_of(answer) if answer.solution.scene.driving.slips_are_unique else None
 
 
 def _shape(answer: Answer) -> object:

@@ -22,15 +22,15 @@ def read_only(value: Value) -> Value:
     return value
 
 
-def cached_read_only(of: Callable[[Any], Value]) -> "cached_property[Value]":
+def cached_read_only(method: Callable[[Any], Value]) -> "cached_property[Value]":
     """Return a property that is computed once, and whose arrays cannot be written into.
 
-    of : the method that computes it.
+    method : the method that computes it.
     """
 
-    @wraps(of)
+    @wraps(method)
     def found(owner: object) -> Value:
         """Compute the value of the property of an object (`owner`), and make its arrays unwritable."""
-        return read_only(of(owner))
+        return read_only(method(owner))
 
     return cached_property(found)

@@ -109,10 +109,10 @@ def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, An
 
 
 @in_our_style
-def draw_exponents(of: Any) -> Figure:
+def draw_exponents(named: Any) -> Figure:
     """Draw the figure of random cuts.
 
-    of : the values that :func:`study` names, as attributes. Used are `weight` and `middle`: by length, (samples,)
+    named : the values that :func:`study` names, as attributes. Used are `weight` and `middle`: by length, (samples,)
         weights and middle heights of cuts with held ends; `theta`, `zeta` and `further`: fits of their growth; `held`
         and `free`: tables with columns `length`, `height`, `skewness`, `its_error`; `free_length`, in discs.
 
@@ -122,20 +122,20 @@ def draw_exponents(of: Any) -> Figure:
     """
     figure = new_figure(7.1, 2.8)
     left, right = figure.subplots(1, 2)
-    further = f",\nwith the next term {of.further.value:.3f} ± {of.further.total:.3f}"
+    further = f",\nwith the next term {named.further.value:.3f} ± {named.further.total:.3f}"
     for found, fit, color, text, more in (
-        (of.weight, of.theta, BLUE, r"weight, $\theta$", further),
-        (of.middle, of.zeta, ORANGE, r"middle, $\zeta$", ""),
+        (named.weight, named.theta, BLUE, r"weight, $\theta$", further),
+        (named.middle, named.zeta, ORANGE, r"middle, $\zeta$", ""),
     ):
         draw_deviations(left, found, color=color)
         draw_growth(left, found, fit, color, f"{text} = {fit.value:.3f} ± {fit.total:.3f}{more}")
     left.set(yscale="log", ylabel="standard deviation")
-    name_sizes(left, list(of.weight)[:: max(1, len(of.weight) // 5)], "length of the cut, discs")
+    name_sizes(left, list(named.weight)[:: max(1, len(named.weight) // 5)], "length of the cut, discs")
     left.set_title("(a) held ends")
     left.legend(loc="upper left")
     for table, x, color, text in (
-        (of.held, of.held.length, BLUE, "held ends, against the length"),
-        (of.free, of.free.height, ORANGE, f"free ends, length {of.free_length}, against the height"),
+        (named.held, named.held.length, BLUE, "held ends, against the length"),
+        (named.free, named.free.height, ORANGE, f"free ends, length {named.free_length}, against the height"),
     ):
         right.errorbar(x, table.skewness, table.its_error, fmt="o-", ms=3, lw=0.8, color=color, label=text)
     for value, text in ((TRACY_WIDOM, "Tracy–Widom"), (GUMBEL, "Gumbel")):

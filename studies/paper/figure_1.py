@@ -261,26 +261,27 @@ def apart_from_cut(scene: Scene) -> dict[str, float]:
 
 
 @in_our_style
-def draw_configurations(of: Any) -> Figure:
+def draw_configurations(named: Any) -> Figure:
     """Draw the figure: (a) viscous and (b) Coulomb spins of one sample as colour, with its minimum cut in black, and
     (c) how much heavier the second lightest cut of each sample is; those whose descent ended elsewhere are marked.
 
-    of : the values that :func:`study` names, as attributes. Used are `viscous` and `coulomb` (nx, ny), sizes of spins
-        where the top has 1; `above` (nx, ny), True above the minimum cut; `exact`, a table with a row for each sample
-        and the columns `distance`, weight of the second lightest cut over that of the lightest, less 1, and `differs`.
+    named : the values that :func:`study` names, as attributes. Used are `viscous` and `coulomb` (nx, ny), sizes of
+        spins where the top has 1; `above` (nx, ny), True above the minimum cut; `exact`, a table with a row for each
+        sample and the columns `distance`, weight of the second lightest cut over that of the lightest, less 1, and
+        `differs`.
     """
     figure = new_figure(DOUBLE, 2.5)
     parts: Any = figure.subfigures(1, 2, width_ratios=(2.1, 1.1), wspace=0.05)
-    panels, sheet = parts[0].subplots(1, 2), Sheet.of_lattice(Lattice(of.above.shape))
+    panels, sheet = parts[0].subplots(1, 2), Sheet.of_lattice(Lattice(named.above.shape))
     names = ("(a) viscous", "(b) Coulomb, minimum cut in black")
-    for axes, name, speed in zip(panels, names, (of.viscous, of.coulomb), strict=True):
+    for axes, name, speed in zip(panels, names, (named.viscous, named.coulomb), strict=True):
         sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
         sheet.box_driven(axes)
         axes.set_title(name)
-    low, high = of.above.ravel()[sheet.ends]
+    low, high = named.above.ravel()[sheet.ends]
     sheet.draw(panels[1], low != high, across=True, colors="black", lw=1.0)
     colour_bar(parts[0], panels, r"$|\omega|\,/\,\omega_T$", Normalize(0, 1), SPIN_COLOURS, pad=0.05)
-    _draw_ranks(parts[1].subplots(), of.exact[np.argsort(of.exact.distance)])
+    _draw_ranks(parts[1].subplots(), named.exact[np.argsort(named.exact.distance)])
     return figure
 
 

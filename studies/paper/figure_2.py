@@ -154,10 +154,10 @@ def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
 
 
 @in_our_style
-def draw_relaxation(of: Any) -> Figure:
+def draw_relaxation(named: Any) -> Figure:
     """Draw the figure for one sample.
 
-    of : the values of :func:`names_of` as attributes. Used are `place`, index of the sample; `runs` and `rigid`: for
+    named : the values of :func:`names_of` as attributes. Used are `place`, index of the sample; `runs` and `rigid`: for
         each start the relaxation (a Run) with springs and with rigid contacts; `minima`, a table with the columns
         `power` and `cut_power`, energy/time; `fastest`, the larger one of the imposed spins, 1/time.
 
@@ -166,18 +166,18 @@ def draw_relaxation(of: Any) -> Figure:
     end: with signs that alternate between neighbours, over the larger imposed one, and without the mean of each layer
     about the height.
     """
-    figure, sample = new_figure(DOUBLE, 4.6), of.place
+    figure, sample = new_figure(DOUBLE, 4.6), named.place
     parts: Any = figure.subfigures(1, 2, width_ratios=(1.12, 1.0), wspace=0.02)
     courses = [
         (run.time, run.power[:, sample], look | {"label": f"from {STARTS[run.start]}, {dynamics}"})
-        for several, looks, dynamics in ((of.runs, SPRINGS, "Cundall-Strack"), (of.rigid, RIGID, "rigid"))
+        for several, looks, dynamics in ((named.runs, SPRINGS, "Cundall-Strack"), (named.rigid, RIGID, "rigid"))
         for run, look in zip(several, looks, strict=True)
     ]
-    _draw_curves(parts[0], courses, float(of.minima.power[sample]), float(of.minima.cut_power[sample]))
-    grid = parts[1].subplots(len(of.runs), 2, squeeze=False)
-    for row, run in zip(grid, of.runs, strict=True):
+    _draw_curves(parts[0], courses, float(named.minima.power[sample]), float(named.minima.cut_power[sample]))
+    grid = parts[1].subplots(len(named.runs), 2, squeeze=False)
+    for row, run in zip(grid, named.runs, strict=True):
         for axes, spin, when in zip(row, (run.first, run.last), ("= 0", r"\to \infty"), strict=True):
-            _draw_spheres(axes, np.moveaxis(without_idle_spin(spin)[:, sample], 0, -1) / of.fastest)
+            _draw_spheres(axes, np.moveaxis(without_idle_spin(spin)[:, sample], 0, -1) / named.fastest)
             axes.set_title(f"{STARTS[run.start]}, $t {when}$", pad=2)
     grid[0, 0].text(-0.02, 1.1, "(c)", transform=grid[0, 0].transAxes, va="top")
     label = r"$|\omega|\,/\,\omega_T$; arrows: $(-1)^{x+y+z}\,\omega$" + "\n(without the mean of each layer about $z$)"

@@ -295,12 +295,12 @@ def study(folder: Path, effort: Effort) -> StudyResult:
 
 
 @in_our_style
-def draw_odd_loops(of: Any) -> Figure:
+def draw_odd_loops(named: Any) -> Figure:
     """Draw three panels for each lattice.
 
-    of : the values that :func:`study` names, as attributes. Used are `courses`: by lattice, size L and number n of odd
-        contacts (which close loops of an odd number of discs) the shares (samples,) of discs that roll with the top;
-        `rest`: for lattices of discs, by spin of the bottom over that of the top, the shares (samples,) at rest;
+    named : the values that :func:`study` names, as attributes. Used are `courses`: by lattice, size L and number n of
+        odd contacts (which close loops of an odd number of discs) the shares (samples,) of discs that roll with the
+        top; `rest`: for lattices of discs, by spin of the bottom over that of the top, the shares (samples,) at rest;
         `ruled`: by lattice the exponent a of panel (b), with the smallest size that it holds for.
 
     (a) The share s of discs that roll with the top, against the number n of odd contacts.
@@ -310,10 +310,10 @@ def draw_odd_loops(of: Any) -> Figure:
     (c) The share of discs at rest, against the spin of the bottom over that of the top, with the largest number of odd
         contacts.
     """
-    figure = new_figure(7.1, 2.4 * len(of.courses))
-    rows: Any = figure.subplots(len(of.courses), 3, squeeze=False)
-    for panels, (lattice, curves) in zip(rows, of.courses.items(), strict=True):
-        are_discs, held, ruled = lattice in of.rest, held_by_nothing_else(curves), of.ruled.get(lattice)
+    figure = new_figure(7.1, 2.4 * len(named.courses))
+    rows: Any = figure.subplots(len(named.courses), 3, squeeze=False)
+    for panels, (lattice, curves) in zip(rows, named.courses.items(), strict=True):
+        are_discs, held, ruled = lattice in named.rest, held_by_nothing_else(curves), named.ruled.get(lattice)
         for (L, by), color in zip(curves.items(), shades(len(curves)), strict=True):
             look = {"color": color, "label": f"L = {L}"}
             with_odd = {n: shares for n, shares in by.items() if n}
@@ -335,11 +335,11 @@ def draw_odd_loops(of: Any) -> Figure:
             panels[1].set(xlabel=f"$n / L^{{{ruled.value:.2f}}}$", title=f"together from {ruled.smallest} on")
         else:
             panels[1].set_axis_off()
-        if lattice not in of.rest:
+        if lattice not in named.rest:
             panels[2].set_axis_off()
             continue
-        means = [values.mean() for values in of.rest[lattice].values()]
-        panels[2].plot(list(of.rest[lattice]), means, "o-", color=BLUE, ms=3)
+        means = [values.mean() for values in named.rest[lattice].values()]
+        panels[2].plot(list(named.rest[lattice]), means, "o-", color=BLUE, ms=3)
         panels[2].axhline(1.0, color=GREY, lw=0.8)
         panels[2].set(xlabel=r"$\omega_B / \omega_T$", ylabel="share of discs that rest", ylim=(0, 1.05))
         panels[2].set_title("most odd contacts")

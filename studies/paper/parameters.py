@@ -151,25 +151,25 @@ def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
 
 
 @in_our_style
-def draw_parameters(of: Any) -> Figure:
+def draw_parameters(named: Any) -> Figure:
     """Draw (a) power over its initial value and (b) its excess over the least power, of the first sample, against F_n
     t; a curve for each variant, the paper's in black.
 
-    of : the values that :func:`study` names, as attributes. Used are `courses`: by variant its relaxation (a Run) of R
-        samples with T recorded times; `excess`: by variant (T, R samples), power over the least one, less 1; `seed`.
+    named : the values that :func:`study` names, as attributes. Used are `courses`: by variant its relaxation (a Run) of
+        R samples with T recorded times; `excess`: by variant (T, R samples), power over the least one, less 1; `seed`.
     """
     figure = new_figure(7.1, 3.2)
     left, right = figure.subplots(1, 2)
-    for (name, course), colour in zip(of.courses.items(), COLOURS, strict=True):
+    for (name, course), colour in zip(named.courses.items(), COLOURS, strict=True):
         look: dict[str, Any] = {"color": colour, "lw": 1.8 if name == PAPER else 1.1, "label": name}
-        time, excess = course.time, of.excess[name][:, 0]
+        time, excess = course.time, named.excess[name][:, 0]
         left.plot(time[time > 0], (course.power / course.power[0])[time > 0, 0], **look)
         shown = (time > 0) & (excess > 0)
         right.plot(time[shown], excess[shown], **look)
     label = r"time, $\omega_T\, t\, F_n / 50$"
     left.set(xscale="log", xlabel=label, ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
     right.set(xscale="log", yscale="log", xlabel=label, ylabel=r"$P\,/\,P_{\min} - 1$", ylim=(1e-8, 10))
-    left.set_title(f"(a) seed {of.seed}, random spins")
+    left.set_title(f"(a) seed {named.seed}, random spins")
     right.set_title("(b) above the minimum")
     figure.legend(handles=left.lines, loc="outside lower center", ncols=4)
     return figure

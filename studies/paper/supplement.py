@@ -219,19 +219,19 @@ def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
 
 
 @in_our_style
-def draw_decades(of: Any) -> Figure:
+def draw_decades(named: Any) -> Figure:
     """Draw the figure: (a) histograms of the power of single contacts, at the certified minimum and at the end of each
     gradient descent; (b) that of the longest descent, divided into contacts that slip at the minimum and others;
     (c) for each contact that slips at the minimum, its power there against that in the longest descent.
 
-    of : the values of :func:`names_of` as attributes. Used are `minimum`, `descent` (the longest one) and `descents`
-        (all of them, shortest first), each an Ending with `power` (n,), of the n contacts that can slip over
-        F_n R omega_T, and the mask `slips` (n,).
+    named : the values of :func:`names_of` as attributes. Used are `minimum`, `descent` (the longest one) and `descents`
+        (all of them, shortest first), each an Ending with `power` (n,), of the n contacts that can slip over F_n R
+        omega_T, and the mask `slips` (n,).
     """
     figure = new_figure(7.1, 2.6)
     panels: Any = figure.subplots(1, 3)
-    slips, longest, descents = of.minimum.slips, of.descent.power, of.descents
-    powers = [of.minimum.power[slips], *(descent.power for descent in descents)]
+    slips, longest, descents = named.minimum.slips, named.descent.power, named.descents
+    powers = [named.minimum.power[slips], *(descent.power for descent in descents)]
     low = min(float(values[values > 0].min()) for values in powers)
     high = max(float(values.max()) for values in powers)
     first, last = np.floor(np.log10(low) * BINS_PER_DECADE), np.ceil(np.log10(high) * BINS_PER_DECADE)

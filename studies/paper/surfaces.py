@@ -134,10 +134,10 @@ def row_of(point: tuple[int, float], found: Mapping[str, np.ndarray]) -> dict[st
 
 
 @in_our_style
-def draw_surfaces(of: Any) -> Figure:
+def draw_surfaces(named: Any) -> Figure:
     """Draw the figure, four panels against the side.
 
-    of : the values that :func:`study` names, as attributes. Used are `weight`: by side, weights (samples,) of cuts;
+    named : the values that :func:`study` names, as attributes. Used are `weight`: by side, weights (samples,) of cuts;
         `flat`: by lowest friction and side, roughness (samples,) of cuts, spheres^2; `theta` and `zeta`: fits of the
         growth of these two; `cubes`: by side, a table of minima with the columns `power`, `cut` and `layers`; `towers`:
         by height, `layers` (samples,).
@@ -147,7 +147,8 @@ def draw_surfaces(of: Any) -> Figure:
     (c) Standard deviations of the least power, and of the power of the minimum cut.
     (d) Effective number of layers over which the spin of minima changes.
     """
-    weight, theta, zeta, flat, cubes, towers = of.weight, of.theta, of.zeta, of.flat, of.cubes, of.towers
+    weight, theta, zeta = named.weight, named.theta, named.zeta
+    flat, cubes, towers = named.flat, named.cubes, named.towers
     figure = new_figure(7.1, 5.0)
     (a, b), (c, d) = figure.subplots(2, 2)
     draw_deviations(a, weight, color=BLUE)

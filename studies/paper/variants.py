@@ -184,25 +184,25 @@ def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
 
 
 @in_our_style
-def draw_distributions(of: Any) -> Figure:
+def draw_distributions(named: Any) -> Figure:
     """Draw the figure, a row for each distribution: least power over that of the minimum cut, share of samples whose
     slipless contacts join bottom and top, share of slipless contacts, and decades of power.
 
-    of : the values of :func:`names_of_distributions` as attributes. Used is `all`: by distribution of the friction a
+    named : the values of :func:`names_of_distributions` as attributes. Used is `all`: by distribution of the friction a
         table of samples, with the columns `power_over_cut`, `slipless_fraction`, `decades`, and the masks `spans` and
         `states_proven`.
     """
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 4, sharey=True)
-    rows = range(len(of.all), 0, -1)
-    for row, table in zip(rows, of.all.values(), strict=True):
+    rows = range(len(named.all), 0, -1)
+    for row, table in zip(rows, named.all.values(), strict=True):
         colour = BLUE if 2 * table.states_proven.sum() > len(table) else GREY
         for axes, column in zip(panels[[0, 2, 3]], ("power_over_cut", "slipless_fraction", "decades"), strict=True):
             draw_row(axes, row, getattr(table, column), colour)
         share, spans = table.spans.mean(), Share.of(table.spans)
         ends = np.array([[spans.least], [spans.most]])
         panels[1].errorbar(share, row, xerr=np.abs(ends - share), fmt="o", color=colour, ms=4, capsize=2)
-    panels[0].set_yticks(rows, list(of.all))
+    panels[0].set_yticks(rows, list(named.all))
     panels[0].set_xlabel(r"$P_\mathrm{min} / P_\mathrm{cut}$")
     panels[1].set(xlabel="samples that span", xlim=(-0.04, 1.04))
     panels[2].set_xlabel("slipless contacts")
@@ -212,12 +212,12 @@ def draw_distributions(of: Any) -> Figure:
 
 
 @in_our_style
-def draw_drivings(of: Any) -> Figure:
+def draw_drivings(named: Any) -> Figure:
     """Draw the figure of samples under several drivings. Dots are samples, the line is their mean.
 
-    of : the values of :func:`names_of_drivings` as attributes. Used are `reference`, `other` and `rates`: tables of the
-        same samples under the reference driving, by name under other axes of rotation, and by name with other values of
-        C. Their columns are `angle`, degrees, `overlap` and `power_over_cut`.
+    named : the values of :func:`names_of_drivings` as attributes. Used are `reference`, `other` and `rates`: tables of
+        the same samples under the reference driving, by name under other axes of rotation, and by name with other
+        values of C. Their columns are `angle`, degrees, `overlap` and `power_over_cut`.
 
     (a) Overlap of the slipless contacts with those under the reference, and (b) least power over that of the minimum
     cut, both against the direction of the difference of the imposed spins. (c) Overlap of the slipless contacts with
@@ -225,12 +225,12 @@ def draw_drivings(of: Any) -> Figure:
     """
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 3)
-    by_angle = sorted((of.reference, *of.other.values()), key=lambda table: float(table.angle[0]))
-    angle, rates = [table.angle[0] for table in by_angle], [DRIVINGS[name]["top"][3] for name in of.rates]
+    by_angle = sorted((named.reference, *named.other.values()), key=lambda table: float(table.angle[0]))
+    angle, rates = [table.angle[0] for table in by_angle], [DRIVINGS[name]["top"][3] for name in named.rates]
     for axes, x, tables, column in (
         (panels[0], angle, by_angle, "overlap"),
         (panels[1], angle, by_angle, "power_over_cut"),
-        (panels[2], rates, of.rates.values(), "overlap"),
+        (panels[2], rates, named.rates.values(), "overlap"),
     ):
         values = np.array([getattr(table, column) for table in tables])
         axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.35, mew=0)

@@ -54,15 +54,15 @@ def _decimals(values: np.ndarray) -> np.ndarray:
     return np.array([Decimal(float(value)) for value in np.ravel(values)], dtype=object)
 
 
-def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+def _costs(scene: Scene, wanted: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
     """Return two arrays (contacts,), a and c, energy/time, of some contacts: a contact with the slip d costs a |d| + c
     |d|^2 / 2, where d is measured in the unit of spins (`unit_of`).
 
     scene : one sample.
-    some : slice of the contacts that are wanted.
+    wanted : slice of the contacts that are wanted.
     """
     speed = Decimal(scene.radius) * unit_of(scene)
-    values, *second = (_decimals(of[0, some]) for of in scene.named_coefficients.values())
+    values, *second = (_decimals(of[0, wanted]) for of in scene.named_coefficients.values())
     if not scene.law.holds:
         return 0 * values, values * 2 * speed**2  # the power is twice the potential
     return values * Decimal(scene.normal_force) * speed, second[0] * speed**2 if second else 0 * values

@@ -159,7 +159,7 @@ def joined_counts(parts: Sequence[SampleCounts]) -> SampleCounts:
 
 
 def pool(
-    of: SampleCounts,
+    counts: SampleCounts,
     slip_threshold: float,
     units: str = ENERGY_PER_TIME,
     disorder: np.ndarray | None = None,
@@ -167,7 +167,7 @@ def pool(
 ) -> PowerHistogram:
     """Return one histogram of the power of all slipping contacts of S samples, with standard errors.
 
-    of : counts of the samples.
+    counts : numbers of slipping contacts of the S samples by bins of power.
     slip_threshold : largest slip speed, length/time, up to which contacts counted as slipless in one of the samples.
     units : unit of the power, as a text.
     disorder : (S,) equal numbers for samples with the same coefficients, which depend on each other; None if all are
@@ -175,11 +175,11 @@ def pool(
     left_out : number of further samples that were left out, by reason; None for none.
     """
     # samples of one disorder are summed first; errors are those of sums, and of their ratios, over independent samples
-    own = of.count if disorder is None else _by_disorder(of.count, disorder)
-    samples, count = len(own), of.count.sum(axis=0)
+    own = counts.count if disorder is None else _by_disorder(counts.count, disorder)
+    samples, count = len(own), counts.count.sum(axis=0)
     total = max(int(count.sum()), 1)
     share = count / total
-    slipless, _, undecided, tied = of.contacts.sum(axis=0).tolist()
+    slipless, _, undecided, tied = counts.contacts.sum(axis=0).tolist()
     if samples > 1:
         spread = samples / (samples - 1)
         error = np.sqrt(spread * ((own - count / samples) ** 2).sum(axis=0))
@@ -188,16 +188,16 @@ def pool(
     else:
         error, share_error = np.sqrt(count), np.sqrt(count) / total
     return PowerHistogram(
-        edges=of.edges,
+        edges=counts.edges,
         count=count,
         standard_error=error,
-        density=share * of.bins_per_decade,
-        density_error=share_error * of.bins_per_decade,
+        density=share * counts.bins_per_decade,
+        density_error=share_error * counts.bins_per_decade,
         slipless=slipless,
         tied=tied,
         undecided=undecided,
         slip_threshold=slip_threshold,
-        samples=len(of.count),
+        samples=len(counts.count),
         units=units,
         left_out=left_out or {},
     )

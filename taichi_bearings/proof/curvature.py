@@ -216,18 +216,18 @@ class Slipping:
         return pieces(self.unknowns, first, second)
 
 
-def _slipping_components(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
+def _slipping_components(network: JudgedNetwork, indices: np.ndarray) -> np.ndarray:
     """Return the numbers of the spin components that make contacts slip, (2, k), -1 where there is no second one: the
     one or two components along which some minimum may slip, or, if these are all three, the two that are not along the
     normal of the contact.
 
     network : a network whose slips do not mix the components of the spins.
-    some : (k,), indices of the contacts."""
+    indices : (k,), indices of the contacts."""
     if len(network.needed) == 3:
-        axis = np.argmax(np.abs(network.graph.normal[some]), axis=1)
+        axis = np.argmax(np.abs(network.graph.normal[indices]), axis=1)
         return np.stack([(axis + 1) % 3, (axis + 2) % 3])
-    felt = [np.where(network.feels[k][some], k, -1) for k in network.needed]
-    return np.stack([*felt, np.full(len(some), -1)][:2])
+    felt = [np.where(network.feels[k][indices], k, -1) for k in network.needed]
+    return np.stack([*felt, np.full(len(indices), -1)][:2])
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -558,13 +558,13 @@ def _with_values(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array
 
 
 def _row_scaled(
-    values: np.ndarray, matrix: sparse.csr_array, of: Callable[[np.ndarray], np.ndarray] = np.asarray
+    values: np.ndarray, matrix: sparse.csr_array, function: Callable[[np.ndarray], np.ndarray] = np.asarray
 ) -> sparse.csr_array:
     """Return the sparse matrix `matrix` (k, n) with row i multiplied by values[i].
 
     values : (k,).
-    of : function applied to the entries of the matrix first, for instance np.abs."""
-    return _with_values(matrix, np.repeat(values, np.diff(matrix.indptr)) * of(matrix.data))
+    function : function applied to the entries of the matrix first, for instance np.abs."""
+    return _with_values(matrix, np.repeat(values, np.diff(matrix.indptr)) * function(matrix.data))
 
 
 def _curvature_rows(

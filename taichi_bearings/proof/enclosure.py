@@ -39,24 +39,24 @@ IN_CACHE = 8192  # length of arrays of which some twenty fit the second-level ca
 Made = TypeVar("Made", bound=Callable[..., Any])
 
 
-def in_cache(made: Made) -> Made:
-    """Return a function with the same results as `made`, bit by bit, that handles large arrays in parts of about
+def in_cache(function: Made) -> Made:
+    """Return a function with the same results as `function`, bit by bit, that handles large arrays in parts of about
     IN_CACHE numbers. These fit the caches of a processor, so that only arguments and result pass through memory.
 
-    made : a function of enclosures, arrays and numbers that works element by element."""
+    function : a function of enclosures, arrays and numbers that works element by element."""
 
-    @wraps(made)
+    @wraps(function)
     def in_parts(*given: Any) -> Any:
         """Return the result of `made`, computed part by part if the arrays are large.
 
         given : enclosures, arrays and numbers, which are broadcast to one shape."""
         shape = np.broadcast_shapes(*(np.shape(v.high if isinstance(v, Enclosure) else v) for v in given))
         if math.prod(shape) <= 2 * IN_CACHE:
-            return made(*given)
+            return function(*given)
         whole = [v.spread(shape) if isinstance(v, Enclosure) else np.broadcast_to(v, shape) for v in given]
         found: list[np.ndarray] = []
         for part in _parts_of(shape):
-            of_part = made(*(v[part] for v in whole))
+            of_part = function(*(v[part] for v in whole))
             values = of_part.parts if isinstance(of_part, Enclosure) else (of_part,)
             found = found or [np.empty(shape) for _ in values]
             for into, some in zip(found, values, strict=True):
@@ -211,9 +211,9 @@ class Enclosure:
         for part, other in zip(self.parts, others.parts, strict=True):
             part.put(places, other)
 
-    def where(self, some: np.ndarray) -> Enclosure:
-        """Return the enclosures where the mask `some` is True, and exactly 0 elsewhere."""
-        return Enclosure(*(np.where(some, part, 0.0) for part in self.parts))
+    def where(self, mask: np.ndarray) -> Enclosure:
+        """Return the enclosures where `mask` is True, and exactly 0 elsewhere."""
+        return Enclosure(*(np.where(mask, part, 0.0) for part in self.parts))
 
     def spread(self, shape: tuple[int, ...]) -> Enclosure:
         """Return the enclosures broadcast to a shape; read-only."""

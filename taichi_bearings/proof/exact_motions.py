@@ -328,7 +328,7 @@ class _Solved:
     factor: Factor
     fewer: bool = False
 
-    def columns(self, some: np.ndarray) -> tuple[np.ndarray, bool]:
+    def columns(self, chosen: np.ndarray) -> tuple[np.ndarray, bool]:
         """Return for each of k choices (numbers from which all spins follow) the column (k,) in which its motion is to
         be computed; and True if a column may hold several choices of one part.
 
@@ -336,49 +336,49 @@ class _Solved:
         one part have a column each if they are imposed spins, which move many spheres, if they are few, or if `fewer`
         is set; else they share columns.
 
-        some : (k,), indices of the choices; either all are imposed spins, or none."""
-        owner = self.choices.owner[some]
+        chosen : (k,), indices of the choices; either all are imposed spins, or none."""
+        owner = self.choices.owner[chosen]
         order, size = np.argsort(owner, kind="stable"), np.bincount(owner)
         slot = np.empty_like(order)
         slot[order] = np.arange(len(order)) - np.repeat(np.cumsum(size) - size, size)
         columns = max(SLOTS_AT_ONCE, -(-int(size.max()) // CHOICES_IN_A_SUM))
-        imposed = some[0] >= len(self.choices.chosen)
+        imposed = chosen[0] >= len(self.choices.chosen)
         if imposed or self.fewer or columns >= size.max():
             return slot, False
         return slot % columns, True
 
-    def motions(self, some: np.ndarray, column: np.ndarray) -> np.ndarray:
+    def motions(self, chosen: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Return for each column the sum of the motions of its choices, (f, columns), for the f unknowns in `follow`. A
         motion is what these unknowns have to be if its choice is 1 and all other choices are 0, so that no contact
         slips. The residual is solved for once more, against rounding; entries that are not finite are set to 0.
 
-        some : (k,), indices of the choices.
+        chosen : (k,), indices of the choices.
         column : (k,), the column of each."""
-        together = sparse.csr_array((np.ones(len(some)), (np.arange(len(some)), column)))
-        sums = (self.choices.sums[:, some] @ together).toarray()
+        together = sparse.csr_array((np.ones(len(chosen)), (np.arange(len(chosen)), column)))
+        sums = (self.choices.sums[:, chosen] @ together).toarray()
         normal = self.parts.normal.T[..., None]
         slips = np.cross(sums.reshape(3, -1, sums.shape[1]), normal, axis=0).reshape(sums.shape)
         x = -self.factor.solve(self.rows.T @ slips)  # the others follow by K x = -slips
         x -= self.factor.solve(self.rows.T @ (self.rows @ x + slips))
         return np.where(np.isfinite(x), x, 0.0)
 
-    def one_of_each_part(self, x: np.ndarray, some: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def one_of_each_part(self, x: np.ndarray, chosen: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the motions of single choices (numbers from which all spins follow) from columns that hold at most one
         choice of each part (spheres that contacts connect). The result is an array (3, entries) with, for each number
         that is not nearly 0: which of the f unknowns moves, the choice, and by how much. As a second result return an
         empty array (0,): no choice is left to be solved for again.
 
         x : (f, columns), the sums of motions.
-        some : (k,), indices of the choices.
+        chosen : (k,), indices of the choices.
         column : (k,), the column of each."""
         choice = np.full((self.parts.count, x.shape[1]), -1)
-        choice[self.choices.owner[some], column] = some
+        choice[self.choices.owner[chosen], column] = chosen
         at, among = np.nonzero(np.abs(x) > WHOLE)
         own = choice[self.parts.of_unknown[self.follow[at]], among]
         there = own >= 0
-        return np.stack([at[there], own[there], x[at[there], among[there]]]), some[:0]
+        return np.stack([at[there], own[there], x[at[there], among[there]]]), chosen[:0]
 
-    def split(self, x: np.ndarray, some: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def split(self, x: np.ndarray, chosen: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the motions of single choices (numbers from which all spins follow) from columns that hold the sum of
         several. The result is an array (3, entries) with, for each number that is not nearly 0: which of the f unknowns
         moves, the choice, and by how much. As a second result return the choices that are left, since their motions
@@ -389,12 +389,12 @@ class _Solved:
         are left.
 
         x : (f, columns), the sums of motions.
-        some : (k,), indices of the choices.
+        chosen : (k,), indices of the choices.
         column : (k,), the column of each."""
         width, sphere = x.shape[1], np.nonzero(self.parts.free)[0]
         at, among = np.nonzero(np.abs(x) > WHOLE)
         # A node is a sphere in a column. Contacts join two of them if both spheres move in this column.
-        node, of_choice = sphere[self.follow[at]] * width + among, sphere[self.choices.chosen[some]] * width + column
+        node, of_choice = sphere[self.follow[at]] * width + among, sphere[self.choices.chosen[chosen]] * width + column
         moves = np.zeros((len(self.parts.free), width), dtype=bool)
         moves.flat[node] = moves.flat[of_choice] = True
         first, second = self.parts.ends[:, self.parts.network.free[self.parts.ends].all(axis=0)]
@@ -402,10 +402,10 @@ class _Solved:
         label = pieces(moves.size, first[contact] * width + inside, second[contact] * width + inside)
         alone = np.bincount(label[of_choice], minlength=moves.size)[label[of_choice]] == 1
         choice = np.full(moves.size, -1)
-        choice[label[of_choice[alone]]] = some[alone]
+        choice[label[of_choice[alone]]] = chosen[alone]
         own = choice[label[node]]
         there = own >= 0
-        return np.stack([at[there], own[there], x[at[there], among[there]]]), some[~alone]
+        return np.stack([at[there], own[there], x[at[there], among[there]]]), chosen[~alone]
 
 
 @dataclass(frozen=True)

@@ -380,13 +380,13 @@ class JudgedNetwork:
         several = any((values != values[first][part]).any() for values in own.parts[:2])
         return bool(several or (odd[held] & (own.high != 0)).any())
 
-    def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
+    def dissipated(self, of_slope: float, mask: np.ndarray | None = None) -> Enclosure:
         """Return for each of R samples the sum over contacts of mu F_n slip + `of_slope` eta slip^2 at the stored
         spins, an enclosure (R,) in units of the network.
 
         of_slope : 1 for the power, 1/2 for the potential.
-        some : (m,) mask of the contacts that are summed; None for all with a coefficient and a free end."""
-        held, flows = self._dissipated if some is None else self._sums(some)
+        mask : (m,) mask of the contacts that are summed; None for all with a coefficient and a free end."""
+        held, flows = self._dissipated if mask is None else self._sums(mask)
         return held + flows.signed(of_slope)
 
     @cached_property
@@ -395,10 +395,10 @@ class JudgedNetwork:
         (R,)."""
         return self._sums(self.acts)
 
-    def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
-        """Return for each of R samples two sums over the contacts of the mask `some` (m,), at the stored spins: of mu
+    def _sums(self, mask: np.ndarray) -> tuple[Enclosure, Enclosure]:
+        """Return for each of R samples two sums over the contacts in `mask` (m,), at the stored spins: of mu
         F_n slip, and of eta slip^2. Both are enclosures (R,) in units of the network."""
-        slips, slip = some & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
+        slips, slip = mask & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         held, flowing = nothing(self.count), nothing(self.count)
         if self.law.holds:
             held = row_sum(_product_in(self.holding, slip, slips).reshaped((self.count, -1)))
@@ -408,12 +408,12 @@ class JudgedNetwork:
 
 
 @in_cache
-def _product_in(first: Enclosure, second: Enclosure, some: np.ndarray) -> Enclosure:
-    """Return the product of two enclosures (m,) where the mask `some` (m,) is True, and exactly 0 elsewhere.
+def _product_in(first: Enclosure, second: Enclosure, mask: np.ndarray) -> Enclosure:
+    """Return the product of two enclosures (m,) where `mask` (m,) is True, and exactly 0 elsewhere.
 
     first, second : the enclosures.
     """
-    return (first * second).where(some)
+    return (first * second).where(mask)
 
 
 @dataclass(frozen=True)
@@ -518,15 +518,15 @@ class Motion:
         turns = [self._signed_spin(k) for k in network.components]
         return slices(network.graph).slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
 
-    def difference(self, k: int, some: np.ndarray) -> Enclosure:
+    def difference(self, k: int, contacts: np.ndarray) -> Enclosure:
         """Return for q contacts s_j u_j - s_i u_i, an enclosure (q,): the difference of the spins (times radius) of the
         second and the first sphere in component k, with the signs s = +1 or -1 that differ between neighbours. Its size
         is that of the slip along this component; it is exactly 0 if contacts at rest join both spheres.
 
-        some : (q,), indices of the contacts; this component must make all of them slip."""
-        first, second = self.network.graph.contact[:, some]
+        contacts : (q,), indices of the contacts; this component must make all of them slip."""
+        first, second = self.network.graph.contact[:, contacts]
         own, shift = self._signed_spin(k)
-        domain, found = self.domain[k], nothing(len(some))
+        domain, found = self.domain[k], nothing(len(contacts))
         differ = np.flatnonzero(domain[first] != domain[second])
         found.put(differ, own.at(second[differ]) - own.at(first[differ]))
         if shift is not None:  # add what the stored spin of the top lacks of the imposed one

@@ -176,14 +176,14 @@ class Listed:
         first, second = self.contact
         return length(across([part.at(first) + part.at(second) for part in spin], self.normal))
 
-    def power_lost(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+    def power_lost(self, torque: Enclosure, reach: Enclosure, mask: np.ndarray) -> Enclosure:
         """Return for each of n spheres the most power that a torque on it may take, an enclosure (n,), if its spin may
         be anything between `reach` and -`reach`: |torque| |reach|.
 
         torque : (n,), torque over radius along one spin component.
         reach : (n,), bound on the spin times radius.
-        some : (n,) mask of the spheres that count; 0 is returned for others."""
-        return largest_work(torque, reach, some)
+        mask : (n,) mask of the spheres that count; 0 is returned for others."""
+        return largest_work(torque, reach, mask)
 
     def in_odd_loops(self, k: int, feels: np.ndarray) -> np.ndarray:
         """Return the mask (n,) of the spheres that are connected with a loop of an odd number of contacts.
@@ -251,11 +251,11 @@ class Listed:
                 found &= (of[first] == -of[second]) | ~feels
         return found
 
-    def middle(self, some: np.ndarray) -> np.ndarray:
+    def middle(self, indices: np.ndarray) -> np.ndarray:
         """Return the positions (q, D), in D dimensions, of the middles of q contacts: half-way between both centres.
 
-        some : (q,), indices of the contacts."""
-        begin, end = self.place[self.contact[:, some]]
+        indices : (q,), indices of the contacts."""
+        begin, end = self.place[self.contact[:, indices]]
         return np.asarray(begin + (end - begin) / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
@@ -267,14 +267,14 @@ class Listed:
 
 
 @in_cache
-def largest_work(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+def largest_work(torque: Enclosure, reach: Enclosure, mask: np.ndarray) -> Enclosure:
     """Return |torque| |reach| for each of n spheres, an enclosure (n,): the most power that a torque can take at spins
     of at most this size.
 
     torque : (n,), torque over radius along one spin component; its largest possible size is taken.
     reach : (n,), spin times radius.
-    some : (n,) mask of the spheres that count; the result is 0 for others."""
-    return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
+    mask : (n,) mask of the spheres that count; the result is 0 for others."""
+    return Enclosure.exact(np.where(mask, torque.most, 0.0)) * abs(reach)
 
 
 def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:

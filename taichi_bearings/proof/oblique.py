@@ -377,13 +377,14 @@ class Centre:
         """
         return np.sqrt(np.bincount(sample, values**2, self.network.count))
 
-    def _norms_on_spheres(self, values: np.ndarray, some: np.ndarray) -> np.ndarray:
-        """Return for each of R samples the Euclidean norm (R,) of the values (N spheres, 3) at its spheres in the mask
-        `some` (N,).
+    def _norms_on_spheres(self, values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        """Return for each of R samples the Euclidean norm (R,) of the values (N spheres, 3) at its spheres in
+        `mask`.
 
         values : (N, 3), the values, three for each sphere.
+        mask : (N,) mask of the spheres that count.
         """
-        squares = np.where(some[:, None], values, 0.0) ** 2
+        squares = np.where(mask[:, None], values, 0.0) ** 2
         found: np.ndarray = np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
         return found
 

@@ -83,17 +83,17 @@ class Grid(Listed):
         its contacts."""
         return list(self.samples.lattice.by_axis(values.reshape(self.samples.count, -1)))
 
-    def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
+    def across(self, function: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
         """Return for each of m contacts the result, (m,), of a function of the values of its two spheres.
 
-        made : the function of two arrays, which works element by element.
+        function : the function of two arrays, which works element by element.
         values : (n,), one for each sphere.
         kind : type of the result."""
         found: np.ndarray = np.empty(self.contacts, dtype=kind)
         spheres = self.on_spheres(values)
         by_axis = self.by_axis(found)
         for axis, own, first, second in self.pieces:
-            made(spheres[first], spheres[second], out=by_axis[axis][own])
+            function(spheres[first], spheres[second], out=by_axis[axis][own])
         return found
 
     def any_end(self, mask: np.ndarray) -> np.ndarray:
@@ -231,15 +231,15 @@ class Grid(Listed):
         in_motion : function that computes these slip speeds."""
         return in_motion()
 
-    def power_lost(self, torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+    def power_lost(self, torque: Enclosure, reach: Enclosure, mask: np.ndarray) -> Enclosure:
         """Return for each of n spheres the most power that a torque on it may take, an enclosure (n,), if its spin may
         be anything between 0 and `reach`: |torque| |reach|, but 0 where both surely have the same sign, as the torque
         then adds to the power.
 
         torque : (n,), torque over radius along one spin component.
         reach : (n,), bound on the spin times radius.
-        some : (n,) mask of the spheres that count; 0 is returned for others."""
-        return _largest_work_between(torque, reach, some)
+        mask : (n,) mask of the spheres that count; 0 is returned for others."""
+        return _largest_work_between(torque, reach, mask)
 
     def in_odd_loops(self, k: int, feels: np.ndarray) -> np.ndarray:
         """Return the mask (n,) of the spheres that are connected with a loop of an odd number of contacts: none, as
@@ -284,12 +284,12 @@ class Grid(Listed):
         k : position of the spin component among the C components."""
         return self.samples.shift[self.samples.components[k]]
 
-    def middle(self, some: np.ndarray) -> np.ndarray:
+    def middle(self, indices: np.ndarray) -> np.ndarray:
         """Return the positions (q, D) in D dimensions, in lattice sites, of the middles of q contacts; those of
         contacts across a periodic side lie half a site beyond it.
 
-        some : (q,), their indices."""
-        return np.asarray(self.place[self.contact[0, some]] + self.normal[some] / 2)
+        indices : (q,), their indices."""
+        return np.asarray(self.place[self.contact[0, indices]] + self.normal[indices] / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
         """Return a speed to compare slips with, in units of `speed_unit`: the radius times the difference between the
@@ -435,15 +435,15 @@ def size_of(parts: list[Enclosure]) -> Enclosure:
 
 
 @in_cache
-def _largest_work_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+def _largest_work_between(torque: Enclosure, reach: Enclosure, mask: np.ndarray) -> Enclosure:
     """Return |torque| |reach| for each of n spheres, an enclosure (n,), but 0 where both surely have the same sign. It
     is the most power that a torque can take at a spin between 0 and `reach`.
 
     torque : (n,), torque over radius along one spin component.
     reach : (n,), spin times radius.
-    some : (n,) mask of the spheres that count; 0 is returned for others."""
+    mask : (n,) mask of the spheres that count; 0 is returned for others."""
     gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
-    return largest_work(torque, reach, some & ~gives)
+    return largest_work(torque, reach, mask & ~gives)
 
 
 @in_cache

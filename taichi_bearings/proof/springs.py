@@ -181,15 +181,15 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
     return found
 
 
-def _independent(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
+def _independent(network: JudgedNetwork, spheres: np.ndarray) -> np.ndarray:
     """Return the mask (R,) of the samples in which the slips at some spheres are proven to be independent: the spins of
     these spheres can give any slips to all of their contacts that can dissipate.
 
     network : R samples of a packing, with N spheres in all.
-    some : (N,) mask of the spheres."""
-    number = np.full((len(some), 3), -1)
-    number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
-    own = network.counts & some[network.graph.contact].any(axis=0)
+    spheres : (N,) mask of the spheres."""
+    number = np.full((len(spheres), 3), -1)
+    number[spheres] = np.arange(3 * spheres.sum()).reshape(-1, 3)
+    own = network.counts & spheres[network.graph.contact].any(axis=0)
     slips = _Slips.of(network, number, own)
     if isinstance(slips, np.ndarray):
         return slips > 0

@@ -226,18 +226,18 @@ class Constraints:
     sign: np.ndarray
     same_slip: np.ndarray
 
-    def sharing_a_domain(self, some: np.ndarray) -> np.ndarray:
+    def sharing_a_domain(self, mask: np.ndarray) -> np.ndarray:
         """Return the mask (n,) of the contacts that are connected with given ones, directly or through other contacts,
         by welded domains (groups of spheres that move together) that can move; the given ones included.
 
-        some : (n,) mask of the given contacts.
+        mask : (n,) mask of the given contacts.
         """
         size = int(max(self.lower.max(initial=0), self.upper.max(initial=0))) + 1
         inner = (self.lower > 0) & (self.upper > 0)
         joins = self.lower[inner], self.upper[inner]
         graph = sparse.coo_array((np.ones(len(joins[0]), dtype=np.int8), joins), shape=(size, size))
         piece = connected_components(graph, directed=False)[1][np.maximum(self.lower, self.upper)]
-        return np.isin(piece, piece[some])
+        return np.isin(piece, piece[mask])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return three masks (n,) of the contacts: those that rest at some minimum, those that slip at all minima, and
@@ -377,15 +377,15 @@ class BetweenTwo:
         return True
 
 
-def _contacts_by_domain(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, set[int]]:
+def _contacts_by_domain(label: np.ndarray, pulls: Pulls, mask: np.ndarray) -> dict[int, set[int]]:
     """Return a dictionary: for the label of each domain (group of spheres), the set of the contacts that lead from it
     to another one, as indices in the arrays of `pulls`. Domains without such contacts are missing.
 
     label : (spheres,), the label of the domain of each sphere.
     pulls : n contacts with their two spheres, `lower` and `upper`.
-    some : (n,) mask of the contacts to look at."""
+    mask : (n,) mask of the contacts to look at."""
     found: dict[int, set[int]] = {}
-    own = np.flatnonzero(some & (label[pulls.lower] != label[pulls.upper]))
+    own = np.flatnonzero(mask & (label[pulls.lower] != label[pulls.upper]))
     for end in (pulls.lower, pulls.upper):
         for one, number in zip(label[end[own]].tolist(), own.tolist(), strict=True):
             found.setdefault(one, set()).add(number)

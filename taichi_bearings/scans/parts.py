@@ -54,11 +54,11 @@ class Part:
         return f"part-{self.number}-of-{self.of}"
 
 
-def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
+def part_numbers(plan: ScanPlan, parts: int) -> dict[str, int]:
     """Return the number of the part to which each sample belongs, by the key of the sample.
 
     plan : all samples of the scan with their settings.
-    of : number of parts.
+    parts : number of parts.
 
     Samples that differ in the seed only are divided evenly among the parts; successive seeds stay together, as they can
     be solved as one block. What cannot be divided evenly goes to the parts in turn, large lattices first, so that all
@@ -68,8 +68,8 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     numbers: dict[str, int] = {}
     for group in groups:
         first = len(numbers)
-        for place, indices in enumerate(np.array_split(np.arange(len(group)), min(of, len(group)))):
-            numbers.update((group[index].key, (first + place) % of + 1) for index in indices)
+        for place, indices in enumerate(np.array_split(np.arange(len(group)), min(parts, len(group)))):
+            numbers.update((group[index].key, (first + place) % parts + 1) for index in indices)
     return numbers
 
 

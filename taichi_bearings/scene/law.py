@@ -91,114 +91,114 @@ class Law:
         """True for friction alone, whose force does not depend on the speed of the slip."""
         return self.holds and not self.flows
 
-    def holding_force(self, of: Coefficients) -> np.ndarray | None:
+    def holding_force(self, coefficients: Coefficients) -> np.ndarray | None:
         """Return the largest force (..., E) that each of E contacts bears without slipping; None for a law without
         friction.
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         """
-        return of[0] if self.holds else None
+        return coefficients[0] if self.holds else None
 
-    def viscosity(self, of: Coefficients) -> np.ndarray | None:
+    def viscosity(self, coefficients: Coefficients) -> np.ndarray | None:
         """Return the viscous force over the slip, (..., E), force * time/length, of each contact; None for a law
         without viscosity.
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         """
-        return of[-1] if self.flows else None
+        return coefficients[-1] if self.flows else None
 
-    def resistance(self, of: Coefficients, slip: np.ndarray) -> np.ndarray | None:
+    def resistance(self, coefficients: Coefficients, slip: np.ndarray) -> np.ndarray | None:
         """Return (force - holding force) / slip, (..., E), force * time/length; None for friction alone.
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
 
         The holding force is the largest force without slip. The result is the viscosity at any slip. For a law that
         overrides `force` it is computed from that function, and is 0 where nothing slips.
         """
         if type(self).force is Law.force:
-            return self.viscosity(of)
-        held = self.holding_force(of)
-        excess = self.force(of, slip) - (0.0 if held is None else held)
+            return self.viscosity(coefficients)
+        held = self.holding_force(coefficients)
+        excess = self.force(coefficients, slip) - (0.0 if held is None else held)
         found: np.ndarray | None = np.divide(excess, slip, out=np.zeros_like(excess), where=slip > 0)
         return found
 
-    def steepest(self, of: Coefficients, slip: float) -> np.ndarray:
+    def steepest(self, coefficients: Coefficients, slip: float) -> np.ndarray:
         """Return the largest derivative (..., E) of the force by the slip speed, force * time/length, over all speeds
         from 0 to `slip`.
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : largest slip speed, length/time.
 
         The derivative is infinite for laws with friction, and where it is not known. A law of one's own that overrides
         `force` has to override this as well, if gradient descent is to solve it: the derivative limits its steps.
         """
-        found = self.viscosity(of)
+        found = self.viscosity(coefficients)
         if self.is_sum and found is not None and not self.holds:
             return found
-        return np.full_like(of[0], np.inf)
+        return np.full_like(coefficients[0], np.inf)
 
-    def force(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+    def force(self, coefficients: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the size of the force (..., E) at each slipping contact.
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
         """
-        return self._sum(of, np.ones_like(slip), slip)
+        return self._sum(coefficients, np.ones_like(slip), slip)
 
-    def power(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+    def power(self, coefficients: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the dissipated power (..., E) of each contact, energy/time.
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
         """
-        return self._sum(of, slip, slip**2)
+        return self._sum(coefficients, slip, slip**2)
 
-    def potential(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+    def potential(self, coefficients: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the dissipation potential (..., E) of each contact, energy/time: the integral of the force from 0 to
         the slip.
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
         """
-        return self._sum(of, slip, slip**2 / 2)
+        return self._sum(coefficients, slip, slip**2 / 2)
 
-    def objective(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+    def objective(self, coefficients: Coefficients, slip: np.ndarray) -> np.ndarray:
         """Return the power or the potential (..., E) of each contact, energy/time: whichever the law `minimises`.
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         slip : speeds (..., E), length/time.
         """
-        return self.power(of, slip) if self.minimises == "power" else self.potential(of, slip)
+        return self.power(coefficients, slip) if self.minimises == "power" else self.potential(coefficients, slip)
 
-    def conjugate(self, of: Coefficients, force: np.ndarray) -> np.ndarray:
+    def conjugate(self, coefficients: Coefficients, force: np.ndarray) -> np.ndarray:
         """Return the convex conjugate of the potential (..., E), energy/time, of each contact: phi*(f) = max over slips
         v of (f v - potential(v)).
 
-        of : coefficients in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         force : sizes f of forces, (..., E).
 
         With friction alone it is 0, or infinite for a force above the friction force.
         """
-        held, viscosity = self.holding_force(of), self.viscosity(of)
+        held, viscosity = self.holding_force(coefficients), self.viscosity(coefficients)
         excess = force if held is None else np.maximum(force - held, 0.0)
         if viscosity is None:
             return np.where(excess > 0, np.inf, 0.0)
         found: np.ndarray = excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
         return found
 
-    def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
+    def _sum(self, coefficients: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
         """Return the force or the power of each contact, (..., E contacts): a sum over the coefficients of the law, in
         which a friction coefficient is multiplied by `friction` and a viscosity by `viscous`.
 
-        of : the coefficients of the law, a tuple of arrays (..., E): for Coulomb friction with viscosity, the friction
-            coefficient and the viscosity.
+        coefficients : the coefficients of the law, a tuple of arrays (..., E): for Coulomb friction with viscosity, the
+            friction coefficient and the viscosity.
         friction, viscous : (..., E), functions of the slip of each contact, already evaluated: for the force 1 and the
             slip, for the power the slip and its square.
         """
         terms = [
             values * (friction if quantity.is_friction else viscous)
-            for quantity, values in zip(self.quantities, of, strict=True)
+            for quantity, values in zip(self.quantities, coefficients, strict=True)
         ]
         found: np.ndarray = terms[0] if len(terms) == 1 else np.sum(terms, axis=0)
         return found
@@ -213,12 +213,12 @@ LAWS = {law.name: law for law in (COULOMB, VISCOUS, COULOMB_VISCOUS)}
 """The laws that scenes can have, by the names that users give."""
 
 
-def check_law(law: Law, of: Coefficients, fastest: float) -> None:
+def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
     """Check a law that a user has defined, at some contacts and slips; raise InputError with the first condition that
     it violates.
 
     law : the law.
-    of : its coefficients, a tuple of arrays (..., E contacts), of which `CONTACTS_TRIED` contacts are tried.
+    coefficients : its coefficients, a tuple of arrays (..., E contacts), of which `CONTACTS_TRIED` contacts are tried.
     fastest : length/time. The slips that are tried are 0, and 1e-9 to 1e3 times this speed.
 
     A lower bound follows from any balanced forces if phi is convex and phi* is its conjugate (Rockafellar, Convex
@@ -228,10 +228,10 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
     * force times slip is the power;
     * phi(v) + phi*(f) = f v for f = F(v), and phi(v) + phi*(f) >= f v for all other pairs.
     """
-    acting = np.flatnonzero(np.all([values.ravel() > 0 for values in of], axis=0))
+    acting = np.flatnonzero(np.all([values.ravel() > 0 for values in coefficients], axis=0))
     some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CONTACTS_TRIED)).astype(int))]
     slip = np.append(0.0, fastest * np.logspace(-9, 3, 49))[:, None]
-    at = tuple(np.broadcast_to(values.ravel()[some], (len(slip), len(some))) for values in of)
+    at = tuple(np.broadcast_to(values.ravel()[some], (len(slip), len(some))) for values in coefficients)
     speed = np.broadcast_to(slip, at[0].shape)
     with np.errstate(all="ignore"):
         force, power, potential = (function(at, speed) for function in (law.force, law.power, law.potential))

@@ -111,14 +111,15 @@ class PackingPaths(Paths):
         super().__init__(replace(shared, system=path), spheres, is_small(path), settles)
         self.samples = [_begun(system, path, of, shared.matrix) for of in self.strengths.values()]
 
-    def _strengths(self, of: tuple[np.ndarray, ...]) -> "Strengths | None":
+    def _strengths(self, coefficients: tuple[np.ndarray, ...]) -> "Strengths | None":
         """Return the friction limits and viscosities of one sample in units in which the largest is about 1; None if no
         contact has friction. The unit of force is a power of two near the largest force, that of speed is `fastest`.
 
-        of : coefficients of the law of the sample, a tuple of arrays (A contacts,).
+        coefficients : coefficients of the law of the sample, a tuple of arrays (A contacts,).
         """
         law, none = self.contacts.scene.law, np.zeros(len(self.contacts.system.numbers))
-        held, viscosity = (none if v is None else v for v in (law.holding_force(of), law.viscosity(of)))
+        given = law.holding_force(coefficients), law.viscosity(coefficients)
+        held, viscosity = (none if values is None else values for values in given)
         if not held.any():
             return None
         speed = self.fastest
@@ -201,31 +202,33 @@ class PackingPaths(Paths):
         return replace(found, gap_of_path=gap, falls_to=self.settles_at if self.settles else LEAST_GAP)
 
 
-def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix: NewtonMatrix) -> Sample:
+def _begun(system: ContactSystem, contacts: ContactSystem, strengths: Strengths, matrix: NewtonMatrix) -> Sample:
     """Return the start of the central path of one sample: its contacts with their friction, the spins that would
     balance if friction were viscous, and zero forces. The spins are 0 if the matrix of that balance is not positive
     definite.
 
     On the path friction and viscosity are divided once more, by a power of two near the mean of their sum. The result
-    keeps it as `unit`; its forces are in units of `unit` * `of.force_unit`.
+    keeps it as `unit`; its forces are in units of `unit` * `strengths.force_unit`.
 
     system, contacts : the A contacts of the packing, and those of them that are on the path.
-    of : friction and viscosity (A,) of the A contacts of the packing, scaled to about 1, and the unit of force.
+    strengths : friction and viscosity (A,) of the A contacts of the packing, scaled to about 1, and the unit of force.
     matrix : Newton matrix of the path.
     """
     own = np.searchsorted(system.numbers, contacts.numbers)
-    unit = float(np.exp2(np.round(np.log2((of.friction + of.viscosity).mean()))))  # dividing by it rounds nothing
-    strength, viscous = of.friction[own] / unit, of.viscosity[own] / unit  # `own`: places of the path's contacts
+    mean = (strengths.friction + strengths.viscosity).mean()
+    unit = float(np.exp2(np.round(np.log2(mean))))  # dividing by it rounds nothing
+    # `own`: places of the path's contacts
+    strength, viscous = strengths.friction[own] / unit, strengths.viscosity[own] / unit
     spins = np.zeros(contacts.unknowns)
     with suppress(NotPositiveDefinite):
         spins = flowing(contacts, strength + viscous, matrix, spins)
     # bound of the slip of a contact that has none at the start; contacts without friction are `smooth`
     slack = SLACK * float(length(contacts.differences(spins)).mean())
-    start = Iterate.start(contacts, spins, strength, slack, viscous if of.viscosity.any() else None)
-    return Sample(start if (of.friction > 0).all() else replace(start, smooth=strength == 0), unit)
+    start = Iterate.start(contacts, spins, strength, slack, viscous if strengths.viscosity.any() else None)
+    return Sample(start if (strengths.friction > 0).all() else replace(start, smooth=strength == 0), unit)
 
 
-def _ended(system: ContactSystem, path: Sample, of: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
+def _ended(system: ContactSystem, path: Sample, strengths: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
     """Return the spins and forces at the end of a central path, in the units of the packing, with the contact states:
     those that the path has settled, or else those found by springs that slip at the friction limit (method of
     multipliers).
@@ -234,7 +237,7 @@ def _ended(system: ContactSystem, path: Sample, of: Strengths, matrix: NewtonMat
     path : the sample at the end of its path. `path.resolved` is the minimum with settled contact states, None if the
         path ended without. In the first case the result marks contacts that slip at some minima only (`ties`), in the
         second those that stay undecided (`open`).
-    of : friction and viscosity (A,) of the A contacts, scaled to about 1, and the unit of force.
+    strengths : friction and viscosity (A,) of the A contacts, scaled to about 1, and the unit of force.
     matrix : Newton matrix of the path.
     fastest : unit of the products of spin and radius on the path, length/time.
     """
@@ -248,15 +251,15 @@ def _ended(system: ContactSystem, path: Sample, of: Strengths, matrix: NewtonMat
     # from the contacts of the path to all A, and from its units to those of the packing
     own = np.searchsorted(system.numbers, contacts.numbers)
     slips, opens, tie = (
-        None if kind is None else _everywhere(own, kind, len(of.friction)) for kind in (slipping, open_, ties)
+        None if kind is None else _everywhere(own, kind, len(strengths.friction)) for kind in (slipping, open_, ties)
     )
     rest = None if settled is None else settled.rest
-    spins, rest, force = _in_units_of_packing(system, path, of, fastest, (spins, rest), dual)
+    spins, rest, force = _in_units_of_packing(system, path, strengths, fastest, (spins, rest), dual)
     return Found(spins, force, "interior-point", slips, tie, path.steps, open=opens, rest=rest)
 
 
 def _in_units_of_packing(
-    system: ContactSystem, path: Sample, of: Strengths, fastest: float,
+    system: ContactSystem, path: Sample, strengths: Strengths, fastest: float,
     spins: tuple[np.ndarray, np.ndarray | None], dual: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:  # fmt: skip
     """Return spins and forces on a path in the units of the packing, without the signs by which neighbours differ on
@@ -265,7 +268,7 @@ def _in_units_of_packing(
 
     system : the contacts of the packing.
     path : the sample on its path, which says which contacts and signs the path has, and its unit of force.
-    of : the unit of force of these units.
+    strengths : the unit of force of these units.
     fastest : unit of the products of spin and radius on the path, length/time.
     spins : (unknowns,) each, of the path: spins, and what they lack to be known in twice the precision, or None.
     dual : (components, n), minus the forces on the n contacts of the path.
@@ -273,7 +276,7 @@ def _in_units_of_packing(
     contacts = path.iterate.system
     sign = 1.0 if contacts.sign is None else contacts.sign[system.moved >= 0]
     high, low = spins
-    force = along_tangents(system, contacts, -path.unit * dual) * of.force_unit
+    force = along_tangents(system, contacts, -path.unit * dual) * strengths.force_unit
     return sign * high * fastest, None if low is None else sign * low * fastest, force
 
 
@@ -295,14 +298,14 @@ def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.nd
     return found
 
 
-def _everywhere(own: np.ndarray, of: np.ndarray, count: int) -> np.ndarray:
+def _everywhere(own: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """Return an array (A,) over all contacts of a packing with the values of the n contacts on its path. Contacts that
     no unknown spin makes slip are not on the path; they get False or 0.
 
     own : (n,), numbers of the n contacts among the A.
-    of : (n,), their values.
+    values : (n,), their values.
     count : A.
     """
-    whole = np.zeros(count, dtype=of.dtype)
-    whole[own] = of
+    whole = np.zeros(count, dtype=values.dtype)
+    whole[own] = values
     return whole
