@@ -126,8 +126,8 @@ def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int
 
     peer : the other solver.
     programme : the conic programme that it is given.
-    threads : number of threads.
     seconds : time limit for each tolerance. The last argument, the number of the round, is not used.
+    threads : number of threads.
     _ : number of the round, not used.
     """
     answers, asked = [], []

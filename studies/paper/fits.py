@@ -273,8 +273,8 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
     def best(sizes: Sequence[int], drawn: Callable[[np.ndarray], np.ndarray] = np.asarray) -> tuple[float, float]:
         """Return the trial exponent with which the curves of some sizes lie closest together, and their misfit.
 
-        drawn : function that resamples the samples of a point; by default they are taken as they are.
         sizes : the sizes, keys of `curves`.
+        drawn : function that resamples the samples of a point; by default they are taken as they are.
         """
         means = {L: np.array([drawn(v).mean() for v in curves[L].values()]) for L in sizes}
         courses = {L: CubicSpline(np.log(list(curves[L])), means[L]) for L in sizes}

@@ -118,8 +118,8 @@ def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
     is nearly along one component, the other component is set to 0. (That component falls only like the root of the
     friction that is left, so it is still large when the force is practically at its limit.)
 
-    limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
     dual : (d, n, samples), minus the forces.
+    limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
 
     Letters: n contacts with up to d slip components.
     """
@@ -174,8 +174,8 @@ def _cut_and_balanced(
     matrix : their Newton matrix with the stiffnesses of the springs, factorised.
     side : minus the forces (d, n, samples), with up to d slip components.
     springs : (n, samples), stiffnesses of the springs that take torques away.
-    going : (samples,) mask of samples to change.
     limit : (n, samples), friction of the n contacts that may rest at their limit, infinite for others.
+    going : (samples,) mask of samples to change.
     """
     last = np.full(len(going), np.inf)
     for _ in range(MOST_CUTS):

@@ -162,8 +162,8 @@ class BalanceKernels:
         row : length of a row of the fields, which has one number of every sphere.
         margin : numbers of a row before the first sphere.
         count : spheres of all replicas (samples solved side by side).
-        sites : spheres of one replica.
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        sites : spheres of one replica.
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.
         """
@@ -467,9 +467,9 @@ class BalanceKernels:
         blocks : the same memory as vectors, one for each block.
         chains : (C, longest, height), flat: factors by which the elimination of the chains multiplies.
         count : numbers of a component in `modes`.
-        sites : numbers of a component of one replica (one of the samples that are solved side by side).
         stride_x, stride_y : distance in `modes` from a sphere to its neighbour along x and along y, if columns are not
             folded; the second, in 2D the first, is the length of a column.
+        sites : numbers of a component of one replica (one of the samples that are solved side by side).
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.
         """

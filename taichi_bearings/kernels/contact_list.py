@@ -263,9 +263,9 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         values : all fields, flat.
         blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
+        first : number of the block's first contact.
         size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
             copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
-        first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
         numbers : constants: radius * time step, stiffness of the spring, damping * radius, kinetic and static friction
             of a contact whose coefficient is 1, compliance and memory of a spring that slips; others are not used."""
@@ -350,9 +350,9 @@ class DescentLists(ListSweeps):
         values : all fields, flat.
         blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
+        first : number of the block's first contact.
         size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
             copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
-        first : number of the block's first contact.
         across : unit tangents T, a list of the 6 components of both; empty for discs.
         numbers : constants of the sweep. Place 1: 1 over the slip speed up to which friction grows. Place 8: above 0 to
             add the forces to their sums.

@@ -83,9 +83,9 @@ class Team:
 
         kernel : a kernel that makes the steps begin ... end - 1.
         count : number of steps in all calls together; 0 compiles the kernel without a step.
-        arguments : what the kernel takes besides.
         first : number of the first step.
         together : steps of one call on a GPU.
+        arguments : what the kernel takes besides.
 
         Raises DeviceError if the threads do not run side by side.
         """

@@ -124,10 +124,10 @@ def cuts_between(
 
     ends : (2, edges) nodes that each edge joins.
     weight : (edges,) floats, or whole numbers of Python (dtype object), none negative.
-    rounding : relative error of the weights; cuts that are heavier by up to 3 * rounding * least weight also count as
-        lightest.
     above : (nodes,) True for nodes on the last node's side of the lightest cut that is known.
     between : (nodes,) True for nodes whose side may differ in another lightest cut.
+    rounding : relative error of the weights; cuts that are heavier by up to 3 * rounding * least weight also count as
+        lightest.
     returns : the cuts of the smaller graph; and for each node (nodes,) the node of the smaller graph into which it has
         gone.
     """

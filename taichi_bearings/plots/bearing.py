@@ -238,8 +238,8 @@ def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.
 def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarray:
     """Return |spin| over the larger of the two imposed spins, in the shape of the lattice.
 
-    spin_top, spin_bottom : the imposed spins, 1/time.
     spin : laboratory spins, in the shape of a flat lattice, or (nx, ny, nz, 3).
+    spin_top, spin_bottom : the imposed spins, 1/time.
     """
     length = np.abs(spin) if spin.ndim == 2 else np.linalg.norm(spin, axis=-1)
     speed: np.ndarray = length / (max(abs(spin_top), abs(spin_bottom)) or 1.0)

@@ -300,8 +300,8 @@ def largest_unbalanced_torque(
     """Return the largest torque (R,) that forces (C components, R samples, E contacts) leave on a free sphere, force *
     length.
 
-    spin_axes : the axes of the C components.
     scene : R samples of a lattice with E contacts each.
+    spin_axes : the axes of the C components.
     share : a function like `map`, which may share the calls among threads."""
     found: np.ndarray = scene.lattice.radius * largest_torques(force, scene.lattice, spin_axes, share)
     return found
@@ -341,8 +341,8 @@ def _sum_of_sizes(force: Forces, share: Share = map) -> np.ndarray:
     """Return the sum (R,) of the absolute values of forces (C components, R samples, E contacts) over components and
     contacts, added up in pieces that fit the caches.
 
-    share : a function like `map`, which may share the calls among threads.
     force : (C, R, E), the forces.
+    share : a function like `map`, which may share the calls among threads.
     """
     pieces = range(0, force.shape[2], CACHED_PULLS)
     sums = list(share(lambda first: np.abs(force[..., first : first + CACHED_PULLS]).sum(axis=(0, 2)), pieces))

@@ -53,11 +53,11 @@ def torques_on(part: Part, force: np.ndarray, lattice: Lattice, spin_axes: tuple
 
     part : which samples and planes.
     force : (C, R, E), forces along the spin difference of the contacts.
+    lattice : the shape of the lattice and its periodic axes.
     spin_axes : the axes of the C components.
     plain : True for sums in plain doubles. Else each addition keeps what it rounds away (Knuth's two-sum): the relative
         error is that of one rounding, plus about 1e-32 of the forces. A plain sum of forces in balance has an error as
         large as the torque itself.
-    lattice : the shape of the lattice and its periodic axes.
     """
     samples, (first, last, _) = part[0], part[1].indices(lattice.shape[0])
     total = np.zeros((*force[:, samples].shape[:2], last - first, *lattice.shape[1:]))
@@ -109,10 +109,10 @@ def column_sums(
     free ones, column by column.
 
     force : (C, R, E), forces along the spin difference of the contacts.
+    lattice : the shape of the lattice and its periodic axes.
     spin_axes : the axes of the C components.
     plain : as :func:`torques_on` has it.
     share : a function like `map`, which may share the calls among threads.
-    lattice : the shape of the lattice and its periodic axes.
     """
     bottom, top, left_over = np.empty((3, *force.shape[:2], *lattice.shape[:-1]))
 
@@ -134,9 +134,9 @@ def largest_torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, .
     """Return the largest torque over the radius (R,), a force, that forces leave on a free sphere.
 
     force : (C, R, E), forces along the spin difference of the contacts.
+    lattice : the shape of the lattice and its periodic axes.
     spin_axes : the axes of the C components.
     share : a function like `map`, which may share the calls among threads.
-    lattice : the shape of the lattice and its periodic axes.
     """
     found = np.zeros(force.shape[1])
 

@@ -166,7 +166,7 @@ def by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.nd
     elsewhere, but DRIVEN where it takes no part.
 
     slip : (..., E), slip speeds, length/time.
-    threshold : largest speed, length/time, of a contact that counts as slipless.
-    state : (..., E), DRIVEN for contacts that take no part; other states are not read."""
+    state : (..., E), DRIVEN for contacts that take no part; other states are not read.
+    threshold : largest speed, length/time, of a contact that counts as slipless."""
     state_by_slip = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
     return np.where(state == ContactState.DRIVEN, state, state_by_slip).astype(np.uint8)

@@ -372,8 +372,8 @@ class Centre:
     def _norms(self, values: np.ndarray, sample: np.ndarray) -> np.ndarray:
         """Return for each of R samples the Euclidean norm (R,) of the values (q,) that belong to it.
 
-        sample : (q,), the number of the sample of each value.
         values : (q,), the values.
+        sample : (q,), the number of the sample of each value.
         """
         return np.sqrt(np.bincount(sample, values**2, self.network.count))
 
@@ -392,8 +392,8 @@ class Centre:
         """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are True; also of those
         without any entry.
 
-        sample : (q,), the sample of each entry.
         holds : (q,) mask.
+        sample : (q,), the sample of each entry.
         """
         found: np.ndarray = np.bincount(sample, ~holds, self.network.count) == 0
         return found

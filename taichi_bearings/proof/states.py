@@ -498,10 +498,10 @@ def _rows_of_cones(
     three rows, all components of the slip, for any other contact that can dissipate. The second matrix has for each
     entry the sum of the sizes of the products from which it is made, as its rounding error is a share of that sum.
 
+    network : one sample of a packing, with the normals of its contacts.
     across : (E, 3), unit vectors across friction and normal.
     slides : (E,) mask.
     number : (N spheres, 3), the index of each spin component among the unknowns; -1 for those that are none.
-    network : one sample of a packing, with the normals of its contacts.
     """
     count, own = len(slides), np.flatnonzero(slides)
     at = np.tile(own, 3), np.concatenate([k * count + own for k in range(3)])

@@ -612,8 +612,8 @@ def placed(value: object, folder: Path) -> Any:
 def _refuse_unwritable(value: object, depth: int = 0) -> None:
     """Raise ValueError for integers of more than 64 bits, and for values nested too deeply, which TOML allows.
 
-    depth : how deep the value itself is nested.
     value : a value as TOML may have it, such as a number, a text, a list or a table.
+    depth : how deep the value itself is nested.
     """
     if isinstance(value, int) and value.bit_length() > 64:
         raise ValueError("a whole number needs more than 64 bits, the most that is read")

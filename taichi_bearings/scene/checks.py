@@ -30,8 +30,8 @@ LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # limits of coefficients, forces and radii;
 def _refuse(bad: np.ndarray | np.bool, sentence: Callable[[int], str]) -> None:
     """Raise InputError if any entry of the mask `bad` is True.
 
-    sentence : function that returns the message about entry number i.
     bad : mask of the entries that are refused.
+    sentence : function that returns the message about entry number i.
     """
     if bad.any():
         raise InputError(sentence(int(np.argmax(bad))))
@@ -172,8 +172,8 @@ def spins(values: ArrayLike, spheres: int, dimension: int, held: np.ndarray) -> 
 def sizes(name: str, values: ArrayLike, count: int, what: str, may_vanish: bool = False) -> np.ndarray:
     """Return positive numbers, (count,), one for each sphere or contact. A single number is repeated.
 
-    values : one number, or (count,).
     name : name of the argument, for messages.
+    values : one number, or (count,).
     what : "sphere" or "contact".
     may_vanish : True to allow 0 as well.
     """

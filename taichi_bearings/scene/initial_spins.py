@@ -80,10 +80,10 @@ STARTS: dict[str, Callable[[Bearing], np.ndarray]] = {
 def initial_spin(bearing: Bearing, start: str | np.ndarray, called: str = "initial") -> np.ndarray:
     """Return laboratory spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time.
 
+    bearing : what the spins are for.
     start : "random", "zero", "linear" or "minimum-cut"; or the path of a file with an array or data set ``spin`` (npy,
         npz, or HDF5 such as run.h5); or such an array. An array without the axis R serves all samples.
     called : name of the argument in messages.
-    bearing : what the spins are for.
     """
     if not isinstance(start, str):
         return _fitting(bearing, start, "start")

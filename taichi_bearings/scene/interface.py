@@ -170,10 +170,10 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
     """Return a bound on the error of the sum of the weights of some contacts, energy/time. The weight of a contact is
     what it adds to the objective, the power or dissipation potential, if it is on the interface of two rigid domains.
 
+    bearing : a lattice or a packing.
     contact : (n,) numbers of the contacts.
     across : (contacts E,) slip of each contact if it is on the interface, length/time.
     states : (2, spheres N, components C), the two bearing states as sign * radius * spin, length/time.
-    bearing : a lattice or a packing.
 
     The states are fitted to the imposed spins. So they are uncertain by rounding, and by the largest difference between
     a fitted state and an imposed spin.
@@ -195,8 +195,8 @@ def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
     The result is None for packings without two driven bodies in bearing states; the two planes of a lattice always are
     in such states.
 
-    replica : number of the sample, from 0.
     bearing : a lattice or a packing.
+    replica : number of the sample, from 0.
     """
     scene = bearing.sample(replica)
     if not isinstance(scene, Scene):
