@@ -211,10 +211,10 @@ def viscous_numbers(solution: Solution) -> dict[str, Any]:
 
 
 def least_rise(scene: Scene, spin: np.ndarray) -> float:
-    """Return the smallest step that the mean spin of a layer makes to the next layer above, among all layers of all
-    samples, in units of the jump (the difference of the imposed spins of top and bottom). Spins are staggered (with
-    opposite signs on neighbours), and only their part along the jump is taken: the mean rises from 0 at the bottom to 1
-    at the top, and a negative step leads back towards the spin of the bottom.
+    """Return the smallest step of the mean spin from a layer to the next one above, among all layers of all samples.
+    Its unit is the jump, the difference of the imposed spins of top and bottom. Spins are staggered (with opposite
+    signs on neighbours), and only their part along the jump is taken: the mean rises from 0 at the bottom to 1 at the
+    top, and a negative step leads back towards the spin of the bottom.
 
     scene : the lattice with its R samples.
     spin : (R samples, *N spheres, ...), laboratory frame, 1/time.

@@ -225,8 +225,8 @@ def draw_decades(named: Any) -> Figure:
     (c) for each contact that slips at the minimum, its power there against that in the longest descent.
 
     named : the values of :func:`names_of` as attributes. Used are `minimum`, `descent` (the longest one) and `descents`
-        (all of them, shortest first), each an Ending with `power` (n,), of the n contacts that can slip over F_n R
-        omega_T, and the mask `slips` (n,).
+        (all of them, shortest first), each an Ending with two arrays for the n contacts that can slip: `power` (n,), in
+        units of F_n R omega_T, and the mask `slips` (n,).
     """
     figure = new_figure(7.1, 2.6)
     panels: Any = figure.subplots(1, 3)

@@ -49,8 +49,8 @@ SHOWN = 3  # number of sizes whose surface is drawn
 
 
 def offsets(side: int) -> np.ndarray:
-    """Return (side,) one coordinate of the spheres of a square plane of `side` x `side` spheres, measured from its
-    middle in units of rho, the root mean square distance of its spheres from the middle.
+    """Return (side,), one coordinate of the spheres of a square plane of `side` x `side` spheres, measured from its
+    middle. The unit is rho, the root mean square distance of these spheres from the middle.
     """
     found: np.ndarray = (np.arange(side) - (side - 1) / 2) / ((side**2 - 1) / 6) ** 0.5
     return found

@@ -361,9 +361,9 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
 
 
 def _send_home(levels: Sequence[_Level], is_target: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Divide one unit, which starts at every target, over the shortest paths back to the source of its search. Return
-    two things: a list with the amount that arrives at the spheres of each level, and an array with the amount that
-    flows through each link, levels one after the other from the farthest to the nearest.
+    """Divide one unit, which starts at every target, over the shortest paths back to the source of its search. Return a
+    list with the amount that arrives at the spheres of each level, and an array with the amount that flows through each
+    link. In the array the links of the farthest level come first, those of the nearest last.
 
     levels : levels of the searches, the nearest first.
     is_target : (spheres,) mask of the targets.

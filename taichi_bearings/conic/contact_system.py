@@ -321,8 +321,8 @@ class ContactSystem:
         return found
 
     def precise_differences(self, spins: Pair) -> np.ndarray:
-        """Return the slips (d, n) of n contacts with up to d components, so exactly that even a slip far below the
-        rounding of the spins has most of its digits, where each slip is a difference of two unknowns.
+        """Return the slips (d, n) of n contacts with up to d components. They are so exact that even a slip far below
+        the rounding of the spins has most of its digits, if each slip is a difference of two unknowns.
 
         spins : (unknowns,), values of the unknown spins as sums of two doubles.
         """

@@ -569,9 +569,9 @@ class _SmoothPower:
         return [replace(of, viscosity=iterate.viscosity) for of, iterate in zip(found, self.iterates, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
-        """Spread values of the contacts that can slip over all contacts. Return for each sample an array (..., n), one
-        value for each of its n contacts, 0 at those that cannot slip because contacts are tied (their two ends are made
-        to turn as one).
+        """Spread values of the contacts that can slip over all contacts. Return a list with an array (..., n) for each
+        sample, which has one value for each of its n contacts. It is 0 at those that cannot slip because contacts are
+        tied, that is, their two ends are made to turn as one.
 
         values : (..., K), for the K contacts of all samples that can slip, sample after sample.
         """

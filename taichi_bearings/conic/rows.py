@@ -92,9 +92,8 @@ class ContactRows:
         self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
-        """Return indices (count * n,) of the numbers of the n contacts in a row of memory and in the `count - 1` rows
-        after it, row by row, counted from the begin of the first row. (A row is longer than n, as SIMD blocks are
-        filled up.)"""
+        """Return the indices (count * n,) of the numbers of n contacts in `count` successive rows of memory, row by
+        row, counted from the begin of the first row. (A row is longer than n, as SIMD blocks are filled up.)"""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(

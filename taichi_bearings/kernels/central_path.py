@@ -228,9 +228,9 @@ def reaches(values: ti.template(), at: ti.template(), bound_step, change: ti.tem
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     """Return for one contact a list of what all Newton steps from an iterate share, and of the aim of the first step.
 
-    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force), each a head
-    (one number) and a tail (1 or 2, one for each slipping component). A symmetric matrix W scales both to one point p =
-    W^-1 primal = W dual. The list has, in this order:
+    A contact has two points: the primal one is (bound of the slip, slip), the dual one (friction limit, minus force).
+    Each has a head, one number, and a tail of one number for each slipping component (1 or 2). A symmetric matrix W
+    scales both to one point p = W^-1 primal = W dual. The list has, in this order:
 
     * W as a weight and a rotation (head, tail); p (head, tail);
     * of W^-2 the inverse of the entry head-head (0 for a contact in no cone: row SMOOTH above 0), and those head-tail;

@@ -104,9 +104,9 @@ class ContactStep(Sweeps):
     ):
         """Write new trial and spring forces of the contacts from a block of sites to their upper neighbours.
 
-        With f the old trial force cut off at the friction limit, and d the difference of `potential`, upper less lower
-        sphere, the new trial force is f + (1 - alpha) (old - f) + alpha * weight * d. The spring force is weight * d -
-        (new - 2 * new cut off). The weight is the relative stiffness of the springs.
+        Let f be the old trial force cut off at the friction limit, and d the `potential` of the upper sphere less that
+        of the lower one. Then the new trial force is f + (1 - alpha) (old - f) + alpha * weight * d, and the spring
+        force is weight * d - (new - 2 * new cut off). The weight is the relative stiffness of the springs.
 
         values : all fields, flat.
         blocks : the same memory as vectors, one for each block (group of sites that are worked on together).

@@ -38,8 +38,8 @@ from taichi_bearings.kernels.team import LEAST_CHUNK
 
 @ti.func
 def triangle_forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
-    """Solve forward with the triangle at the diagonal of the Cholesky factor that belongs to `wide` own unknowns of a
-    front (a group of unknowns that are eliminated together), in place, and return the list of these unknowns.
+    """Solve forward, in place, with a triangle at the diagonal of the Cholesky factor, and return the list of its
+    `wide` unknowns. These are the own unknowns of a front, a group of unknowns that are eliminated together.
 
     An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many matrices.
 
@@ -62,8 +62,8 @@ def triangle_forward(numbers: ti.template(), vector: ti.template(), where: ti.te
 def triangle_backward(
     numbers: ti.template(), vector: ti.template(), left: ti.template(), where: ti.template(), wide: ti.template()
 ):
-    """Solve backward with the triangle at the diagonal of the Cholesky factor that belongs to `wide` own unknowns of a
-    front (a group of unknowns that are eliminated together), from its last row up.
+    """Solve backward, from its last row up, with a triangle at the diagonal of the Cholesky factor. It belongs to the
+    `wide` own unknowns of a front, a group of unknowns that are eliminated together.
 
     An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many matrices.
 

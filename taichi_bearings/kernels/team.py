@@ -236,12 +236,12 @@ class Sweeps:
 
     @ti.func
     def initial_carry(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return the list of numbers that a worker (a thread with a share of the blocks of sites) passes from each of
-        its blocks to the next in one sweep, as its first block gets it.
+        """Return the list of numbers that the first block of a worker gets in a sweep. A worker is a thread with a
+        share of the blocks of sites; it passes such a list from each of its blocks to the next.
 
         If a worker makes both parts of a step for one block before it begins the next block (`joined`), the list has
-        the index of the first site for which the second part may follow at once, since all its lower neighbours belong
-        to the same worker. Else it is [0.0], which is not used. Methods that pass on something else override this.
+        one entry: the index of the first site whose lower neighbours all belong to this worker, so that its second part
+        may follow at once. Else it is [0.0], which is not used. Methods that pass on something else override this.
 
         values : all fields, flat; not used here.
         size : integers; on lattices first the length of a row (one number of every site), the numbers in a row before
@@ -268,9 +268,10 @@ class Sweeps:
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Do one part of a sweep for one block (group of sites that are worked on together) of a lattice: find its
-        sites, and call `at_sites`, which subclasses define. Where both parts are made block by block (`joined`), even
-        sweeps make the first part and, where it need not wait, the second; odd sweeps make the second parts left.
+        """Do one part of a sweep for one block of a lattice, a group of sites that are worked on together: find its
+        sites, and call `at_sites`, which subclasses define. If both parts are made block by block (`joined`), even
+        sweeps make the first part, and the second where it need not wait. Odd sweeps make the second parts that are
+        left.
 
         part : number of the part; always 0 if `joined`.
         values : all fields, flat.
@@ -283,8 +284,9 @@ class Sweeps:
         sweep : number of the sweep.
         carried : list that the worker's block before has left, or, for its first block, what `initial_carry` returned.
 
-        `at_sites` gets, in place of `tables`, `size` and `number`, the length of a row, the index of the block's first
-        site, and the strides (distances in memory to upper neighbours), with rings along periodic axes."""
+        In place of `tables`, `size` and `number`, `at_sites` gets three things: the length of a row; the index of the
+        block's first site; and the strides (distances in memory to upper neighbours), with rings along periodic
+        axes."""
         sides = [in_range(size[3]), in_range(size[4]), 1]
         strides = with_rings(sides, number * self.block, size[5], self.periodic)
         first = in_range(size[1] + number * self.block)

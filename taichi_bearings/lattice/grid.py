@@ -308,8 +308,9 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
 
 
 def _laboratory_axes(lattice: Lattice, spin_axes: tuple[int, ...]) -> Iterator[tuple[int, slice, int, np.ndarray]]:
-    """Yield, for each axis of contacts and each spin component that makes these contacts slip, how a force f along this
-    component becomes a force -s f x n in the laboratory, which lies along one axis of the lattice.
+    """Yield how forces on contacts become forces in the laboratory: once for each axis of contacts and each spin
+    component that makes these contacts slip. A force f along the component becomes -s f x n, which lies along one axis
+    of the lattice.
 
     lattice : lattice of the contacts; n is along their axis, and s = +1 or -1 is the sign of their lower sphere.
     spin_axes : numbers of the axes of the spin components.

@@ -149,10 +149,10 @@ class ExactlyRolling:
 
     @cached_property
     def residual_unit(self) -> np.ndarray:
-        """(n,), a unit for each unknown, for bounds on corrections of the friction: if v bounds the size of the torques
-        along the unknowns, a correction that takes them away is no larger than |unit * v| / floor, with the floor of
-        the exact motions (step 4 at the head of this file). It is the unit of the exact motions. In parts that can move
-        without slip it is the largest one of the part."""
+        """(n,), a unit for each unknown, for bounds on corrections of the friction. Let v bound the size of the torques
+        along the unknowns: then a correction that takes them away is no larger than |unit * v| / floor, where `floor`
+        is that of the exact motions (step 4 at the head of this file). The unit, too, is that of the exact motions; in
+        parts that can move without slip it is the largest one of the part."""
         exact, number = self.friction_bounds.exact, self.friction_bounds.number
         own: np.ndarray = exact.unit[number >= 0][self.columns]
         largest, has_motions = np.zeros(int(self.part.max()) + 1), np.zeros(int(self.part.max()) + 1, dtype=bool)
@@ -471,9 +471,9 @@ class SpringsUnderLoad:
         """Return friction forces at the q contacts that balance each of m loads, and a bound on the torques left over.
 
         A load is a torque on each of the n unknown spin components. The caller uses sums of a_j load_j, with numbers
-        a_j of which only |a_j| <= most_j is known. Motions are changes of the spins that make no contact slip; no
-        friction can balance the part of a load along them. It is left out, since these parts cancel in the sum that the
-        caller uses.
+        a_j of which only |a_j| <= most_j is known. No friction can balance the part of a load along motions, changes of
+        the spins that make no contact slip. This part is left out, since these parts cancel in the sum that the caller
+        uses.
 
         load : (n, m), torques.
         most : (m,), bound on |a_j|.
@@ -492,9 +492,9 @@ class SpringsUnderLoad:
         return force, np.abs(left) @ most + (self.loaded.rounding + 2 * motions.shape[1] * EPS) * summed
 
     def _without_motions(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Split each of m loads (torques on n unknowns) into a sum of the z motions in which no exactly rolling contact
-        slips, which no friction there can balance, and a rest at right angles to them. Return the rest (n, m), and how
-        much of each motion was taken out, (z, m).
+        """Split each of m loads (torques on n unknowns) into two parts: a sum of the z motions in which no exactly
+        rolling contact slips, and a rest at right angles to them. No friction at these contacts can balance the first
+        part. Return the rest (n, m), and how much of each motion was taken out, (z, m).
 
         load : (n, m)."""
         motions = self.loaded.motions

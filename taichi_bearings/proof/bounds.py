@@ -43,10 +43,10 @@ class Bounds:
     The upper bound is the potential of the stored spins. The lower bound follows from the stored friction:
 
     1. Its torques do not quite cancel on free spheres. Where contacts are not along the axes, forces of fictitious
-       *springs* at the contacts are added that cancel them, but for rounding. Call the friction F after that.
-    2. A factor s <= 1 brings s |F| within the friction limit of every contact without damping.
-    3. The bound is s times the work of the driven spheres against F, less the price of torques that are left, and less
-       what it costs that s |F| may exceed friction at contacts with damping.
+    *springs* at the contacts are added that cancel them, but for rounding. Call the friction F after that. 2. A factor
+    s <= 1 brings s |F| within the friction limit of every contact without damping. 3. The bound is s times the work of
+    the driven spheres against F, less two amounts: the price of torques that are left, and what it costs that s |F| may
+    exceed friction at contacts with damping.
 
     network : the R samples, with their spins, friction and coefficients.
     upper, lower : (R,), the bounds, rounded up and down.

@@ -20,8 +20,8 @@ from taichi_bearings.scene.solution import Solution
 def decided(
     indicated: np.ndarray, known: np.ndarray, describes_motion: bool = False, has_ended: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state of every contact, (R, E) uint8 for R samples of E contacts, chosen from two arrays, and the mask
-    (R, E) of the contacts whose state is proven or that take no part. The state is
+    """Return two arrays (R, E) for R samples of E contacts: the state of every contact, uint8, and a mask, True where
+    the state is proven or the contact takes no part. The state is chosen from `indicated` and `known`:
 
     * if the states shall describe the minima: that in `known` where one is proven, else that in `indicated`;
     * if they describe a motion: that in `indicated`;

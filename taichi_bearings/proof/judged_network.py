@@ -546,7 +546,7 @@ class Domains(dict[int, np.ndarray]):
         self.motion = motion
 
     def __missing__(self, k: int) -> np.ndarray:
-        """Return the number (n,) of the domain of each of n spheres in component k, and keep it; called by Python when
-        k is asked for first."""
+        """Return (n,), for each of n spheres the number of its domain in component k, and keep the array. Python calls
+        this when k is asked for first."""
         self[k] = found = self.motion.domains(k)
         return found

@@ -128,8 +128,8 @@ class CutGraph:
         """Return a directed graph of the nodes, a matrix (nodes, nodes): an edge leads from i to j if every lightest
         cut that has i above it is known to have j above it, too.
 
-        This is known of the two ends of an edge of the cut graph, in a direction in which its friction f leaves more of
-        its limit mu F_n unused than the edge could on a lightest cut.
+        This is known of the two ends of an edge of the cut graph, in one direction, if the friction f of the edge in
+        that direction leaves more of its limit mu F_n unused than it could on a lightest cut.
 
         margin : (q,), for each edge the most of mu F_n that may stay unused if the edge crosses a lightest cut: (power
             less its proven lower bound) / (difference of the two imposed spins times radius that the cut separates).
@@ -266,9 +266,9 @@ def _in_either_copy(
 
     Suppose that a lightest cut has neither of both edges, p - q and r - s, between its sides. If p is on the first side
     then q is there, too, and all that follows from q. If r follows from q, then s is there. So if p is known to be on
-    the first side and s on the second one, there is no such cut. Nothing else can exclude it: a way from the first side
-    to the second one that uses each edge once at most is one of these eight (either edge first, either end of each), or
-    uses one edge alone, which the caller has looked at.
+    the first side and s on the second one, there is no such cut. Nothing else can exclude it. For take a way from the
+    first side to the second one that uses each edge once at most: it is one of these eight (either edge first, either
+    end of each), or it uses one edge alone, which the caller has looked at.
 
     follows : directed graph of the nodes: whatever a node reaches is on the first side if that node is.
     together : (nodes,), labels, equal for nodes that reach each other.

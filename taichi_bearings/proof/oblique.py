@@ -405,8 +405,9 @@ class Centre:
 
     @cached_property
     def _distance_from_law(self) -> np.ndarray:
-        """(S,), for each of S slipping contacts a bound on the difference between its `friction`, doubles taken as
-        exact, and the friction mu F_n y / |y| + eta y that the law gives at its slip y. It is as small as rounding."""
+        """(S,), for each of S slipping contacts a bound on the difference between two frictions: its `friction`, whose
+        doubles are taken as exact, and mu F_n y / |y| + eta y, which the law gives at its slip y. It is as small as
+        rounding."""
         return length(
             [f.at(self.slipping) - slipping for f, slipping in zip(self.friction, self.friction_by_law, strict=True)]
         ).most

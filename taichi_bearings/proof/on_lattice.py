@@ -188,8 +188,8 @@ class OnLattice:
         """Return (R * N,), for R samples of N spheres: for each sphere the index of the first sphere that has to have
         the same spin component, whatever the contacts do. For a free sphere that is the sphere itself.
 
-        For a driven sphere it is the first sphere of its driven plane with the same coordinate along the component, or
-        the first one of the whole plane if all of it is driven alike.
+        For a driven sphere it is a sphere of its driven plane: the first one with the same coordinate along the
+        component, or the first one of all if the whole plane is driven alike.
         """
         return self.as_led(np.arange(self.count * self.sublattice.size), component)
 

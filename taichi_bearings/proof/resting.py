@@ -58,8 +58,9 @@ def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Return two arrays for E contacts: a mask (E,) of those whose friction F* is nearly known at every minimum; and a
     bound (E,) on |F* - F|, with the stored friction F, for every contact that can dissipate, 0 for others.
 
-    F* is nearly known of contacts that surely slip at every minimum, that have damping alone, or that slip so fast in
-    the stored spins that a clearly different friction would cost more than the difference between power and bound.
+    F* is nearly known of three kinds of contacts: those that surely slip at every minimum; those with damping alone;
+    and those that slip fast in the stored spins, so that a clearly different friction would cost more than the
+    difference between power and bound.
 
     bounds : bounds on the power, with the network and its friction.
     far : (E,), bound on |slip at any minimum - stored slip|, in units of the network; infinite where none is known.

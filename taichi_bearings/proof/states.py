@@ -356,11 +356,11 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, before: list[States]) -
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """Return the states (m,) of the m contacts of a network if it is proven to have one minimum of a certain kind; else
-    a text that says what is missing in the proof.
+    """Return the states (m,) of the m contacts of a network if it is proven to have one minimum in which the contacts
+    in `rests` rest; else a text that says what is missing in the proof.
 
-    At this minimum the contacts in `rests` rest. They join spheres, in a component of the spins, to domains that turn
-    as one. Contacts between different domains slip, and all contacts within a domain rest.
+    In each component of the spins resting contacts join spheres to domains that turn as one. Contacts between different
+    domains slip, and all contacts within a domain rest.
 
     network : stored spins and friction; each component of a slip depends on one component of the spins.
     rests : (m,) mask of the contacts that are taken to rest.

@@ -702,9 +702,9 @@ class Planes(Driving):
 
     @cached_property
     def _all_on_top(self) -> Pair:
-        """Imposed state of the top less that of the bottom at each sphere of the top plane, (components C, *plane),
-        1/time, in twice the precision, for all C spin components of the lattice, also those that need not be solved
-        for.
+        """Imposed spins of the top less those of the bottom, 1/time, at each sphere of the top plane: a pair of arrays
+        (components C, *plane), which are to be added. There are all C spin components of the lattice, also those that
+        need not be solved for.
         """
         return self._of_layers(self.difference, self.lattice.all_spin_axes, self.lattice.shape[:-1])
 

@@ -81,9 +81,9 @@ def _state(center: np.ndarray, signed_speeds: np.ndarray, own: np.ndarray) -> np
 class Interface:
     """The lightest interface between two rigid domains of one sample: a minimum cut.
 
-    If every sphere turned with the bottom or with the top (in a packing with the first or the second driven body), all
-    slip would be at the interface of the two domains, and the lightest interface would dissipate least. In 2D with
-    Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
+    Suppose that every sphere turned with the bottom or with the top; in a packing, with the first or the second driven
+    body. Then all slip would be at the interface of the two domains, and the lightest interface would dissipate least.
+    In 2D with Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
     (docs/equations.md, 5). The objective is what the stationary state minimises: the power, or the dissipation
     potential of a law whose power is no multiple of that.
 

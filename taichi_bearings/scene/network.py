@@ -321,9 +321,9 @@ class Network:
 
         Where normals lie along the axes, each component of the spins adds its square to the squared slip. So if all
         spheres can have values in one component by which no contact slips, they have them at some minimum. That is
-        possible where, in each connected piece, the imposed values times the sign of the sublattice agree, or are 0 if
-        the piece has odd loops (closed chains of an odd number of contacts). A piece without driven spheres and without
-        odd loops has one motion without slip.
+        possible if in each connected piece the imposed values, times the sign of the sublattice, agree. In a piece with
+        odd loops (closed chains of an odd number of contacts) they have to be 0. A piece without driven spheres and
+        without odd loops has one motion without slip.
         """
         known, wanted = imposed.copy(), np.tile(moves[:, None], imposed.shape[1])
         if not self.along_axes(contact):

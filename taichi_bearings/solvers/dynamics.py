@@ -40,8 +40,8 @@ def slipping_contacts(
     """Return how many contacts of each sample slip, (R samples,), and the slip speed that can be resolved, length/time.
 
     A contact slips if it bears all the friction that it can. The slip speed that can be resolved is the largest one of
-    a contact that does not slip, but at most REST_SLIP times the slip of the whole imposed jump, so that fast contacts
-    count as slipping from the first step on.
+    a contact that does not slip, but at most REST_SLIP times the slip of the whole imposed jump. So fast contacts count
+    as slipping from the first step on.
 
     scene : R samples of a lattice or packing with E contacts each, with their friction limits.
     force : (C components, R, E contacts), contact forces.

@@ -143,9 +143,9 @@ class TorqueBalance:
         return forward, back
 
     def _factors(self, sides: list[int], held: tuple[np.ndarray, np.ndarray], stencil: Stencil) -> np.ndarray:
-        """Return the numbers by which the chains are solved, (1, C, longest side, numbers of a column): for each spin
-        component, sphere of a chain, and place in a column of modes, the inverse pivot, 0 where there is no mode; with
-        periodic axes followed by as many that close rings, (2, C, ...).
+        """Return the numbers by which the chains are solved, (1, C, longest side, numbers of a column): inverse pivots
+        by spin component, sphere of a chain, and place in a column of modes; 0 where there is no mode. With periodic
+        axes as many numbers that close rings follow, so that the shape is (2, C, ...).
 
         sides : spheres of a chain of each spin component.
         held : (nz - 2,) each, the place of each mode in its column, and the stiffness by which it holds its chain.

@@ -42,16 +42,17 @@ class ShortestPaths:
 
 
 def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
-    """Return for each of B planar grids of w columns and h rows the shortest path over its faces from the outside on
-    the left to that on the right, the distances of all faces from both, and the length of the shortest other path.
+    """Return the shortest paths over the faces of B planar grids of w columns and h rows, from the outside on the left
+    to that on the right. The result also has the distances of all faces from both, and the length of the shortest other
+    path of each grid.
 
     inner : lengths (B, w - 1, h - 2) of steps across contacts along rows, without the end rows, whole numbers.
     upward : lengths (B, w, h - 1) of steps across contacts between rows, whole numbers.
 
     Dijkstra's method finds the distances, and a tree of shortest paths from the left. The block of a node is the last
     node of the shortest path that one passes on the way to it in this tree. The shortest other path leaves the shortest
-    one and joins it again. It uses one contact off the path that leads from a node u to a node v of a later block, and
-    has the length (left to u) + weight + (v to right): the least over all such contacts (Malik, Mittal and Gupta, Oper.
+    one and joins it again. It uses one contact off the path, which leads from a node u to a node v of a later block.
+    Its length is the least (left to u) + weight + (v to right) over all such contacts (Malik, Mittal and Gupta, Oper.
     Res. Lett. 8, 1989).
     """
     batch, columns, gaps = upward.shape

@@ -186,9 +186,9 @@ def _of_bond(
     step: np.ndarray,
     vector: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the contacts (contacts E, 2) that one bond of the unit cell makes in all cells of a lattice, as numbers of
-    two spheres each, and the unit vector (dimensions D,) from the first to the second sphere, the same for all. A bond
-    joins two spheres whose centres are one diameter apart.
+    """Return the contacts that one bond of the unit cell makes in all cells of a lattice: an array (contacts E, 2) with
+    the numbers of both spheres, and the unit vector (dimensions D,) from the first to the second sphere, which is the
+    same for all. A bond joins two spheres whose centres are one diameter apart.
 
     grid : (cells, dimensions D), positions of all cells, in whole numbers.
     cells : number of cells along each axis.

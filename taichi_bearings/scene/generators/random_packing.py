@@ -193,8 +193,8 @@ class _Heap:
 
 
 class _Pairs:
-    """A sphere at 0 and n neighbours in D dimensions, for finding places where a further sphere touches the one at 0
-    and D - 1 of the neighbours (one in two dimensions, two in three). What depends only on the directions of the
+    """A sphere at 0 and n neighbours in D dimensions. It serves to find places where a further sphere touches the one
+    at 0 and D - 1 of the neighbours: one in two dimensions, two in three. What depends only on the directions of the
     neighbours is computed once, for further spheres of either size.
 
     vector : (n, D), centres of the neighbours. Lengths are in radii of the small spheres.
