@@ -179,9 +179,9 @@ def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
     settings : settings of the run.
     given : the options that the user gave, by name.
     """
-    from taichi_bearings.runs.run import door_of
+    from taichi_bearings.runs.run import run_kind_of
 
-    return door_of(settings).idle_seed(settings) if "seed" in given else []
+    return run_kind_of(settings).idle_seed(settings) if "seed" in given else []
 
 
 def _task(

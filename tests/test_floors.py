@@ -88,8 +88,8 @@ def test_oracles_of_proofs_share_no_code_with_them(name):
 
 FILES_AND_FIGURES = {"export", "files", "kernels", "lattice", "numerics", "plots", "view"}
 """Floors whose arrays or pictures have the shape of a lattice, or that work on its strides."""
-DOORS = {"api": 3, "runs.lattice_run": 2, "runs.run": 1, "runs.settings": 1, "scene.packing": 1, "scene.scene": 1}
-"""Front doors, and the two classes behind them, with the number of their questions of kind."""
+OF_INPUT = {"api": 3, "runs.lattice_run": 2, "runs.run": 1, "runs.settings": 1, "scene.packing": 1, "scene.scene": 1}
+"""Files that tell lattices from packings when input is read, with the number of their questions of kind."""
 SLICES = {"proof.on_lattice": 1, "proof.slices": 1, "scene.interface": 2}
 """Modules that work on the slices of a lattice: its lightest cuts, and two of the proofs."""
 FILES_OF_RUNS = {
@@ -110,7 +110,7 @@ KIND = re.compile(
 
 
 def test_what_is_behind_the_front_doors_takes_any_bearing():
-    """A question of kind is one more place to change for a third door: what differs is said by the network, the driving
+    """A question of kind is one more place to change for a third kind: what differs is said by the network, the driving
     and the graph of what is judged. The numbers get smaller."""
     heads, asked = re.compile(r"def \w+\("), {}
     for file in FILES:
@@ -118,5 +118,5 @@ def test_what_is_behind_the_front_doors_takes_any_bearing():
         questions = len(KIND.findall(heads.sub("def (", file.read_text())))
         if questions and not name.startswith(tuple(f"{floor}." for floor in FILES_AND_FIGURES)):
             asked[name] = questions
-    assert asked == DOORS | SLICES | FILES_OF_RUNS | BEYOND
+    assert asked == OF_INPUT | SLICES | FILES_OF_RUNS | BEYOND
     assert not {name for name in BEYOND if name.startswith(("proof.", "conic."))}, "these take any network"

@@ -1,7 +1,7 @@
-"""What runs of lattices and runs of packings have in common: a job that is ready to be solved, and the front door.
+"""What runs of lattices and runs of packings have in common: a job that is ready to be solved, and a kind of runs.
 
-A front door reads what settings describe. There are two: `runs/lattice_run.py` for lattices between two planes, and
-`runs/packing_run.py` for packings. What is behind them asks a job or a scene, never which door was taken.
+A kind of runs reads what settings describe. There are two: `runs/lattice_run.py` for lattices between two planes, and
+`runs/packing_run.py` for packings. Later code asks a job or a scene, never which kind it is.
 """
 
 from abc import ABC, abstractmethod
@@ -51,9 +51,9 @@ class Job(ABC):
         """The estimated cost of the run: seconds, steps and bytes."""
 
 
-class Door(ABC):
-    """What has to be known of a run from its settings alone, before its scene is made: which method solves it, what it
-    costs, and which samples are solved together.
+class RunKind(ABC):
+    """A kind of runs. From settings alone, before a scene is made, it finds which method solves a run, what the run
+    costs, and which samples are solved together; and it makes the job that solves the run.
     """
 
     what: str

@@ -18,7 +18,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import refuse_before
 from taichi_bearings.options import options_of
 from taichi_bearings.runs.cost import Cost, bytes_of_lattice, cost_of_lattice, refuse_too_large
-from taichi_bearings.runs.job import Door, Job
+from taichi_bearings.runs.job import Job, RunKind
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.torque import refuse_driven, under_torque
@@ -137,8 +137,8 @@ class LatticeJob(Job):
         return cost_of_lattice(self.settings, type(self.method.options), self.scene)
 
 
-class LatticeDoor(Door):
-    """What has to be known of a run of a lattice between two planes from its settings alone."""
+class LatticeRuns(RunKind):
+    """Runs of lattices between two planes: what is known of them from settings alone."""
 
     what = "lattices"
 
@@ -219,7 +219,7 @@ class LatticeDoor(Door):
         return bytes_of_lattice(self.row(settings), settings.shape, periodic, most)
 
 
-LATTICES = LatticeDoor()
+LATTICES = LatticeRuns()
 
 
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> LatticeJob:

@@ -26,7 +26,7 @@ from taichi_bearings.runs.cost import (
     bytes_of_packing,
     cost_of_packings,
 )
-from taichi_bearings.runs.job import Door, Job
+from taichi_bearings.runs.job import Job, RunKind
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
 from taichi_bearings.runs.torque import refuse_driven, under_torque
@@ -73,8 +73,8 @@ class PackingJob(Job):
         return cost_of_packings(self.settings, method_of_packing(self.settings), self.scene)
 
 
-class PackingDoor(Door):
-    """What has to be known of a run of a packing from its settings alone: of one from a file, and of a lattice whose
+class PackingRuns(RunKind):
+    """Runs of packings: what is known of them from settings alone. The packing is one from a file, or a lattice whose
     driven bodies are no planes.
     """
 
@@ -168,7 +168,7 @@ class PackingDoor(Door):
         return [f"seed is {settings.seed}, but {settings.packing} holds all coefficients, so nothing is drawn from it"]
 
 
-PACKINGS = PackingDoor()
+PACKINGS = PackingRuns()
 
 
 def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None]:

@@ -18,7 +18,7 @@ from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.plain_files import real_path
-from taichi_bearings.runs.job import Door, Job
+from taichi_bearings.runs.job import Job, RunKind
 from taichi_bearings.runs.lattice_run import LATTICES
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_directory import (
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.drive import Monitor
 
 
-def door_of(settings: RunSettings) -> Door:
-    """Return the front door that reads settings: that of lattices between two planes, or that of packings."""
+def run_kind_of(settings: RunSettings) -> RunKind:
+    """Return the kind of runs that settings describe: those of lattices between two planes, or those of packings."""
     if settings.is_packing:
         from taichi_bearings.runs.packing_run import PACKINGS  # and with it much of SciPy
 
@@ -57,7 +57,7 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
         scan that compares methods does.
     """
     with stage("reading"):
-        return door_of(settings).job(settings, strict)
+        return run_kind_of(settings).job(settings, strict)
 
 
 def run(

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from taichi_bearings.runs.run import door_of
+from taichi_bearings.runs.run import run_kind_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Record, Unit
 from taichi_bearings.scans.plan import Sample, groups_of, spheres_of
@@ -35,7 +35,7 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float:
     settings : settings of the sample.
     structure : True if its structure (domains, network, cut) is analysed as well.
     """
-    if (solve := door_of(settings).seconds(settings)) is None:
+    if (solve := run_kind_of(settings).seconds(settings)) is None:
         return math.inf
     judged = JUDGED_SECONDS[len(settings.shape)] * spheres_of(settings)
     return seconds_beside(settings, structure) + judged + min(solve, settings.time_limit or math.inf)
@@ -54,7 +54,7 @@ def bytes_of(settings: RunSettings) -> float:
     """Return the estimated memory, bytes, of a worker that solves samples with these settings."""
     spheres = spheres_of(settings)
     most = max(1, min(MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres))
-    return door_of(settings).worker_bytes(settings, spheres, most)
+    return run_kind_of(settings).worker_bytes(settings, spheres, most)
 
 
 def kind_of(settings: RunSettings) -> tuple[object, ...]:
@@ -77,7 +77,7 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
     for group in groups_of(samples):
         settings = group[0].settings
         spheres, in_a_second = spheres_of(settings), int(UNIT_SECONDS / seconds_of(settings, structure))
-        number = max(in_a_second, door_of(settings).samples_at_a_time(settings, spheres))
+        number = max(in_a_second, run_kind_of(settings).samples_at_a_time(settings, spheres))
         number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres))
         rounds = math.ceil(len(group) / (number * workers))
         number = math.ceil(len(group) / (rounds * workers))
@@ -148,8 +148,8 @@ class WorkLeft:
             settings = group[0].settings
             seconds = seconds_of(settings, structure)
             cost = seconds if seconds < math.inf else spheres_of(settings) * (settings.duration or 1.0)
-            door = door_of(settings)
-            name = f"{door.row(settings).name} of {door.what}"
+            runs = run_kind_of(settings)
+            name = f"{runs.row(settings).name} of {runs.what}"
             self.kinds.setdefault(kind_of(settings), Kind(name, cost)).remaining += len(group)
 
     def finish(self, sample: Sample, record: Record) -> None:

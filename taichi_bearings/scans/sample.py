@@ -17,7 +17,7 @@ from taichi_bearings.plain_files import Json
 from taichi_bearings.quantities import plain
 from taichi_bearings.runs.job import Job
 from taichi_bearings.runs.result import Result
-from taichi_bearings.runs.run import door_of
+from taichi_bearings.runs.run import run_kind_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.writing import self_contained, write_state
 from taichi_bearings.scans.engine import LocalEngine, failure, refuse_in_worker, run_samples
@@ -76,7 +76,7 @@ def _are_alike(group: Sequence[Sample]) -> bool:
     """
     settings = group[0].settings
     try:
-        return len(group) > 1 and door_of(settings).are_solved_together(settings, spheres_of(settings))
+        return len(group) > 1 and run_kind_of(settings).are_solved_together(settings, spheres_of(settings))
     except BearingsError:
         return False
 
@@ -95,7 +95,7 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
             f"{' or '.join(files)} has changed since the scan began; start the same scan again to use the new file"
         )
     asked = replace(first, threads=first.threads or 1)
-    found = door_of(first).job_of_seeds(asked, [sample.settings.seed for sample in block]).solve()
+    found = run_kind_of(first).job_of_seeds(asked, [sample.settings.seed for sample in block]).solve()
     if found.interrupted:
         raise Interrupted
     runs = [found.sample(number) for number in range(len(block))]

@@ -19,7 +19,7 @@ from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.plain_files import Json, refuse_link_out, replace_file
-from taichi_bearings.runs.run import door_of
+from taichi_bearings.runs.run import run_kind_of
 from taichi_bearings.runs.run_directory import tidy, writable_folder
 from taichi_bearings.runtime import available_threads, refuse_absent
 from taichi_bearings.scans import estimate as cost
@@ -128,9 +128,9 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
                 f"law is {shown(settings.law)}, a law of your own; scans allow {known}, as their processes do not "
                 "import the file that defines another law; solve its scenes with taichi_bearings.solve_many"
             )
-        door = door_of(settings)
-        door.refuse(settings, has_seeds=len(group) > 1)
-        unused = settings.unused(door.row(settings))
+        runs = run_kind_of(settings)
+        runs.refuse(settings, has_seeds=len(group) > 1)
+        unused = settings.unused(runs.row(settings))
         if is_here:
             refuse_absent(settings.arch, settings.precision)
         found = unused | found

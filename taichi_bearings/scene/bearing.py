@@ -1,7 +1,7 @@
 """What is solved, whatever its spheres are: a network, a contact law, coefficients of R samples, and what is imposed.
 
-`Scene`, of a lattice, and `Packing`, of spheres in lists, are two front doors: they check what users give and say how
-it lies in arrays. What is behind the doors takes a `Bearing` and asks it, never which door was taken.
+`Scene`, of a lattice, and `Packing`, of spheres in lists, check what users give and store it in arrays of their own.
+All later code takes a `Bearing` and asks that, never which of the two it is.
 
 Letters: R samples, N spheres (*N is the shape of arrays over them: that of the lattice, or (N,)), E contacts, C spin
 components, d slip components; omega the spin of a sphere, R in R omega its radius, u = R omega its surface speed.
