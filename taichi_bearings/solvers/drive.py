@@ -304,6 +304,8 @@ class Course:
     checkpoints : where states are saved; None for nowhere.
     interrupt : tells whether Ctrl-C was pressed.
     target : iteration at which the progress is read next.
+    had_ended : True for a minimisation that goes on from its last state, which was the answer already, as the process
+        ended before it was written.
     launch : iterations that are made at a time, so many that they take about half a second.
     began : clock reading, seconds, from which wall time is counted, that before a checkpoint included.
     called, written_at : clock readings at the start of this call, and at the last checkpoint.
@@ -335,6 +337,7 @@ class Course:
         self.checkpoints, self.interrupt = checkpoints, interrupt
         self.best, self.recorder = _Best(method), Recorder(method.scene, recording)
         self.target, self.launch = 0, 64  # so few iterations take far less than a second
+        self.had_ended = False
         self.began = self.called = self.written_at = time.perf_counter()
         if isinstance(method, Dynamics):
             method.end_at(self.stop.duration, checkpoints is not None)
@@ -350,6 +353,7 @@ class Course:
             except (KeyError, ValueError, IndexError, TypeError, OverflowError) as error:
                 raise FileError(f"the checkpoint is incomplete or of another scene: {error}") from None
             self.target = method.iteration
+            self.had_ended = self.best.keeps_best and bool(resume.get("ended", False))
             if isinstance(method, Dynamics) != looked:  # a minimisation goes on after a look, a dynamics looks again
                 self._aim(method.iteration)
             elif not looked:
@@ -376,6 +380,8 @@ class Course:
         """
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
         iteration = method.iteration if method.resumes else 0
+        if self.had_ended and self._ends_again():
+            return
         while True:
             yield from self._launches(self.target - iteration)
             on_the_way = method.resumes and method.iteration < self.target
@@ -397,13 +403,37 @@ class Course:
                 status = Status.INTERRUPTED
             if status is not None:
                 if not on_the_way:
-                    self._write(looked=True)
-                self.recorder.add_row(progress, best.bound, elapsed)
-                self.status, self.last, self.seconds = status, progress, elapsed
-                self.findings = method.findings(progress) if isinstance(method, Dynamics) else best.progress.findings
+                    self._write(looked=True, ended=status in (Status.CERTIFIED, Status.STALLED))
+                self._end(status, progress, elapsed)
                 return
             self._write_if_due(looked=True)
             self._aim(iteration)
+
+    def _end(self, status: Status, progress: Progress, elapsed: float) -> None:
+        """Set what is said of the end of the run, and record its last state.
+
+        status : how it ended.
+        progress : the last state.
+        elapsed : seconds of wall time.
+        """
+        self.recorder.add_row(progress, self.best.bound, elapsed)
+        self.status, self.last, self.seconds = status, progress, elapsed
+        is_dynamics = isinstance(self.method, Dynamics)
+        self.findings = self.method.findings(progress) if is_dynamics else self.best.progress.findings
+
+    def _ends_again(self) -> bool:
+        """Return True, and end the run, if the best state of a checkpoint is the answer by the limits of this call,
+        too. No forces are read from the method once more, since some methods prove others at each look.
+        """
+        best, progress = self.best, self.method.progress()
+        best.bound = self.method.proven_by(best.proof)
+        gap = relative_gap(self.scene, best.objective, best.bound)
+        stalled = progress.exhausted or best.has_stalled(progress.iteration, float(gap.max()))
+        now = self._seconds_of_this_call
+        status = self.stop.judge(self.scene, progress, best.objective, best.bound, now, stalled)
+        if status is not None:
+            self._end(status, progress, self.elapsed)
+        return status is not None
 
     def _launches(self, steps: int) -> Iterator[int]:
         """Yield numbers of iterations that add up to `steps`, each about half a second of work; end early where the
@@ -454,14 +484,16 @@ class Course:
         if self.checkpoints is not None and time.perf_counter() - self.written_at >= self.checkpoints.every:
             self._write(looked)
 
-    def _write(self, looked: bool) -> None:
+    def _write(self, looked: bool, ended: bool = False) -> None:
         """Write a checkpoint, if the method can resume and checkpoints are wanted.
 
         looked : True if the present state was recorded and judged already.
+        ended : True if it was judged to be the answer, so that a resumed run has to look at it once more.
         """
         if self.checkpoints is None or not self.method.resumes:
             return
         own = {"elapsed": np.array(self.elapsed), "looked": np.array(looked), "target": np.array(self.target)}
+        own["ended"] = np.array(ended)
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 

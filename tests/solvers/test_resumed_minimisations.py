@@ -121,6 +121,18 @@ def goes_on_to_the_same_bits(scene, row, tolerance, looks):
         assert np.array_equal(getattr(again, name), getattr(whole, name)), name
     rows = again.history["iteration"]
     assert rows.tolist() == whole.history["iteration"].tolist()
+    ends_again_with_the_same_bits(scene, row, stop, whole)
+
+
+def ends_again_with_the_same_bits(scene, row, stop, whole):
+    """A run whose process dies after its last look, before the answer is written, goes on from its last checkpoint."""
+    _, last = stopped(scene, row, stop, np.inf)
+    ended = Checkpoints(np.inf, lambda _: None, last)
+    once_more = solve(scene, row.build(), initial_spin(scene, "linear"), stop, checkpoints=ended)
+    assert (once_more.status, once_more.iterations) == (whole.status, whole.iterations)
+    for name in ("spin", "friction", "state", "power", "lower_bound"):
+        assert np.array_equal(getattr(once_more, name), getattr(whole, name)), name
+    assert once_more.history["iteration"].tolist() == whole.history["iteration"].tolist()
 
 
 @pytest.mark.usefixtures("taichi_runtime", "needs_f64")
