@@ -57,7 +57,7 @@ from taichi_bearings.proof.rounded_elimination import EPS
 from taichi_bearings.proof.springs import slip_rows
 
 MOST_SPLIT = 1500  # unknowns of a piece, beyond which its singular values take too long
-# Any thresholds are valid, as step 1 is an identity for all N and Y; these separate rounding from what is no loop.
+# Any thresholds are valid, as step 1 is an identity for all L and Y; these separate rounding from what is no loop.
 NEARLY_SINGULAR = 1e-8  # singular value over the largest, up to which forces along its vector are taken for a loop
 IN_A_LOOP = 1e-7  # force of a contact over that of a loop, above which it belongs to the loop
 

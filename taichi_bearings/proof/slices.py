@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.proof.enclosure import Enclosure, in_cache, length
+from taichi_bearings.proof.enclosure import UP, Enclosure, in_cache, length
 from taichi_bearings.proof.listed import Listed, largest_work
 from taichi_bearings.proof.on_lattice import OnLattice
 
@@ -442,7 +442,7 @@ def _largest_work_between(torque: Enclosure, reach: Enclosure, mask: np.ndarray)
     torque : (n,), torque over radius along one spin component.
     reach : (n,), spin times radius.
     mask : (n,) mask of the spheres that count; 0 is returned for others."""
-    gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
+    gives = np.sign(reach.high) * torque.high >= (torque.error + np.abs(torque.low)) * UP
     return largest_work(torque, reach, mask & ~gives)
 
 

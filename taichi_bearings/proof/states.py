@@ -5,8 +5,8 @@ Symbols
     T : contacts without any slip. S : the others. D : a domain, spheres that T joins in a component and that turn as
     one.
     E (in formulas) : excess, the potential of the given spins less what the friction proves.
-    y, y* : slip at hand and at a minimum. F : friction. phi, phi* : potential of a contact and its conjugate, see the
-        door of this folder (__init__.py).
+    y, y* : slip at hand and at a minimum. F : friction. phi, phi* : potential of a contact and its conjugate, as
+        __init__.py of this folder defines them.
 
 What is used, by the contact law and by how the components of spins matter
 * One component (all of 2D, cubic lattices driven about x or y), friction alone: minima are mixtures of lightest cuts

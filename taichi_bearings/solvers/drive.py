@@ -418,8 +418,8 @@ class Course:
         """
         self.recorder.add_row(progress, self.best.bound, elapsed)
         self.status, self.last, self.seconds = status, progress, elapsed
-        is_dynamics = isinstance(self.method, Dynamics)
-        self.findings = self.method.findings(progress) if is_dynamics else self.best.progress.findings
+        method = self.method
+        self.findings = method.findings(progress) if isinstance(method, Dynamics) else self.best.progress.findings
 
     def _ends_again(self) -> bool:
         """Return True, and end the run, if the best state of a checkpoint is the answer by the limits of this call,

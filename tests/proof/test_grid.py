@@ -83,6 +83,15 @@ def test_slips_are_lengths_of_differences_across_contacts(case):
     np.testing.assert_array_equal(grid.still(spin), (np.array(alike) | ~felt).all(axis=0))
 
 
+def test_a_torque_whose_sign_rounding_hides_is_paid_for():
+    """It is at least -2^-54, but in doubles the sum of both errors is 1."""
+    grid, only = Grid(None), np.ones(1, dtype=bool)
+    torque = Enclosure(np.array([1.0]), np.array([-(2.0**-54)]), np.array([1.0]))
+    assert grid.power_lost(torque, Enclosure.exact([1.0]), only).high > 0
+    surely_above = Enclosure(torque.high, torque.low, np.array([0.5]))
+    assert grid.power_lost(surely_above, Enclosure.exact([1.0]), only).high == 0
+
+
 @pytest.mark.parametrize("shape", [(5 * IN_CACHE + 3,), (2, 3 * IN_CACHE + 1), (3, 7, IN_CACHE), (2 * IN_CACHE, 3, 2)])
 def test_large_arrays_are_worked_on_in_parts_with_the_same_bits(shape):
     rng, sizes = np.random.default_rng(2), []
