@@ -21,6 +21,8 @@ repeat = walks._Kept._repeated
 walks._Kept._repeated = lambda kept, kernel, *more: repeated.append(repeat(kept, kernel, *more)) or repeated[-1]
 {before}
 import taichi_bearings as tb
+from taichi_bearings.conic import by_numpy
+by_numpy.kernels_are_loaded()  # so that passes over the contacts use kernels from the first on
 scene = tb.Scene.random((6, 6, 6), seed=3)
 found = [tb.solve(scene, method=method, iterations=20, **{more}).power.hex() for method in {methods}]
 {after}

@@ -225,7 +225,7 @@ class ProximalSteps:
         self.scene, self.unknowns, self.unit = scene, unknowns, unit
         self._system = unknowns.system
         self._matrix = NewtonMatrix(self._system, unknowns.order)
-        compile_passes(costly=self._matrix.is_costly)
+        compile_passes(self._system.offset.shape[1], costly=self._matrix.is_costly)
         # (R, n): coefficients of the n contacts of R samples, over their mean in the sample
         acting = scene.positive_coefficient[:, self._system.contact]
         mean = acting.mean(axis=1)

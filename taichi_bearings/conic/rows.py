@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.conic import by_numpy
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.launch import prepared
@@ -20,7 +21,6 @@ from taichi_bearings.memory import aligned_zeros
 PADDING = {kernels.FRICTION_ROW: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
 MOST_CONSTANTS = 5  # most numbers of each sample that a pass over the contacts takes
 # tables that say which numbers to add and to subtract, for kernels.add_up; or a matrix of other factors
-Pass: TypeAlias = Callable[..., None]  # a kernel that goes over all contacts once
 Sums: TypeAlias = tuple[np.ndarray, np.ndarray] | sparse.csr_array
 
 
@@ -88,46 +88,52 @@ class ContactRows:
         if laplacian is not None:
             terms, stiffness = laplacian.tocoo(), self._places(d * (d + 1) // 2)
             self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, (terms.shape[0], 3 * contacts))
-        # calls of kernels with their arguments, ready to be repeated, by kernel and rows (or sums and places)
+        # calls of kernels with their arguments, ready to be repeated, by kernel and rows (or sums and places); and, by
+        # the `id` of the sums, the matrices that take the place of these kernels
         self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
+        self._matrices: dict[int, sparse.csr_array] = {}
 
     def _places(self, count: int) -> np.ndarray:
         """Return the indices (count * n,) of the numbers of n contacts in `count` successive rows of memory, row by
         row, counted from the begin of the first row. (A row is longer than n, as SIMD blocks are filled up.)"""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
-    def run(
-        self, kernel: tuple[Pass, Pass, Pass], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
-    ) -> np.ndarray:
-        """Run a kernel over all contacts and return what it finds for each of S samples, (found, S): minima over the
-        contacts first, then sums; (0, S) for a kernel that finds nothing.
+    def run(self, kernel: kernels.Passes, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> np.ndarray:
+        """Make a pass over all contacts and return what it finds for each of S samples, (found, S): minima over the
+        contacts first, then sums; (0, S) for a pass that finds nothing.
 
-        kernel : three functions: for contacts with one slip component, for those with two, and for both kinds.
+        kernel : the pass.
         slots : memory has rows for two Newton steps; the number (0 or 1) of the one whose rows the kernel reads, and of
             the one whose rows it writes.
         numbers : constants of the kernel, at most MOST_CONSTANTS, each one number or (S,).
         """
-        for own, number in zip(self._numbers, numbers, strict=False):
-            own[:] = number
-        finds = kernel in kernels.FINDING
-        if finds:
-            self._found[: kernels.LEAST_FOUND], self._found[kernels.LEAST_FOUND :] = np.inf, 0.0
-        key = (kernel, slots)
-        if key not in self._starts:
-            blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
-            arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), turns, self._numbers.ravel()
-            one, two, both = kernel
-            own = one if self._first_two == blocks else both if self._first_two else two
-            ends = self._length, self._first_two, blocks
-            self._starts[key] = [prepared(own, *arrays, *ends, *slots)] if blocks else []
-        for start in self._starts[key]:
-            start()
-        if not finds:
+        if by_numpy.is_quicker(self._contacts, self.samples):
+            constants = [float(np.ravel(number)[0]) for number in numbers]
+            self._found[:, :, 0] = by_numpy.run(kernel, self._flat, self._length, self._second, slots, constants)
+        else:
+            self._launch(kernel, slots, numbers)
+        if not kernel.finds:
             return np.zeros((0, self.samples))
         by_sample = self._found.transpose(0, 2, 1).copy()  # added up in one order however many samples there are
         return np.concatenate(
             [by_sample[: kernels.LEAST_FOUND].min(axis=2), by_sample[kernels.LEAST_FOUND :].sum(axis=2)]
         )
+
+    def _launch(self, kernel: kernels.Passes, slots: tuple[int, int], numbers: tuple[float | np.ndarray, ...]) -> None:
+        """Launch a kernel over all contacts; what it finds is then in `_found`. Arguments are those of :meth:`run`."""
+        for own, number in zip(self._numbers, numbers, strict=False):
+            own[:] = number
+        if kernel.finds:
+            self._found[: kernels.LEAST_FOUND], self._found[kernels.LEAST_FOUND :] = np.inf, 0.0
+        key = (kernel, slots)
+        if key not in self._starts:
+            blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
+            arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), turns, self._numbers.ravel()
+            own = kernel.one if self._first_two == blocks else kernel.both if self._first_two else kernel.two
+            ends = self._length, self._first_two, blocks
+            self._starts[key] = [prepared(own, *arrays, *ends, *slots)] if blocks else []
+        for start in self._starts[key]:
+            start()
 
     def change(self, row: int) -> None:
         """Compute the change K x of the slips, and write its two components into two rows of the contacts' numbers. K
@@ -163,6 +169,10 @@ class ContactRows:
         to : index in `found` of the first number of the result.
         """
         key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
+        if not isinstance(sums, sparse.csr_array) and by_numpy.is_quicker(self._contacts, self.samples):
+            if id(sums) not in self._matrices:
+                self._matrices[id(sums)] = by_numpy.matrix_of(*sums)
+            sums = self._matrices[id(sums)]
         if isinstance(sums, sparse.csr_array):
             rows, columns = sums.shape
             found.reshape(shape)[to : to + rows] = sums @ values.reshape(shape)[first : first + columns]
@@ -247,14 +257,22 @@ class ContactRows:
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)
 
 
-@lru_cache
-def compile_passes(samples: int = 1, costly: bool = False) -> None:
-    """Compile the kernels of a Newton step, by running them on a system of two contacts: they are the same for all
-    systems.
+def compile_passes(contacts: int, samples: int = 1, costly: bool = False) -> None:
+    """Compile the kernels of a Newton step, unless NumPy takes their place at first.
 
+    contacts : number of contacts of a sample.
     samples : number of samples side by side, 1 or LANES.
     costly : True to compile also those that are used where a factorisation takes long.
     """
+    if not by_numpy.is_quicker(contacts, samples):
+        _compile_passes(samples, costly)
+
+
+@lru_cache
+def _compile_passes(samples: int, costly: bool) -> None:
+    """Compile the kernels of a Newton step, by running them on a system of two contacts: they are the same for all
+    systems. The arguments are those of :func:`compile_passes`."""
+    by_numpy.kernels_are_loaded()
     felt = np.array([[True, True], [False, True]])
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
     spins = aligned_zeros(samples, kernels.BLOCK).reshape(1, samples)

@@ -18,6 +18,7 @@ return a list: the numbers that the pass writes, then those of which it finds th
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.kernels.elimination import LANES, NUMBERS, VECTORS
@@ -561,12 +562,32 @@ def apply_to_block(
             found[at] = found[at] + more
 
 
+@dataclass(frozen=True, eq=False)
+class Passes:
+    """A pass over the contacts, as three kernels. Only those that are used are compiled; the third takes less time to
+    compile than the other two together.
+
+    one, two, both : kernels for contacts with one slipping component, for those with two, and for both kinds.
+    law : name of the function of one contact that is called for every contact.
+    iterate, step : rows of the iterate, and of the step that is written, that the first numbers of the law go to; for
+        contacts with one slipping component, and for those with two. A row has one number of each contact.
+    finds : for each further number of the law the index of its result; below LEAST_FOUND the least number is found,
+        else the sum.
+    """
+
+    one: Callable
+    two: Callable
+    both: Callable
+    law: str
+    iterate: tuple
+    step: tuple
+    finds: tuple
+
+
 def _kernels_over_contacts(
     law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
-) -> tuple[Callable, Callable, Callable]:
-    """Return three kernels, made by `_kernel_over_contacts`, that call `law` for every contact: the first for contacts
-    with one slipping component, the second for those with two, the third for both kinds. Only those that are used are
-    compiled; the third takes less time to compile than the other two together.
+) -> Passes:
+    """Return the kernels, made by `_kernel_over_contacts`, that call `law` for every contact.
 
     law : function of one contact, such as `prepared`. It returns a list of numbers: first those that are written into
         rows (a row has one number for each contact), then those of which the sum or the least over all contacts is
@@ -578,7 +599,8 @@ def _kernels_over_contacts(
         number over all contacts is found, else the sum."""
     of_one, of_two = (iterate[0], step[0]), (iterate[1], step[1])
     one, two = _kernel_over_contacts(law, of_one, None, finds), _kernel_over_contacts(law, None, of_two, finds)
-    return one, two, _kernel_over_contacts(law, of_one, of_two, finds)
+    both = _kernel_over_contacts(law, of_one, of_two, finds)
+    return Passes(one, two, both, law.__name__, iterate, step, finds)
 
 
 def _kernel_over_contacts(law: Callable, of_one: tuple | None, of_two: tuple | None, finds: tuple) -> Callable:
@@ -639,7 +661,6 @@ between_steps = _kernels_over_contacts(between, finds=(REACH, DUAL_REACH))
 correct = _kernels_over_contacts(corrected, step=AIM)
 recentre = _kernels_over_contacts(recentred, step=AIM)
 take = _kernels_over_contacts(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
-FINDING = (expand, between_steps, take)  # the passes that find sums or least numbers over the contacts
 
 
 @ti.func

@@ -89,7 +89,7 @@ class LatticePaths(Paths):
         if self.frustrated:
             together = LANES if small and scene.replicas > 1 else 1
             # all before the clock starts, but for what a last sample needs if left alone
-            compile_passes(together, shared.matrix.is_costly)
+            compile_passes(self.system.offset.shape[1], together, shared.matrix.is_costly)
             shared.matrix.compile(together)
         # the spins to start from, within the interval of the driven ones, and those of the free spheres in `unit`
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)

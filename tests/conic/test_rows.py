@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from taichi_bearings.conic import by_numpy
 from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.cones import inner, length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem
@@ -92,9 +93,11 @@ class Contacts:
         assert (pull == self.dual)[:, self.smooth].all()
 
 
-@pytest.fixture(params=[(1, 0), (8, 1)], ids=["alone", "of eight"])
-def contacts(request):
-    return Contacts(*request.param)
+@pytest.fixture(params=[(1, 0, True), (1, 0, False), (8, 1, False)], ids=["by NumPy", "alone", "of eight"])
+def contacts(request, monkeypatch):
+    *of_sample, is_first = request.param
+    monkeypatch.setattr(by_numpy.SPENT, "contacts", 0 if is_first else by_numpy.WORTH_LOADING)
+    return Contacts(*of_sample)
 
 
 def test_stiffness_is_that_of_the_scaling_or_of_the_law(contacts):
@@ -245,7 +248,9 @@ def test_torques_are_the_transpose_of_the_slips(contacts):
         assert rows.spins[contacts.place, sample] == pytest.approx(expected, rel=1e-13, abs=1e-13)
 
 
-def test_numbers_of_a_sample_do_not_depend_on_those_beside_it():
+@pytest.mark.parametrize("spent", [0, by_numpy.WORTH_LOADING])
+def test_numbers_of_a_sample_do_not_depend_on_those_beside_it(spent, monkeypatch):
+    monkeypatch.setattr(by_numpy.SPENT, "contacts", spent)
     together, alone = Contacts(8, 3), Contacts(1, 4)
     for row in (kernels.FRICTION_ROW, kernels.BOUND, kernels.SMOOTH):
         alone.rows.put(row, 0, together.rows.numbers(row, together.sample))
@@ -262,6 +267,60 @@ def test_numbers_of_a_sample_do_not_depend_on_those_beside_it():
         found.append([*steps, over_contacts])
     for one, other in zip(*found, strict=True):
         assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
+
+
+def _all_passes(contacts):
+    """Everything that a Newton step does with the rows: all numbers of memory, and all that is found."""
+    rows, found = contacts.rows, []
+    entries = aligned_zeros(3 * COUNT, 8).reshape(-1, 1)
+    rows.add_stiffnesses(entries)
+    for slot in (0, 1):
+        rows.spins[contacts.place] = contacts.spins
+        rows.change(kernels.STATE_ROWS + slot * kernels.STEP_ROWS + kernels.CHANGE)
+        found += [contacts.run(kernels.expand, (slot, slot)), rows.values.copy()]
+        contacts.run(kernels.correct, (slot, 1 - slot), 0.1)
+        contacts.run(kernels.recentre, (slot, 1 - slot), 0.2, 0.3, 0.01, 2.0, kernels.GO_ON)
+        found.append(contacts.run(kernels.between_steps, (slot, 1 - slot), 0.25))
+        found += [contacts.run(kernels.take, (slot, slot), 0.02, 0.03), rows.values.copy()]
+        rows.torques(kernels.DUAL)
+    return [*found, entries, rows.spins, rows.values]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_numpy_has_the_bits_of_kernels(seed, monkeypatch):
+    """Also at points that have left their cones, and with numbers that are not finite."""
+    found = []
+    for spent in (0, by_numpy.WORTH_LOADING):
+        monkeypatch.setattr(by_numpy.SPENT, "contacts", spent)
+        contacts = Contacts(1, seed)
+        if seed % 4 == 0:
+            contacts.rows.values[kernels.BOUND, ::7] *= 0.1
+        if seed % 4 == 1:
+            contacts.rows.values[kernels.BOUND, 5], contacts.rows.values[kernels.DUAL, 9] = np.nan, np.inf
+        contacts.run(kernels.prepare, (0, 0), 1e-3)
+        found.append(_all_passes(contacts))
+        assert (by_numpy.SPENT.contacts > spent) == (spent == 0)
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+        assert seed % 4 < 2 or np.isfinite(one).mean() > 0.5
+
+
+def test_kernels_take_over_when_they_are_worth_loading(monkeypatch):
+    monkeypatch.setattr(by_numpy.SPENT, "contacts", by_numpy.WORTH_LOADING - 200)
+    contacts = Contacts(1, 1)  # one pass
+    assert by_numpy.is_quicker(COUNT, 1)
+    launched = []
+    monkeypatch.setattr(ContactRows, "_launch", lambda self, kernel, *_: launched.append(kernel))
+    for _ in range(3):
+        contacts.run(kernels.expand, (0, 0))
+    assert launched == [kernels.expand] * 2
+    assert not by_numpy.is_quicker(COUNT, 1)
+
+
+@pytest.mark.parametrize(("contacts", "samples"), [(by_numpy.MOST_CONTACTS + 1, 1), (10, 8)])
+def test_large_samples_and_several_use_kernels_at_once(contacts, samples, monkeypatch):
+    monkeypatch.setattr(by_numpy.SPENT, "contacts", 0)
+    assert not by_numpy.is_quicker(contacts, samples)
 
 
 @pytest.mark.parametrize("samples", [1, 8])

@@ -1,0 +1,153 @@
+"""Passes over the contacts by NumPy: for the first small samples of a process, with the same bits as by kernels.
+
+To load a kernel takes a process 40 ms, as long as NumPy takes for a hundred passes over 10^3 spheres. So a single small
+sample is computed without the kernels of these passes, until NumPy has taken as long in this process as loading them
+takes. The laws of the contacts are executed from the source that the kernels are compiled from: with slices of a row,
+which has one number of every contact, in place of single numbers, and functions of NumPy in place of the compiler's.
+
+Letters: n contacts, with those that fill up blocks, as in conic/rows.py.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from types import FunctionType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from taichi_bearings.kernels import central_path as kernels
+
+MOST_CONTACTS = (
+    6_000  # a sample with more contacts uses kernels at once: by NumPy it would take as long as to load them
+)
+WORTH_LOADING = 1_500_000  # contacts, counted once in each pass, for which NumPy takes as long as kernels take to load
+LANGUAGE = SimpleNamespace(
+    static=lambda value: value, cast=lambda value, kind: value, f64=None,
+    abs=np.abs, sqrt=np.sqrt, max=np.fmax, min=np.fmin, select=np.where,
+)  # fmt: skip
+"""What the laws use of the compiler's language, for arrays."""
+
+
+@dataclass
+class Spent:
+    """How many contacts NumPy has passed over in this process, counted once in each pass."""
+
+    contacts: int = 0
+
+
+SPENT = Spent()
+
+
+def is_quicker(contacts: int, samples: int) -> bool:
+    """Return True if passes are made by NumPy: over one small sample, before their kernels are worth loading.
+
+    contacts : number of contacts of a sample.
+    samples : number of samples side by side.
+    """
+    return samples == 1 and contacts <= MOST_CONTACTS and SPENT.contacts < WORTH_LOADING
+
+
+def kernels_are_loaded() -> None:
+    """Have all later passes of this process made by kernels, as these are loaded."""
+    SPENT.contacts = WORTH_LOADING
+
+
+@dataclass(frozen=True)
+class _Contacts:
+    """Some contacts that follow each other, as the index of a contact in a law: added to the place where a row begins
+    it is the slice of their numbers in this row.
+
+    first, end : the first contact, and the one after the last.
+    """
+
+    first: int
+    end: int
+
+    def __radd__(self, begin: int) -> slice:
+        """Return the slice of the numbers of these contacts in a row.
+
+        begin : index of the number of contact 0 of the row.
+        """
+        return slice(begin + self.first, begin + self.end)
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """What a pass takes besides, such as the length of a step, as laws read it: number k of contact m at k * BLOCK + m.
+
+    values : the numbers, which are the same for all contacts.
+    first : the first contact of those that the law is called for.
+    """
+
+    values: list[float]
+    first: int
+
+    def __getitem__(self, place: "slice | _Contacts") -> float:
+        """Return the number that stands at a place: number 0 for contacts, else that of a slice."""
+        return self.values[0 if isinstance(place, _Contacts) else (place.start - self.first) // kernels.BLOCK]
+
+
+@cache
+def _laws() -> dict[str, Any]:
+    """Return all names of the module with the laws of contacts, whose functions are executed by Python here."""
+    found = dict(vars(kernels))
+    for name, value in vars(kernels).items():
+        source = getattr(value, "__wrapped__", None)  # of a function of the compiler's language
+        if isinstance(source, FunctionType) and source.__module__ == kernels.__name__:
+            found[name] = FunctionType(source.__code__, found, name, source.__defaults__, source.__closure__)
+    found["ti"] = LANGUAGE
+    return found
+
+
+def run(
+    kernel: kernels.Passes, flat: np.ndarray, length: int, second: int, slots: tuple[int, int], numbers: list[float]
+) -> np.ndarray:
+    """Make one pass over all contacts of a sample: write what its law returns into rows, and return what it finds,
+    (FOUND, BLOCK), for each place of a block: least numbers first, then sums.
+
+    kernel : the pass.
+    flat : all rows, one after the other; changed in place. A row has one number of every contact.
+    length : length of a row, n.
+    second : first contact with two slipping components.
+    slots : number (0 or 1) of the step whose rows the law reads, and of the one whose rows it writes.
+    numbers : what the pass takes besides.
+    """
+    SPENT.contacts += length
+    law: Callable[..., list[np.ndarray]] = _laws()[kernel.law]
+    found = np.zeros((kernels.FOUND, kernels.BLOCK))
+    found[: kernels.LEAST_FOUND] = np.inf
+    state = [row * length for row in range(kernels.STATE_ROWS)]
+    old, new = (
+        [(kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row) * length for row in range(kernels.STEP_ROWS)]
+        for slot in slots
+    )
+    for kind, (first, end) in enumerate(((0, second), (second, length))):
+        if first == end:
+            continue
+        with np.errstate(all="ignore"):  # as kernels do
+            made = law(flat, [state, old, (0,) * (kind + 1), new], _Numbers(numbers, first), _Contacts(first, end))
+        to = [state[row] for row in kernel.iterate[kind]] + [new[row] for row in kernel.step[kind]]
+        whole = [np.array(values) for values in made[: len(to)]]  # not views of rows that are written next
+        for begin, values in zip(to, whole, strict=True):
+            flat[begin + first : begin + end] = values
+        for k, values in zip(kernel.finds, made[len(to) :], strict=True):
+            # block after block, as kernels add them up
+            blocks = np.concatenate([found[k], np.broadcast_to(values, end - first)]).reshape(-1, kernels.BLOCK)
+            reduce = np.fmin if k < kernels.LEAST_FOUND else np.add
+            found[k] = reduce.reduce(blocks, axis=0)
+    return found
+
+
+def matrix_of(begins: np.ndarray, places: np.ndarray) -> sparse.csr_array:
+    """Return the sparse matrix, with entries 1 and -1, that stands in two tables of `kernels.add_up`. A product with it
+    has the same bits as this kernel.
+
+    begins : where the entries of each row begin in `places`; one more than there are rows.
+    places : for each entry its column, or the bitwise complement of its column for an entry -1.
+    """
+    minus = places >> 31  # -1 for what is subtracted, 0 for the rest
+    columns = places ^ minus
+    shape = len(begins) - 1, int(columns.max(initial=-1)) + 1
+    return sparse.csr_array(((1 | minus).astype(float), columns, begins), shape=shape)
