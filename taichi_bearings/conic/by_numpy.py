@@ -19,7 +19,7 @@ from scipy import sparse
 
 from taichi_bearings.kernels import central_path as kernels
 
-MOST_CONTACTS = (
+MOST_BY_NUMPY = (
     6_000  # a sample with more contacts uses kernels at once: by NumPy it would take as long as to load them
 )
 WORTH_LOADING = 1_500_000  # contacts, counted once in each pass, for which NumPy takes as long as kernels take to load
@@ -46,7 +46,7 @@ def is_quicker(contacts: int, samples: int) -> bool:
     contacts : number of contacts of a sample.
     samples : number of samples side by side.
     """
-    return samples == 1 and contacts <= MOST_CONTACTS and SPENT.contacts < WORTH_LOADING
+    return samples == 1 and contacts <= MOST_BY_NUMPY and SPENT.contacts < WORTH_LOADING
 
 
 def kernels_are_loaded() -> None:

@@ -317,7 +317,7 @@ def test_kernels_take_over_when_they_are_worth_loading(monkeypatch):
     assert not by_numpy.is_quicker(COUNT, 1)
 
 
-@pytest.mark.parametrize(("contacts", "samples"), [(by_numpy.MOST_CONTACTS + 1, 1), (10, 8)])
+@pytest.mark.parametrize(("contacts", "samples"), [(by_numpy.MOST_BY_NUMPY + 1, 1), (10, 8)])
 def test_large_samples_and_several_use_kernels_at_once(contacts, samples, monkeypatch):
     monkeypatch.setattr(by_numpy.SPENT, "contacts", 0)
     assert not by_numpy.is_quicker(contacts, samples)
