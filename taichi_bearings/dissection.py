@@ -219,7 +219,7 @@ def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return two arrays: the distinct ones of some nodes, in rising order; and for each entry of `nodes` its index in
     the first array.
 
-    nodes : numbers of nodes, which may repeat.
+    nodes : (n,), numbers of nodes, which may repeat.
     count : number of all nodes.
     """
     there = np.zeros(count, dtype=bool)

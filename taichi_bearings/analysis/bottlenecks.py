@@ -202,7 +202,7 @@ def _loads_between(
     neighbours : the neighbours of all spheres.
     passed : (spheres,) mask of those that paths may run through.
     edges : number of links of the network.
-    starts, targets : numbers of the spheres of the one and of the other body.
+    starts, targets : (n,) and (m,), numbers of the spheres of the one and of the other body.
     pairs : number of pairs of a start and a target that some path connects.
     """
     # all sources are searched, or a random sample of as many as EXACT_WORK allows
@@ -293,7 +293,7 @@ def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
     """Return for each sphere its neighbours over some of the links.
 
     network : a graph of spheres and links.
-    links : numbers of these links.
+    links : (n,), numbers of these links.
     """
     low, high = network.ends[:, links]
     here, there = np.concatenate([low, high]), np.concatenate([high, low])
@@ -327,7 +327,7 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
 
     neighbours : the neighbours of all spheres.
     passed : (spheres,) mask of those from which a search goes on.
-    sources : numbers of the spheres where the searches begin, one for each search.
+    sources : (searches,), number of the sphere where each search begins.
     """
     searches, sites = len(sources), len(neighbours.degree)
     place = np.full(searches * sites, -1, dtype=np.int32)  # index in the level of a sphere found; -1 if not found yet

@@ -41,7 +41,7 @@ class SampleCounts:
     def of(self, samples: np.ndarray) -> "SampleCounts":
         """Return the counts of some of the samples, in the same bins.
 
-        samples : their numbers.
+        samples : (n,), numbers of these samples.
         """
         return replace(self, count=self.count[samples], contacts=self.contacts[samples])
 

@@ -424,11 +424,10 @@ def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def stacked(stiffness: np.ndarray) -> np.ndarray:
-    """Return the upper triangles of symmetric stiffnesses (d, d, n) as one vector (d (d + 1) / 2 * n,): all entries [0,
-    0], then all [0, 1], ...; or (..., S) of stiffnesses (d, d, n, S). Letters: n contacts with up to d slip components,
-    S samples.
+    """Return the upper triangles of symmetric matrices as one vector (d (d + 1) / 2 * n,): all entries [0, 0], then all
+    [0, 1], and so on. For S samples side by side the result has a last axis more, (..., S).
 
-    stiffness : the stiffnesses.
+    stiffness : (d, d, n), stiffness of each of n contacts with up to d slip components; or (d, d, n, S) of S samples.
     """
     return np.concatenate([stiffness[i, j] for i in range(len(stiffness)) for j in range(i, len(stiffness))])
 

@@ -156,8 +156,8 @@ class Contraction:
         a system of these contacts alone, whose unknowns are the sets of spins that tied contacts join.
 
         whole : the system before any contact was tied.
-        places : indices in it of the contacts that are not tied. Of these, contacts between spins of one set without an
-            imposed slip are left out.
+        places : (p,), indices in it of the contacts that are not tied. Of these, contacts between spins of one set
+            without an imposed slip are left out.
         """
         assert whole.ends is not None
         ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
@@ -188,8 +188,8 @@ class Contraction:
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
     def order(self, sample: int) -> np.ndarray:
-        """Return the order in which the new unknowns of a sample are eliminated, counted from its first. A new unknown
-        stands for a set of spins that contacts tie together.
+        """Return the order in which the new unknowns of a sample are eliminated: (unknowns,), their numbers counted
+        from its first. A new unknown stands for a set of spins that contacts tie together.
 
         In small samples a set is eliminated when the last of its spins would be. In large ones (OWN_ORDER_UNKNOWNS) the
         sets, which extend across any plane, are dissected anew by their places.

@@ -262,7 +262,7 @@ class NewtonMatrix:
 def _side_by_side(values: np.ndarray) -> np.ndarray:
     """Return an array (n, S) of S samples as it is, and an array (n,) of one sample as (n, 1).
 
-    values : the array.
+    values : (n,) or (n, S), the array.
     """
     return values if values.ndim == 2 else values[:, None]
 

@@ -163,8 +163,8 @@ class ContactRows:
         """Compute the product of a sparse matrix with numbers of the memory, and write it to `found`.
 
         sums : the matrix; or, if its entries are all 1 or -1, two tables that say which numbers to add and to subtract.
-        values : array of numbers of contacts or of spins.
-        found : array that the result is written into.
+        values : array of numbers of contacts or of spins, any shape; read as if it were flat.
+        found : array that the result is written into, any shape; indexed as if it were flat.
         first : index in `values` of the first number that is multiplied.
         to : index in `found` of the first number of the result.
         """

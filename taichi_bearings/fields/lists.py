@@ -84,8 +84,9 @@ class Lists:
 
     @property
     def measures(self) -> np.ndarray:
-        """Integers that kernels need: lengths of the rows of spheres and of contacts, of all samples and then of one;
-        `numbers_row`; and the lists themselves: ends of contacts, and for each sphere the contacts on it.
+        """Integers that kernels need, one flat array: lengths of the rows of spheres and of contacts, of all samples
+        and then of one; `numbers_row`; and the lists themselves, the ends of contacts and for each sphere the contacts
+        on it.
         """
         one = [length // self.copies for length in self.size]
         return np.concatenate([self.size, one, [self.numbers_row], self.ends, self.start, self.incident])

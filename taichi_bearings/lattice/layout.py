@@ -114,7 +114,7 @@ class Layout:
         """Return the part (..., R samples, *contacts) that belongs to contacts along an axis, of values (..., R, *N
         spheres) that stand at the lower sphere of each contact.
 
-        full : the values.
+        full : (..., R, *N), the values.
         axis : number of the axis.
         """
         return np.asarray(full[(Ellipsis,) + tuple(map(slice, self.lattice.contact_shape(axis)))])

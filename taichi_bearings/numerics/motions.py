@@ -199,7 +199,7 @@ def _eliminated(
     full = np.zeros((len(both), len(both)))
 
     def find(wanted: np.ndarray) -> np.ndarray:
-        """Return for each unknown whose number is in `wanted` its row in the dense matrix `full`."""
+        """Return (n,), the row in the dense matrix `full` of each of the n unknowns whose numbers are `wanted`."""
         return order[np.searchsorted(both, wanted, sorter=order)]
 
     for local, (columns, a, b) in enumerate(zip(rows, begin, end, strict=True)):

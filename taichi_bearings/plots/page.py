@@ -31,7 +31,8 @@ class View:
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """Rotation from the lattice to the reader; its rows point to the right, up, and towards the reader."""
+        """(3, 3), rotation from the axes of the lattice to those of the reader; its rows point to the right, up, and
+        towards the reader."""
         angles = np.deg2rad([self.elevation, self.azimuth])
         (sin_e, sin_a), (cos_e, cos_a) = np.sin(angles), np.cos(angles)
         return np.array([

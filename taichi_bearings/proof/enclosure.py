@@ -91,7 +91,8 @@ class Enclosure:
 
     @classmethod
     def exact(cls, high: ArrayLike, low: ArrayLike = 0.0) -> Enclosure:
-        """Enclose doubles `high`, or the sums high + low of two doubles each, without any error."""
+        """Return enclosures without any error, of the doubles `high`, or of the sums high + low of two doubles each.
+        The result has the shape of `high`."""
         high = np.asarray(high, dtype=np.float64)
         if np.isscalar(low) and low == 0:
             return cls(high, np.zeros_like(high), np.zeros_like(high))
@@ -230,13 +231,15 @@ class Enclosure:
 
     @property
     def most(self) -> np.ndarray:
-        """Doubles not below the absolute value of any enclosed number."""
+        """For each element a double that is not below the absolute value of the enclosed number; an array of the same
+        shape."""
         found: np.ndarray = (np.abs(self.high) + (np.abs(self.low) + self.error)) * SLIGHTLY_UP
         return found
 
     @property
     def least(self) -> np.ndarray:
-        """Doubles, 0 or more, not above the absolute value of any enclosed number."""
+        """For each element a double, 0 or more, that is not above the absolute value of the enclosed number; an array
+        of the same shape."""
         found: np.ndarray = (
             np.maximum(np.abs(self.high) - (np.abs(self.low) + self.error) * SLIGHTLY_UP, 0.0) / SLIGHTLY_UP
         )
@@ -244,19 +247,20 @@ class Enclosure:
 
     @property
     def value(self) -> np.ndarray:
-        """The sums high + low, rounded to doubles."""
+        """The sums high + low, rounded to doubles; an array of the same shape."""
         found: np.ndarray = self.high + self.low
         return found
 
     @in_cache
     def upper(self) -> np.ndarray:
-        """Return doubles not below any enclosed number; `high` itself where that is exact."""
+        """Return for each element a double that is not below the enclosed number: `high` itself where that is exact.
+        The result is an array of the same shape."""
         change = self.low + self.error
         above = np.nextafter(self.high + (change + 2.0**-50 * np.abs(change)), np.inf)
         return np.where((self.low == 0) & (self.error == 0), self.high, above)
 
     def lower(self) -> np.ndarray:
-        """Return doubles not above any enclosed number."""
+        """Return for each element a double that is not above the enclosed number, an array of the same shape."""
         return -(-self).upper()
 
 
@@ -343,7 +347,7 @@ def _length_of_several(parts: list[Enclosure]) -> Enclosure:
 def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]) -> Enclosure:
     """Return the enclosure of a product of enclosures.
 
-    product, rest : its value, product + rest, but for rounding: two arrays of doubles.
+    product, rest : its value, product + rest, but for rounding: two arrays of doubles of one shape.
     error : of the same shape, how far the errors of the two factors may move it.
     counts : function that returns the mask of the elements neither of whose factors is exactly 0: only these may have
         lost something by underflow. It is called for tiny products alone.

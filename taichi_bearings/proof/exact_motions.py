@@ -278,7 +278,7 @@ class _Choices:
         """Return the numbers from which spins follow; None if some imposed spin is too small for exact products.
 
         parts : the contacts, their unknowns, and the parts into which they fall.
-        chosen : indices of the chosen unknowns."""
+        chosen : (k,), indices of the chosen unknowns."""
         network, contacts = parts.network, len(parts.of_contact)
         high, low, error = (
             np.stack(values, axis=1) for values in zip(*(p.parts for p in network.imposed), strict=True)
@@ -477,9 +477,9 @@ class _Motions:
         return cls(parts, choices, motion, unit), no_fraction
 
     def slipping_contacts(self) -> np.ndarray:
-        """Return the indices, among the A contacts, of those that may slip in these motions: all but those that are
-        proven to roll exactly, whatever the q numbers are from which the spins follow. All A contacts are returned if
-        integers are too large for exact sums."""
+        """Return the indices (n,) of those of the A contacts that may slip in these motions. The others are proven to
+        roll exactly, whatever the q numbers are from which the spins follow. If integers are too large for exact sums,
+        all A contacts are returned."""
         count, chosen = len(self.parts.normal), len(self.choices.chosen)
         if not (np.abs(self.motion.data) < LARGEST).all():
             return np.arange(count)

@@ -293,7 +293,7 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
     nodes, these included.
 
     follows : the graph, (nodes, nodes).
-    starts : indices of the nodes to begin with."""
+    starts : (n,), indices of the nodes to begin with."""
     size = follows.shape[0]
     ends = (np.full(len(starts), size), starts)
     source = sparse.csr_array((np.ones(len(starts), dtype=bool), ends), shape=(size + 1, size + 1))

@@ -570,7 +570,8 @@ class Centre:
 
 
 def _without_error(values: Enclosure) -> Enclosure:
-    """Return the enclosures with their error bounds dropped: sums of two doubles that are taken as exact numbers.
+    """Return enclosures with their error bounds dropped, in the same shape: sums of two doubles that are taken as
+    exact.
 
     values : the enclosures.
     """

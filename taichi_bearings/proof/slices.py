@@ -368,7 +368,7 @@ class Grid(Listed):
     def of_spheres(self, values: Enclosure) -> Enclosure:
         """Return an enclosure (n,) of all spheres as views (R, *N): R samples of a lattice of shape *N.
 
-        values : the enclosure.
+        values : (n,), the enclosure, with a number for each sphere of each sample.
         """
         return Enclosure(*(self.on_spheres(part) for part in values.parts))
 
@@ -448,9 +448,9 @@ def _largest_work_between(torque: Enclosure, reach: Enclosure, mask: np.ndarray)
 
 @in_cache
 def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
-    """Return the length of vectors given by their two components, enclosures of any one shape.
+    """Return the lengths of vectors with two components, an enclosure in the shape of these.
 
-    first, second : the components.
+    first, second : the two components of each vector, enclosures of any one shape.
     """
     shape = first.high.shape
     return length([part.reshaped((-1,)) for part in (first, second)]).reshaped(shape)
@@ -459,6 +459,6 @@ def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
 def _may_differ_from_0(part: Enclosure) -> bool:
     """Return True if some number of an enclosure may differ from 0; False if all are exactly 0.
 
-    part : the enclosure.
+    part : the enclosure, any shape.
     """
     return any(bool(of.any()) for of in part.parts)

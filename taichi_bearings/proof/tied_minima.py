@@ -458,9 +458,9 @@ class Saturated:
         return cls(network, mask, np.argmax(parts, axis=0))
 
     def friction(self, slot: int) -> Enclosure:
-        """Return for each saturated contact the moment n x F, in units of force, that it has to exert along component
-        `slot` (0 or 1). That is mu F_n with the sign of the stored moment, or 0 if the contact bears its friction along
-        the other component. The result is an enclosure with an entry for each of these contacts."""
+        """Return an enclosure (n,), for each of n saturated contacts the moment n x F, in units of force, that it has
+        to exert along component `slot` (0 or 1). That is mu F_n with the sign of the stored moment, or 0 if the contact
+        bears its friction along the other component."""
         own = np.flatnonzero(self.mask)
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
         return self.network.holding.at(own).signed(sign * (self.along[own] == slot))

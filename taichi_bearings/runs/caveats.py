@@ -41,8 +41,8 @@ def caveats(solution: Solution, settings: RunSettings) -> list[str]:
 
 
 def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence for each sample of which it is open whether it yields: the torque on the top lies between the
-    largest one that friction is proven to hold and the smallest one that it is proven not to hold.
+    """Yield a sentence for each sample of which it is not known whether its top moves: the torque on the top lies
+    between the largest one that friction is proven to hold and the smallest one that it is proven not to hold.
 
     solution : the answer to all samples, with findings on the torque if one was given.
     settings : settings of the run, with the torque.

@@ -262,7 +262,7 @@ class _Sets:
         """Raise FileError if a data set has values that no solve writes, such as infinite ones.
 
         name : name of the data set.
-        values : its values.
+        values : its values, any shape.
         is_fine : function that returns a mask of the values that are allowed; by default all finite ones are.
         """
         words, known = "", max(ContactState)

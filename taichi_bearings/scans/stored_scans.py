@@ -212,7 +212,7 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
 
 
 def numbered(names: Iterable[object]) -> np.ndarray:
-    """Return a whole number for each of some names, in their order: equal numbers for equal names, 0, 1, ... by first
+    """Return an array (names,) with a whole number for each name: equal numbers for equal names, 0, 1, ... by first
     appearance.
     """
     place: dict[Any, int] = {}

@@ -209,7 +209,7 @@ def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
     """Raise InputError if a row of the values is not finite, or too large.
 
     name : name of the values, for messages.
-    values : one row for each sphere or contact.
+    values : (rows, ...), one row for each sphere or contact.
     what : "sphere" or "contact".
     """
     bad = ~(np.abs(values) <= MOST_SIZE).all(axis=tuple(range(1, values.ndim)))

@@ -53,8 +53,8 @@ def zero_spin(bearing: Bearing) -> np.ndarray:
 
 
 def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
-    """Return the laboratory spins, 1/time, of two rigid domains, one in the state of the bottom and one in that of the
-    top.
+    """Return the laboratory spins, (R samples, *N spheres, 3) or of discs (R, *N), 1/time, at which all spheres belong
+    to two rigid domains: one in the state of the bottom, one in that of the top.
 
     bearing : what the spins are for.
 

@@ -819,7 +819,7 @@ def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
 def _in_space(place: np.ndarray) -> np.ndarray:
     """Return places (spheres N, 2) or (N, 3) as (N, 3), with z = 0 in 2D.
 
-    place : the places, length.
+    place : (N, 2) or (N, 3), the places, length.
     """
     return place if place.shape[1] == 3 else np.column_stack([place, np.zeros(len(place))])
 

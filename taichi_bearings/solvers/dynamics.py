@@ -247,7 +247,7 @@ def _with_type_of(now: object, stored: np.ndarray) -> Any:
     """Return a value of a checkpoint with the type of the value that it replaces: whole numbers, a number, or an array.
 
     now : the value that is replaced.
-    stored : the array in the checkpoint.
+    stored : the array in the checkpoint, with no axis for a number.
     """
     if isinstance(now, tuple):
         return tuple(int(number) for number in stored)

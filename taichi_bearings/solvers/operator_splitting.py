@@ -162,10 +162,10 @@ class OperatorSplittingMethod(Method):
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def _load_potential(self, potential: np.ndarray) -> None:
-        """Write potentials (stiffness times spins), (C components, R samples, *N spheres), into their field; and what
-        rounding leaves out of them into another one, where that is stored.
+        """Write potentials, stiffness times spins, into their field; and what rounding leaves out of them into another
+        one, where that is stored.
 
-        potential : the potentials.
+        potential : (C components, R samples, *N spheres), the potentials.
         """
         self.fields.load("potential", potential)
         if self.is_single:

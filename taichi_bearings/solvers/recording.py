@@ -140,7 +140,7 @@ class Recorder:
         """Return True if one of some simulated times was reached since the progress was last read.
 
         progress : the state now, with its simulated time, None for a method that is no dynamics.
-        times : the times.
+        times : (n,), the simulated times.
         """
         if progress.time is None:
             return False

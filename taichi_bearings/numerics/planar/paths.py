@@ -36,7 +36,7 @@ class ShortestPaths:
     def pick(self, which: np.ndarray) -> "ShortestPaths":
         """Return the paths of some of the grids.
 
-        which : the numbers of these grids.
+        which : (n,), numbers of these grids, from 0.
         """
         return ShortestPaths(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
