@@ -98,7 +98,13 @@ def _line_on_terminal(line: Callable[[], str]) -> Any:
         row.add_row(spinner, Text(line(), no_wrap=True, overflow="ellipsis"))
         return row
 
-    return Live(console=Console(stderr=True), get_renderable=whole, refresh_per_second=REFRESH, transient=True)
+    return Live(
+        console=Console(stderr=True),
+        get_renderable=whole,
+        refresh_per_second=REFRESH,
+        transient=True,
+        redirect_stdout=sys.stdout is not None and sys.stdout.isatty(),  # what goes into a pipe or a file stays there
+    )
 
 
 class Display:

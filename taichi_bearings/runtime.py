@@ -5,7 +5,6 @@ again with the same choice and refuses a different one.
 """
 
 import contextlib
-import io
 import os
 import threading
 from collections.abc import Iterator
@@ -75,8 +74,7 @@ def usable(arch: str, precision: str = "f64") -> list[devices.Device]:
         return []
     from taichi_bearings.compiler import ti
 
-    with contextlib.redirect_stdout(io.StringIO()):
-        return found if ti.lang.misc.is_arch_supported(getattr(ti, arch)) else []
+    return found if ti.lang.misc.is_arch_supported(getattr(ti, arch)) else []
 
 
 def automatic_arch(precision: str = "f64") -> str:
@@ -166,7 +164,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         raise DeviceError(f"{compiler.name()} was already started in this process by other code; {OWN_PROCESS}")
     kept = compiler.cache_folder()
     compiled_before = kept is not None and any(kept.glob("*.tic"))
-    with contextlib.redirect_stdout(io.StringIO()), compiler.environment(), _out_of_memory():
+    with _without_greeting(ti.lang.misc), compiler.environment(), _out_of_memory():
         ti.init(
             arch=getattr(ti, arch),
             default_fp=getattr(ti, precision),
@@ -185,6 +183,20 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         walks.keep(ti, kept.parent / "walks", writes=compiled_before)
     _current, _owner, _program = wanted, os.getpid(), running_program()
     return wanted
+
+
+@contextlib.contextmanager
+def _without_greeting(module: Any) -> Iterator[None]:
+    """Have Taichi start inside the block without printing on which device.
+
+    module : the one of Taichi that prints. It gets a `print` of its own: another thread, which writes the line of
+        progress, may replace sys.stdout meanwhile and would bring back whatever stood there.
+    """
+    module.print = lambda *_: None
+    try:
+        yield
+    finally:
+        del module.print
 
 
 _computing = threading.RLock()

@@ -23,10 +23,11 @@ class Session:
     seconds: float = 0.0
 
 
-def on_terminal(*words, columns=100, stop=None, by=2, report=False, cwd=None):
+def on_terminal(*words, columns=100, stop=None, by=2, report=False, cwd=None, program=("-m", "taichi_bearings_cli")):
     """Run `bearings` with stderr on a pseudo-terminal of that width.
 
     stop : ends it by Ctrl-C, or by another signal, once this is written. report : stdout is on the terminal too.
+    program : words for Python that start another program instead.
     """
     import fcntl
     import pty
@@ -35,7 +36,7 @@ def on_terminal(*words, columns=100, stop=None, by=2, report=False, cwd=None):
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
     environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
-    command = [sys.executable, "-m", "taichi_bearings_cli", *map(str, words)]
+    command = [sys.executable, *program, *map(str, words)]
     stdout = theirs if report else subprocess.PIPE
     began, session = time.monotonic(), Session(-1, "")
     with subprocess.Popen(

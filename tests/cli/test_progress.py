@@ -1,5 +1,6 @@
 """What a terminal shows while commands work: phases, times left from what is left, one line. Nothing in a pipe."""
 
+import json
 import re
 import sys
 import time
@@ -49,6 +50,31 @@ def test_a_packing_says_power_and_gap_on_the_way_and_nothing_in_a_pipe(tmp_path)
 def test_nothing_but_the_answer_in_a_pipe(tmp_path):
     done = bearings("run", "--shape", "3,3,4", "--out", tmp_path / "a")
     assert (done.returncode, done.stderr) == (0, "")
+
+
+STARTS_WITH_THE_LINE = """
+import threading
+from rich.live import Live
+from taichi_bearings.compiler import ti
+from taichi_bearings_cli.__main__ import main
+shown, start, select = threading.Event(), Live.start, ti.lang.misc.adaptive_arch_select
+Live.start = lambda self, *given, **named: (start(self, *given, **named), shown.set())[0]
+ti.lang.misc.adaptive_arch_select = lambda *given: (shown.wait(30), select(*given))[1]
+main()
+"""
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_the_report_is_written_also_where_the_line_appears_while_taichi_starts(tmp_path, as_json):
+    words = ("run", "--shape", "3,3", "--method", "gradient-descent", "--figures", "none", "--out", tmp_path / "a")
+    program = ("-c", STARTS_WITH_THE_LINE)
+    session = on_terminal(*words, *["--json"][: int(as_json)], program=program, report=not as_json, columns=300)
+    assert session.returncode == 0, session.raw
+    assert "[Taichi]" not in session.stdout + session.raw.decode()
+    if as_json:
+        assert json.loads(session.stdout)["status"] == "certified"
+    else:
+        assert f"run: {tmp_path / 'a'}".encode() in session.raw
 
 
 def test_stages_in_parts_foretell_their_end_from_the_parts_that_are_done():
