@@ -11,6 +11,7 @@ from taichi_bearings_cli.progress import Display, in_lines
 from taichi_bearings_cli.report import ends, lines_of, solved
 from taichi_bearings_cli.verify import describe as describe_verdict
 
+from taichi_bearings import interrupts, leaving
 from taichi_bearings.progress import duration
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.words import counted, listed, other_contacts
@@ -71,37 +72,50 @@ def command(
       bearings run --resume outputs/a --duration 20
       bearings run --shape 96,96,96 --tolerance 1e-3 --dry-run
     """
-    is_dry, verdict = options.pop("dry_run"), None
     given = {key: value for key, value in options.items() if value is not None}
-    if is_dry:
+    if given.pop("dry_run"):
         return _print_cost(scene, resume, given, as_json)
-    with Display() as display:
-        try:
-            solve, place = _task(scene, out, force, resume, given)
-            found = solve(title=title)
-        except KeyboardInterrupt as error:
-            goes_on = f"`bearings run --resume {error}` goes on from the last checkpoint"
-            kept = goes_on if error.args else "nothing is kept"
-            raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
-        if verify and not found.interrupted:
-            from taichi_bearings.runs.verify import verify as verdict_of
+    with interrupts.keeping():
+        with Display() as display:
+            try:
+                solve, place = _task(scene, out, force, resume, given)
+                found = solve(title=title)
+            except KeyboardInterrupt as error:
+                goes_on = f"`bearings run --resume {error}` goes on from the last checkpoint"
+                kept = goes_on if error.args else "nothing is kept"
+                raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
+            verdict, unverified = _verified(found.path) if verify and not found.interrupted else (None, False)
+        summary = found.summary
+        for sentence in summary["warnings"] + _idle_seed(found.asked, given):
+            click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
 
-            verdict = verdict_of(found.path)
-    summary = found.summary
-    for sentence in summary["warnings"] + _idle_seed(found.asked, given):
-        click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
+        def words() -> str:
+            """Return the report in words, and the verdict of --verify if there is one."""
+            report = describe(summary, display.times()) + (UNVERIFIED if unverified else _ending(found))
+            return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
-    def words() -> str:
-        """Return the report in words, and the verdict of --verify if there is one."""
-        report = describe(summary, display.times()) + _ending(found)
-        return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
-
-    answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
-    if found.interrupted:
-        context.exit(130)
+        answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
+        interrupts.ignored()  # all is told
+    if found.interrupted or unverified:
+        context.exit(leaving.EXIT_CODE)
     asked = Path(place or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed
     is_there = found.path.resolve() in (asked, asked.parent)
     context.exit(0 if found.reached and is_there and (verdict is None or verdict["verified"]) else 1)
+
+
+UNVERIFIED = "\n  interrupted: the file is not verified"
+
+
+def _verified(folder: Path) -> tuple[dict[str, Any] | None, bool]:
+    """Return what `bearings verify` finds of a run, and False; if it is interrupted None, and True.
+
+    folder : the run directory.
+    """
+    from taichi_bearings.runs.verify import verify
+
+    verdicts: list[dict[str, Any]] = []
+    interrupted = interrupts.broken_off(lambda: verdicts.append(verify(folder)))
+    return (None, True) if interrupted or not verdicts else (verdicts[0], False)
 
 
 def _ending(found: Any) -> str:

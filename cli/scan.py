@@ -8,6 +8,7 @@ import click
 from taichi_bearings_cli.options import FILE_PATH, answer, json_option, options_in
 from taichi_bearings_cli.progress import ScanDisplay
 
+from taichi_bearings import interrupts
 from taichi_bearings.copies import begun_early
 from taichi_bearings.errors import InputError, printable
 from taichi_bearings.progress import duration
@@ -78,7 +79,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
       bearings scan SCAN.toml --out outputs/scan --part 3/100; bearings scan outputs/scan --merge
     """
     solves_here = not (dry_run or asked["merge"] or asked["scheduler"])
-    with begun_early() if solves_here else nullcontext():
+    with interrupts.keeping(), begun_early() if solves_here else nullcontext():
         code = _solve(scan, dry_run, as_json, asked)
     context.exit(code)
 
@@ -119,6 +120,7 @@ def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> i
         with ScanDisplay() as display, connected(asked["scheduler"]) as client:
             report = study.scan(plan, folder, workers, display, client=client, part=part)
     answer(report, as_json, lambda: describe(report))
+    interrupts.ignored()  # all is told
     done = report["reached"] == report["samples"] and not report["lacking"]
     return 130 if report["interrupted"] else 0 if done else 1
 

@@ -6,6 +6,9 @@ Python runs the handler of a signal in its main thread, between two of its own s
 * What must not be half done *looks up* at places where it may end (`look_up`, inside `while_wanted`).
 
 A command that does not end by these means is ended by :mod:`taichi_bearings.leaving`.
+
+A command that reports a result runs inside `keeping`. Once its result is reached (`keep`), a signal is only noted, so
+the result is stored and reported whatever comes. What may still be broken off, such as figures, runs in `broken_off`.
 """
 
 import _thread
@@ -15,7 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from types import FrameType
 from typing import Any
@@ -55,11 +58,78 @@ def look_up() -> None:
         raise GivenUp
 
 
+class Keeper:
+    """Notes signals for a command that has reached a result and has to report it.
+
+    reached : True once there is a result.
+    heard : True once a signal has come that ended nothing by itself.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a result, and without having heard anything."""
+        self.reached = self.heard = False
+        self.first = 0.0  # clock reading, seconds, of the first signal that was heard
+        self.until_told = ExitStack()  # keeps the process
+
+    def note(self) -> None:
+        """Note a signal."""
+        if not self.heard:
+            self.heard, self.first = True, time.monotonic()
+
+
+_keeper: Keeper | None = None  # that of the command under way
+
+
+@contextmanager
+def keeping() -> Iterator[None]:
+    """Keep the process, and only note signals, from the first call of `keep` inside the block until its end. A signal
+    that comes more than IMPATIENCE after the first one raises KeyboardInterrupt all the same.
+
+    Other errors after that call are no consequence of a signal, and are shown as always.
+    """
+    global _keeper
+    before, _keeper = _keeper, Keeper()
+    try:
+        yield
+    except Exception:
+        if _keeper.reached:
+            leaving.forget_heard()
+        raise
+    finally:
+        _keeper.until_told.close()
+        _keeper = before
+
+
+def keep() -> None:
+    """Note that a result is reached: inside `keeping` signals are only noted from now on. Called where signals raise
+    nothing, so that no signal comes between the result and this note.
+    """
+    if _keeper is not None and not _keeper.reached:
+        _keeper.until_told.enter_context(leaving.saving())
+        _keeper.reached = True
+
+
+def _note() -> None:
+    """Note a signal for the command under way, if it keeps its result."""
+    if _keeper is not None:
+        _keeper.note()
+
+
 @contextmanager
 def awaited() -> Iterator[threading.Event]:
-    """Context in which Ctrl-C and SIGTERM do nothing but set an event, which the block gets."""
+    """Context in which Ctrl-C and SIGTERM do nothing but set an event, which the block gets. The event is set from the
+    start if a signal was noted before, inside `keeping`.
+    """
     heard = threading.Event()
-    with leaving.saving(), handled(lambda *_: heard.set()):
+
+    def hear(*_: object) -> None:
+        """Handle a signal."""
+        heard.set()
+        _note()
+
+    with leaving.saving(), handled(hear):
+        if _keeper is not None and _keeper.heard:
+            heard.set()
         yield heard
 
 
@@ -107,8 +177,8 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
     def ring() -> None:
         """Wait a moment, and send Ctrl-C to the main thread."""
         time.sleep(SOON)
-        while signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # which would end the process without a word
-            time.sleep(SOON)
+        while leaving.is_ended_by_signals() or signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+            time.sleep(SOON)  # else the process would end without a word
         if not is_wanted():
             return
         leaving.disregard_next()
@@ -124,13 +194,17 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
 
 def interrupt(_: int, frame: FrameType | None) -> None:
     """Handle a signal: raise KeyboardInterrupt; or, while a module is being loaded, send the signal again a moment
-    later.
+    later; or, where a result is kept (`keeping`), note it.
 
     frame : frame of Python that the signal interrupts.
     _ : number of the signal.
     """
     leaving.note_heard()  # first, since libraries make another exception of the one raised here
-    if is_loading(frame):
+    if _keeper is not None and _keeper.reached:
+        _keeper.note()
+        if time.monotonic() - _keeper.first > IMPATIENCE:
+            raise KeyboardInterrupt
+    elif is_loading(frame):
         again_soon()
     else:
         raise KeyboardInterrupt
@@ -192,12 +266,16 @@ class Interrupt:
 
     def __init__(self) -> None:
         """Begin before any signal; the handlers change when the context begins."""
-        self.heard, self._first, self._at_once, self._too_late = False, 0.0, False, False
+        self.heard, self._first, self._at_once, self._is_own = False, 0.0, False, False
         self._context = handled(self._hear)
 
     def __enter__(self) -> "Interrupt":
-        """Handle Ctrl-C and SIGTERM by :meth:`_hear` from now on."""
+        """Handle Ctrl-C and SIGTERM by :meth:`_hear` from now on. A signal that was noted before, inside `keeping`,
+        counts as heard.
+        """
         self._context.__enter__()
+        if _keeper is not None and _keeper.heard:
+            self.heard, self._first = True, _keeper.first
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -223,7 +301,7 @@ class Interrupt:
 
     def _end(self) -> None:
         """Send Ctrl-C to the main thread since the time is up."""
-        self._too_late = True
+        self._is_own = True
         leaving.disregard_next()
         _thread.interrupt_main()
 
@@ -234,21 +312,40 @@ class Interrupt:
         frame : frame of Python that the signal interrupts.
         _ : number of the signal.
         """
-        late, self._too_late = self._too_late, False
-        if late:
+        is_own, self._is_own = self._is_own, False
+        if is_own:
             pass
         elif not self.heard:
             self.heard, self._first = True, time.monotonic()
+            _note()
         elif time.monotonic() - self._first > IMPATIENCE:
             raise KeyboardInterrupt
 
         def is_wanted() -> bool:
             """Return True if the work inside `at_once` is still going on. It is asked just before the signal is sent
             again."""
-            self._too_late = late and self._at_once
+            self._is_own = self._at_once
             return self._at_once
 
         if self._at_once and is_loading(frame):
             again_soon(is_wanted)
         elif self._at_once:
             raise GivenUp
+
+
+def broken_off(work: Callable[[], object]) -> bool:
+    """Do some work that Ctrl-C or SIGTERM may break off anywhere, and return True if that happened.
+
+    work : function that does the work. Libraries may make another exception of the one that ends it.
+    """
+    with Interrupt() as interrupt:
+        try:
+            with interrupt.at_once():
+                work()
+        except KeyboardInterrupt:
+            return True
+        except Exception:
+            if not interrupt.heard:
+                raise
+            return True
+    return False

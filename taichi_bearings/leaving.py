@@ -30,6 +30,7 @@ _sentences = [NOTHING_KEPT]
 _saving = 0
 _heard = threading.Event()
 _own_signals = 0  # signals that this process has sent to itself and that have not come yet
+_ended_by_signals = 0  # blocks under way in which a signal may end the process by default
 _watched = False
 _last_word = threading.Lock()  # whoever holds it ends the process
 
@@ -123,6 +124,11 @@ def note_heard() -> None:
     _heard.set()
 
 
+def forget_heard() -> None:
+    """Note that the signal that came has been answered: what goes wrong from now on has another cause."""
+    _heard.clear()
+
+
 def disregard_next() -> None:
     """Mark the next signal as one that this process is about to send to itself, not the wish of a person."""
     global _own_signals
@@ -142,6 +148,22 @@ def _is_own() -> bool:
 
 
 @contextlib.contextmanager
+def _ending_by_signals() -> Iterator[None]:
+    """Note that a signal inside the block may end the process as the system does by default."""
+    global _ended_by_signals
+    _ended_by_signals += 1
+    try:
+        yield
+    finally:
+        _ended_by_signals -= 1
+
+
+def is_ended_by_signals() -> bool:
+    """Return True if a signal may now end this process as the system does by default, without a word."""
+    return _ended_by_signals > 0
+
+
+@contextlib.contextmanager
 def by_default() -> Iterator[None]:
     """Context in which signals end the command's process as the operating system does by default.
 
@@ -151,7 +173,7 @@ def by_default() -> Iterator[None]:
     if not _watched or _saving:
         yield
         return
-    with handled(signal.SIG_DFL):
+    with _ending_by_signals(), handled(signal.SIG_DFL):
         yield
 
 
@@ -176,15 +198,16 @@ def by_default_next_time() -> Iterator[None]:
     for call in (python.PyOS_getsig, python.PyOS_setsig, heard_once):
         call.restype = ctypes.c_void_p
     before = {number: ctypes.c_void_p(python.PyOS_getsig(int(number))) for number in SIGNALS}
-    for number, handler in before.items():
-        if (handler.value or 0) > IGNORED:
-            heard_once(int(number), handler)
-    try:
-        yield
-    finally:
+    with _ending_by_signals():
         for number, handler in before.items():
             if (handler.value or 0) > IGNORED:
-                python.PyOS_setsig(int(number), handler)
+                heard_once(int(number), handler)
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                if (handler.value or 0) > IGNORED:
+                    python.PyOS_setsig(int(number), handler)
 
 
 def watch() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from taichi_bearings import leaving
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.whole_file import write_text
-from taichi_bearings.interrupts import awaited
+from taichi_bearings.interrupts import awaited, broken_off
 from taichi_bearings.plain_files import real_path
 from taichi_bearings.runs.job import Job, RunKind
 from taichi_bearings.runs.lattice_run import LATTICES
@@ -113,14 +113,10 @@ def written_or_rescued(
     """
     with awaited() as heard:
         found = _rescued(found, write, otherwise)
-    try:
-        if heard.is_set() or found.interrupted:
-            raise KeyboardInterrupt
-        with leaving.saying(f"interrupted; the run is in {found.path}"):
-            draw_figures(found, title)
-    except KeyboardInterrupt:
+    if heard.is_set() or found.interrupted:
         return replace(found, interrupted=True)
-    return found
+    with leaving.saying(f"interrupted; the run is in {found.path}"):
+        return replace(found, interrupted=broken_off(partial(draw_figures, found, title)))
 
 
 def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Result:

@@ -17,7 +17,7 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import write_scan
 from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
-from taichi_bearings.interrupts import awaited
+from taichi_bearings.interrupts import awaited, keep
 from taichi_bearings.plain_files import Json, refuse_link_out, replace_file
 from taichi_bearings.runs.run import run_kind_of
 from taichi_bearings.runs.run_directory import tidy, writable_folder
@@ -214,6 +214,7 @@ def scan(
         engine = engine or _engine(plan, folder, list(course.missing.values()), workers, client)
         try:
             with awaited() as stopped, closing(engine), Journal(course.journal) as journal:
+                keep()
                 course.follow(engine, journal, stopped)
             course.write_files()
         except FileError as error:

@@ -19,7 +19,7 @@ import numpy as np
 
 from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
-from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
+from taichi_bearings.interrupts import GivenUp, Interrupt, keep, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
 from taichi_bearings.solvers.contacts import Ended
@@ -223,6 +223,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
                 _follow(courses, [solving.tell, *asked.monitors])
             with stage("proving", samples[0].method.contacts.seconds_to_prove):
                 found = [course.answer(threshold) for course in courses]
+            keep()
     running = runtime.current() if options.needs_taichi else runtime.HOST
     if options.cpu_only:  # whose numbers are doubles, whatever those of fields are
         running = replace(running, precision="f64")

@@ -126,6 +126,31 @@ def test_what_reads_for_ever_and_seems_whole_is_left_at_the_second_signal(tmp_pa
     assert (process.returncode, out, err) == (-what, "", "")
 
 
+SWALLOWED = """
+import signal, sys, time
+from taichi_bearings import interrupts, leaving
+
+class Left:
+    def __del__(self):
+        signal.raise_signal(int(sys.argv[1]))
+
+interrupts.always_heard()
+try:
+    with leaving.by_default_next_time():
+        Left()
+        time.sleep(10 * interrupts.SOON)
+    time.sleep(leaving.GRACE / 2)
+except KeyboardInterrupt:
+    print("heard")
+"""
+
+
+@pytest.mark.parametrize("what", interrupts.SIGNALS)
+def test_a_signal_that_is_swallowed_while_a_file_is_read_is_heard_after_it(what):
+    done = subprocess.run([sys.executable, "-c", SWALLOWED, f"{int(what)}"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "heard\n", "")
+
+
 def test_a_second_signal_changes_nothing_after_a_file_was_read(monkeypatch):
     monkeypatch.setattr(leaving, "_watched", True)
     with leaving.handled(signal.default_int_handler):
