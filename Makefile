@@ -17,9 +17,8 @@ run: $(VENV)/installed
 	$(BIN)/bearings run --shape 32,32,32
 	@echo "From now on: $(CALL), or first $(ACTIVATE) and then plain bearings"
 
-# Tests that fail are tried once more, alone: some send a signal at a certain moment, which may be over on a busy machine.
 test: $(VENV)/installed-dev
-	$(BIN)/python -m pytest -n auto --dist worksteal || $(BIN)/python -m pytest --last-failed --last-failed-no-failures none
+	$(BIN)/python -m pytest -n auto --dist worksteal
 	$(BIN)/python -m pytest -n auto --dist worksteal --precision f32 tests/kernels tests/laws tests/agreement
 	$(BIN)/python -m pytest -n auto --dist worksteal --compiler quadrants tests/kernels tests/agreement/test_methods.py
 	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan tests/kernels/test_devices.py

@@ -29,7 +29,8 @@ def test_a_run_names_its_phases_on_one_line_and_says_where_the_time_went(tmp_pat
     parts = dict(part.rsplit(" ", 1) for part in times[1].split(", "))
     assert {"loading", "drawing"} <= parts.keys()
     assert sum(map(float, parts.values())) == pytest.approx(float(times[0]), abs=0.5)
-    assert float(times[0]) > 0.8 * session.seconds - 0.3
+    seen = session.frames[-1][0] - session.frames[0][0]  # without what a busy machine needs to start Python
+    assert float(times[0]) > 0.8 * seen - 0.3
 
 
 def test_a_packing_says_power_and_gap_on_the_way_and_nothing_in_a_pipe(tmp_path):

@@ -89,12 +89,11 @@ def struck(words, folder, what, moment):
 def test_a_signal_at_any_moment_ends_a_command_soon_and_leaves_whole_files(stored, tmp_path, name, thorough):
     draw, ended = random.Random(f"signals to {name}"), []
     for number in range(300 if thorough else 2):
-        folder = tmp_path / f"{number}"
-        shutil.copytree(stored, folder)
-        what = draw.choice([signal.SIGINT, signal.SIGTERM])
-        found = struck(COMMANDS[name], folder, what, draw.uniform(0, 0.8 if number % 2 else 1.6))
-        if found is None:
-            continue
+        what, moment, found = draw.choice([signal.SIGINT, signal.SIGTERM]), draw.uniform(0, 2.0), None
+        while found is None:  # over before the signal, which comes earlier the next time
+            folder = tmp_path / f"{number}-{moment}"
+            shutil.copytree(stored, folder)
+            found, moment = struck(COMMANDS[name], folder, what, moment), moment / 2
         code, said, seconds = found
         ended.append(code)
         assert code in (0, 130), (what, said)  # 0 where all was done
@@ -106,6 +105,6 @@ def test_a_signal_at_any_moment_ends_a_command_soon_and_leaves_whole_files(store
         assert read_run(folder / "run").solution.power > 0
         for file in folder.rglob("run.h5"):
             read_run(file)
-        assert not list(folder.with_name(f"{number}-temporary").glob("pymp-*"))  # folders of multiprocessing
+        assert not list(folder.with_name(f"{folder.name}-temporary").glob("pymp-*"))  # folders of multiprocessing
         shutil.rmtree(folder)
     assert 130 in ended
