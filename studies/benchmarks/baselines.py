@@ -27,9 +27,11 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w", 
 
 
 class Arrays:
-    """Spins and coefficients of a scene of one sample as flat arrays, in which spheres follow each other row after row,
-    as in the kernels, with zeros as margins before and after. `length` is the number of entries with both margins.
+    """Spins and coefficients of a scene of one sample as flat arrays, in the order in which the kernels have them:
+    sphere after sphere, along the height first, with zeros as margins before and after. `length` is the number of
+    entries with both margins.
 
+    dtype, layout : type of all numbers, and the order of the spheres in memory.
     kept : for each axis of the lattice, indices (into the first axis of `spin`) of the components that make its
         contacts slip.
     spin : (components, length), spins with signs that alternate between neighbours, 1/time.

@@ -122,8 +122,8 @@ def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterat
     changed : a list that gets the names of data sets and attributes that were changed after the file was written; None
         to raise FileError for that.
 
-    Raises FileError if the file cannot be read, is of another kind or version, or was changed; and in place of an
-    InputError inside the block, since the content is then impossible.
+    Raises FileError if the file cannot be read, is of another kind or version, or was changed. An InputError that is
+    raised inside the block becomes a FileError, as the content of the file must then be wrong.
     """
     try:
         with open_checked(path, f"a {kind}", changed) as file:

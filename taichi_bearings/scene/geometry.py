@@ -252,13 +252,13 @@ def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.nda
             return periods, None
         # the rest of the shortest shift that is no sum makes a further period
         own = int(order[np.argmax(over[order])])
-        periods = _with(periods, rest[own], float(slack[own]))
+        periods = _shortest_generators(periods, rest[own], float(slack[own]))
         if len(periods) > shift.shape[1] or np.linalg.norm(periods, axis=1).min(initial=np.inf) < least:
             break
     return periods, own
 
 
-def _with(periods: np.ndarray, more: np.ndarray, slack: float) -> np.ndarray:
+def _shortest_generators(periods: np.ndarray, more: np.ndarray, slack: float) -> np.ndarray:
     """Return the shortest vectors (k, dimensions D), length, whose sums are the same points as the sums of some periods
     and one more vector.
 
