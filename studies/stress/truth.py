@@ -338,22 +338,24 @@ def layered(scene: Scene) -> Truth:
         return Truth(cost, cost)
 
 
-def _chain(a: list[Decimal], c: list[Decimal]) -> Decimal:
-    """Return the least sum of a v + c v^2 / 2 over slips v >= 0 with sum 1, for contacts in a row: those that slip
-    bear the same force, a + c v.
+def _chain(friction: list[Decimal], viscosity: list[Decimal]) -> Decimal:
+    """Return the least sum of friction * v + viscosity * v^2 / 2 over slips v >= 0 that add up to 1, for contacts in a
+    row. At the minimum all contacts that slip bear the same force, friction + viscosity * v.
 
-    a, c : lists with one entry for each contact of a column.
+    friction, viscosity : coefficients of the contacts of a column, lists with one entry for each.
     """
-    order = sorted(range(len(a)), key=lambda k: a[k])
-    if not c[order[0]]:
-        return a[order[0]]
+    order = sorted(range(len(friction)), key=lambda k: friction[k])
+    if not viscosity[order[0]]:
+        return friction[order[0]]
     compliance, shift = Decimal(0), Decimal(0)
     force = Decimal("Infinity")
     for k in order:
-        if a[k] >= force:
+        if friction[k] >= force:
             break
-        compliance += 1 / c[k]
-        shift += a[k] / c[k]
+        compliance += 1 / viscosity[k]
+        shift += friction[k] / viscosity[k]
         force = (1 + shift) / compliance
-    slips = [max(force - held, Decimal(0)) / flow for held, flow in zip(a, c, strict=True)]
-    return sum((held * v + flow * v * v / 2 for held, flow, v in zip(a, c, slips, strict=True)), Decimal(0))
+    slips = [max(force - held, Decimal(0)) / flow for held, flow in zip(friction, viscosity, strict=True)]
+    return sum(
+        (held * v + flow * v * v / 2 for held, flow, v in zip(friction, viscosity, slips, strict=True)), Decimal(0)
+    )

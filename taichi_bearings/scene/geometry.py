@@ -218,16 +218,16 @@ class _Contacts:
         """Return the number of the first contact whose normal is not along the line of its centres."""
         return int(np.argmin(self.is_direct))
 
-    def _pair(self, e: int) -> str:
-        """Return the two spheres of contact number e, "3 and 7", for messages."""
-        return " and ".join(map(str, self.contact[e].tolist()))
+    def _pair(self, number: int) -> str:
+        """Return the two spheres of a contact, given its number, in words such as "3 and 7", for messages."""
+        return " and ".join(map(str, self.contact[number].tolist()))
 
-    def _contact_does_not_fit(self, e: int) -> str:
-        """Return the beginning of a message: how contact number e disagrees with its centres."""
-        what = f"contact {e} does not fit: spheres {self._pair(e)}"
-        if self.touches[e]:
-            return f"{what} touch along {_short(self.along[e])} and its normal is {_short(self.normal[e])}"
-        return f"{what} {misfit(self.size[e], self.reach[e])}"
+    def _contact_does_not_fit(self, number: int) -> str:
+        """Return the beginning of a message: how a contact, given its number, disagrees with its centres."""
+        what = f"contact {number} does not fit: spheres {self._pair(number)}"
+        if self.touches[number]:
+            return f"{what} touch along {_short(self.along[number])} and its normal is {_short(self.normal[number])}"
+        return f"{what} {misfit(self.size[number], self.reach[number])}"
 
 
 def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.ndarray, int | None]:
