@@ -175,8 +175,8 @@ def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
 
 
 def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the lower and of the upper node of each edge that joins the two halves of a region: two
-    arrays with an entry for each of these edges.
+    """Return two arrays (joining edges,), with an entry for each edge that joins the two halves of a region: the number
+    of its node in the lower half, and that of its node in the upper half.
 
     first, second : (edges,), numbers of the two nodes of each edge.
     upper : (nodes,) mask of the upper halves.
@@ -188,13 +188,13 @@ def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[n
 
 
 def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
-    """Return the mask (count,) of fewest nodes that meet every edge from a node of one side to one of the other.
+    """Return a mask (count,) of the smallest set of nodes that contains an end of every edge between two sides.
 
-    low, high : (edges,), nodes of each edge.
+    low, high : (edges,), numbers of the nodes of each edge on the lower and on the upper side.
     count : number of all nodes.
 
-    It is found as a minimum cut with flow 1 through each node, and is the same whatever the largest flow; SciPy's own
-    matchings can take minutes.
+    The set is found as a minimum cut of a network in which a flow of 1 can pass through each node. It does not depend
+    on which of several largest flows is found. SciPy's own matchings can take minutes.
     """
     (lower, begin), (upper, end) = (_numbered(side, count) for side in (low, high))
     below, above = len(lower), len(upper)
@@ -216,8 +216,8 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
 
 
 def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays: the distinct ones of some nodes, in rising order; and for each entry of `nodes` its index in
-    the first array.
+    """Return two arrays: the numbers in `nodes` without repetitions, (m,), in rising order; and for each entry of
+    `nodes` its index in the first array, (n,).
 
     nodes : (n,), numbers of nodes, which may repeat.
     count : number of all nodes.

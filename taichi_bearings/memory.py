@@ -115,9 +115,11 @@ def refuse_before(needed: float, what: str) -> None:
 
 
 def aligned_zeros(count: int, block: int, dtype: DTypeLike = float) -> np.ndarray:
-    """Return an array of `count` zeros whose address is a multiple of the size of `block` numbers, as SIMD instructions
+    """Return zeros, (count,), at an address that is a multiple of the size of `block` numbers, as SIMD instructions
     that write a whole block expect.
 
+    count : number of zeros.
+    block : how many numbers such an instruction writes.
     dtype : type of the numbers.
     """
     memory = np.zeros(count + block, dtype)

@@ -72,7 +72,7 @@ class ConicProgramme:
         """Return the spins of a solution of the conic programme, (components C, 1, lattice shape *N), 1/time, staggered
         (times the sign of the sublattice).
 
-        x : solution vector of the programme, whose first numbers are the unknown spins over the imposed jump.
+        x : (columns,) solution of the programme; its first numbers are the unknown spins over the imposed jump.
 
         Numbers that are not finite become 0; spins beyond those of the planes are cut to them, and the planes get
         theirs.

@@ -50,7 +50,7 @@ class Truth:
 
 
 def _decimals(values: np.ndarray) -> np.ndarray:
-    """Return a flat array of decimals that are exactly the doubles in `values`."""
+    """Return an array (numbers,) of decimals that are exactly the doubles in `values`, an array of any shape."""
     return np.array([Decimal(float(value)) for value in np.ravel(values)], dtype=object)
 
 

@@ -39,10 +39,12 @@ def ring_eigenvalues(side: int) -> np.ndarray:
 
 
 def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
-    """Return the eigenvalues of the Laplacian of one spin component of a lattice, as an array with one axis for each of
-    the lattice; its sides are the numbers of free spheres, but 1 along the component.
+    """Return the eigenvalues of the Laplacian of one spin component of a lattice, in which contacts are springs of
+    stiffness 1, except those along the component, which it does not make slip. They are an array with an axis for each
+    axis of the lattice: its sides are the numbers of free spheres, and 1 along the component.
 
-    component : axis of the spin component. Contacts along it have no spring; the others have stiffness 1.
+    lattice : the lattice.
+    component : number of the axis of the spin component.
     """
     free = lattice.free_shape
     total = np.zeros((1,) * len(free))

@@ -158,10 +158,10 @@ class Sheet:
             axes.add_patch(Rectangle((-0.55, y - 0.55), self.grid[0] + 0.1, 1.1, fill=False, lw=width))
 
     def lines(self, chosen: np.ndarray, across: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Return lines (lines, 2, 2), from one point on paper to another, for some contacts; and (lines,) the index, in
-        `contact`, of the contact of each line.
+        """Return lines that show some contacts, and which contacts they show: an array (lines, 2, 2) of the two end
+        points of each line, x and y on paper; and (lines,) the index of its contact in this picture.
 
-        chosen : mask over all contacts of the bearing.
+        chosen : mask over all contacts of the bearing, True for those to be shown.
         across : False for lines from centre to centre, True for lines between the two discs at right angles to that.
 
         A contact over a periodic side has half a line at either side, or a line across at both.

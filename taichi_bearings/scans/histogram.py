@@ -204,7 +204,7 @@ def pooled(
     def of(rows: np.ndarray) -> PowerHistogram:
         """Return the histogram of some samples.
 
-        rows : their numbers among all that were asked for.
+        rows : (n,) numbers of these samples among all that were asked for.
         """
         census, own = Census.of(reasons[rows].tolist()), place[rows[reasons[rows] == ""]]
         coarsest = float(threshold[own].max(initial=0.0))

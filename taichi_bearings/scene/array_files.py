@@ -144,8 +144,10 @@ def short_name(name: str) -> str:
 
 
 def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0) -> tuple[np.ndarray, ...]:
-    """Return the coefficients of a file in the layout of run.h5, ``/coefficient/x`` and so on: one array an axis.
+    """Return the coefficients in a file with the layout of run.h5, ``/coefficient/x`` and so on: for each axis an array
+    of the contacts along it, with a leading axis of samples if the file has one.
 
+    path : npz or HDF5 file, or the folder of a run.
     kind : "coefficient" or "viscosity".
     dimension : dimension of the lattice, 2 or 3; 0 to take that of the file, which is 2 if it has no array along z.
 

@@ -414,6 +414,7 @@ class Planes(Driving):
     ) -> None:
         """Store the states that are imposed on the two planes.
 
+        lattice : the lattice, whose first and last planes are driven.
         bottom : state of the bottom plane: the vector A, 1/time, and the number C, 1/(time length).
         difference : state of the top plane less that of the bottom.
         unit : array of one number in twice the precision, 1/time, near the size of the difference; solvers that scale

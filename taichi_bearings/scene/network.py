@@ -117,7 +117,7 @@ class Network:
 
     @cached_read_only
     def bodies(self) -> np.ndarray:
-        """Numbers of the driven bodies that there are, in ascending order."""
+        """(bodies,) numbers of the driven bodies that there are, in ascending order."""
         return np.unique(self.body[~self.free])
 
     @cached_read_only

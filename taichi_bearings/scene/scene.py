@@ -291,9 +291,10 @@ class Scene(Bearing):
             object.__setattr__(self, name, bearing_state(name, (0.0,) if given is None else given, dimension))
 
     def _fits_exchanged(self, coefficients: tuple[np.ndarray, ...]) -> bool:
-        """Return True if the coefficients fit a lattice with free sides once those along x and y are exchanged.
+        """Return True if the coefficients would fit a lattice with free sides if the arrays of x and y were exchanged.
 
-        coefficients : one array for each axis, with a leading axis of samples if there are several.
+        coefficients : for each axis an array of the contacts along it, with a leading axis of samples if there are
+            several.
         """
         dimension = len(coefficients)
         shapes = [list(values.shape[-dimension:]) for values in (coefficients[1], coefficients[0], *coefficients[2:])]

@@ -442,10 +442,10 @@ class Solution:
 
 
 def stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Return arrays by name, those of all samples stacked along a new first axis.
+    """Return arrays by name, (R samples, ...), in which the arrays of that name of all samples are stacked.
 
-    each : arrays of each sample, by name. Arrays shorter than the longest are filled up with their last entry. A sample
-        that lacks an array gets not-a-number.
+    each : for each sample its arrays by name, (...). Arrays shorter than the longest of their name are filled up with
+        their last entry. A sample that lacks an array gets not-a-number.
     """
     found = {}
     for name in {name: None for one in each for name in one}:

@@ -95,7 +95,7 @@ def _colour_map(name: str, first: float, last: float) -> np.ndarray:
 
 
 def _shown_snapshots(moments: Moments) -> np.ndarray:
-    """Return the numbers of the snapshots that the page shows: all, or as many at even distances as fit into
+    """Return the numbers (n,) of the n snapshots that the page shows: all, or as many at even distances as fit into
     MOST_BYTES.
 
     moments : the snapshots of a dynamics: times, with the spins and slips at each.
