@@ -95,7 +95,7 @@ def command(
             return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
         answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
-        interrupts.ignored()  # all is told
+        interrupts.ignore_signals()  # all is told
     if found.interrupted or unverified:
         context.exit(leaving.EXIT_CODE)
     asked = Path(place or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed

@@ -120,7 +120,7 @@ def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> i
         with ScanDisplay() as display, connected(asked["scheduler"]) as client:
             report = study.scan(plan, folder, workers, display, client=client, part=part)
     answer(report, as_json, lambda: describe(report))
-    interrupts.ignored()  # all is told
+    interrupts.ignore_signals()  # all is told
     done = report["reached"] == report["samples"] and not report["lacking"]
     return 130 if report["interrupted"] else 0 if done else 1
 

@@ -134,7 +134,7 @@ class Left:
     def __del__(self):
         signal.raise_signal(int(sys.argv[1]))
 
-interrupts.always_heard()
+interrupts.end_at_signals()
 try:
     with leaving.by_default_next_time():
         Left()
