@@ -123,7 +123,7 @@ def awaited() -> Iterator[threading.Event]:
     heard = threading.Event()
 
     def hear(*_: object) -> None:
-        """Handle a signal."""
+        """Note a signal and set the event; what Python passes about the signal is not used."""
         heard.set()
         _note()
 

@@ -47,9 +47,9 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
         return lambda: kernel(*arguments)
 
     def started(keep: tuple[np.ndarray | int, ...] = arguments) -> None:
-        """Start the compiled kernel.
+        """Start the compiled kernel with the arguments that it was prepared for.
 
-        keep : keeps the arrays alive.
+        keep : those arguments; as a default value they keep the arrays alive.
         """
         refuse_changed()
         start(machine_code, context)

@@ -154,7 +154,7 @@ def _at_end(column: str) -> Callable[[Answer], object]:
     """
 
     def found(answer: Answer) -> object:
-        """Return the last value of the column in the history of an answer; None if there is no such column."""
+        """Return the last value of the column `column` in the history of an answer; None if there is no such column."""
         values = answer.solution.history.get(column)
         return None if values is None else values[-1]
 

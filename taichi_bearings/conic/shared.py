@@ -75,8 +75,8 @@ def system_of(bearing: Bearing) -> ContactSystem:
     """
 
     def make() -> Made:
-        """Make the system, and return it; with it what its samples share, if the check for motions has factorised that
-        already."""
+        """Return the contact system of the bearing, newly made; and what its samples share, if the check for motions
+        has factorised that already, else None."""
         system = ContactSystem.before_motions(bearing)
         if system.motions is not None or not system.unknowns:
             return system, None
@@ -121,7 +121,8 @@ def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: P
     """
 
     def make() -> Made:
-        """Return the contact system, order of elimination and Newton matrix, newly made."""
+        """Return the contact system of this lattice, newly made, and what samples share: with it an order of
+        elimination and a Newton matrix."""
         system = lattice_system(lattice, spin_axes, top[0], top[1] if top[1].any() else None)
         order = dissect(lattice, spin_axes)
         matrix = NewtonMatrix(system, order, engine=Engine.LAUNCH if small else None) if top[0].any() else None

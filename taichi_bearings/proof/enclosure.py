@@ -47,7 +47,7 @@ def in_cache(function: Made) -> Made:
 
     @wraps(function)
     def in_parts(*given: Any) -> Any:
-        """Return the result of `made`, computed part by part if the arrays are large.
+        """Return the result of `function`, computed part by part if the arrays are large.
 
         given : enclosures, arrays and numbers, which are broadcast to one shape."""
         shape = np.broadcast_shapes(*(np.shape(v.high if isinstance(v, Enclosure) else v) for v in given))

@@ -201,8 +201,8 @@ class JudgedNetwork:
             return self
 
         def of(values: np.ndarray) -> np.ndarray:
-            """Return the entries of an array (n,) or (m,), over all spheres or all contacts, that belong to the chosen
-            samples.
+            """Return the entries of an array (n,) or (m,), over all spheres or all contacts, that belong to the samples
+            in `pick`.
 
             values : the array.
             """
@@ -210,7 +210,7 @@ class JudgedNetwork:
 
         def part(values: Enclosure) -> Enclosure:
             """Return the entries of an enclosure (n,) or (m,), over all spheres or all contacts, that belong to the
-            chosen samples.
+            samples in `pick`.
 
             values : the enclosure.
             """
