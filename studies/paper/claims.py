@@ -115,7 +115,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """The verdict, one of the keys of VERDICTS."""
+        """The verdict: "confirmed", "refined", "refuted" or "too few samples"."""
         if self.samples < self.samples_needed:
             return "too few samples"
         if not self.confirmed:

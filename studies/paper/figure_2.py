@@ -136,8 +136,8 @@ def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
 
 
 def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
-    """Return (R,) for each of R samples the number of free spheres that rotate neither with the bottom nor with
-    the top.
+    """Return for each of R samples, (R,), the number of free spheres that rotate neither with the bottom nor with the
+    top.
 
     scene : the lattice with its R samples.
     spin : (R, *N spheres, 3), laboratory frame, 1/time. A sphere rotates with a plane if its spin, staggered (with

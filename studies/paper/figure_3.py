@@ -129,8 +129,8 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
 
 
 def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
-    """Return (m, 3) the m places where the shortest slipless path leaves a lattice plane: two lattice coordinates
-    within the plane, and +1 where it goes towards the reader of the figure or -1 where away.
+    """Return the m places, (m, 3), where the shortest slipless path leaves a lattice plane: two lattice coordinates
+    within the plane, and +1 where the path goes towards the reader of the figure, -1 where it goes away.
 
     network : the slipless contacts of a lattice, with the path.
     axis, index : the plane: the axis across it, and its lattice index along this axis.

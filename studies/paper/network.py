@@ -116,8 +116,8 @@ def sample_of(structure: Structure) -> dict[str, Any]:
 
 
 def spans_within_planes(network: SliplessNetwork, axis: int) -> np.ndarray:
-    """Return (planes,) for each lattice plane across an axis True if the slipless contacts within it join bottom and
-    top.
+    """Return a mask (planes,) of the lattice planes across an axis: True if the slipless contacts within a plane join
+    bottom and top.
 
     network : the slipless contacts of a lattice.
     axis : number of the axis.

@@ -57,8 +57,8 @@ LOADED = ("F_n = 5", "F_n = 500")  # variants that have another normal force
 
 
 def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Return (R,) the time from which on the power of each sample exceeds the minimum by no more than a share LATE; the
-    last time if it never does.
+    """Return for each of R samples, (R,), the time from which on its power exceeds the minimum by no more than a share
+    LATE; the last time if it exceeds it by more up to the end.
 
     time : (times,), rising.
     excess : (times, R samples), power over the proven least one, less 1.

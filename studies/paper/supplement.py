@@ -208,8 +208,8 @@ def by_decade(descent: Ending, minimum: Ending) -> Table:
 
 
 def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """Return (contacts,) the decade of each contact: the exponent floor(log10(power)), or -9999, below all others, if
-    the contact does not slip.
+    """Return the decade of power of each contact, (contacts,): the exponent floor(log10(power)), or -9999, which is
+    below all others, if the contact does not slip.
 
     power : (contacts,), dissipated power of each, over F_n R omega_T.
     slips : (contacts,), True if the contact slips.

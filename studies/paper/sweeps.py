@@ -39,8 +39,8 @@ def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
 
 
 def crossings(sideways: np.ndarray, upward: np.ndarray, column: int) -> np.ndarray:
-    """Return (B, h - 1) weights for B grids of w columns and h rows of discs: for each upward contact of one column the
-    least weight of a path that crosses it, from the outside on the left to the outside on the right.
+    """Return for each upward contact of one column the least weight of a path that crosses it, from the outside on the
+    left to the outside on the right: (B, h - 1) for B grids of w columns and h rows of discs.
 
     sideways, upward : weights of the contacts, (B, w - 1, h) and (B, w, h - 1), none negative.
     column : index of the column, neither the first nor the last.

@@ -153,7 +153,7 @@ class Sample:
         return found
 
     def torques(self, force: np.ndarray) -> np.ndarray:
-        """Return (unknowns,) the sum of the contact forces on each component of the free spins.
+        """Return the sum of the contact forces on each component of the free spins, (unknowns,).
 
         force : (E contacts, C components), forces.
         """

@@ -161,8 +161,8 @@ def _source_of_run(run: Result) -> Source:
         return np.array(values, dtype=object if any(isinstance(item, str) for item in values) else None)
 
     def disorder() -> list[Any]:
-        """Return (replicas,) a name for the disorder of each replica: its seed or, where the coefficients were given,
-        their hash, so that replicas with the same coefficients have the same name."""
+        """Return a name for the disorder of each replica, (replicas,): its seed or, where the coefficients were given,
+        their hash. Replicas with the same coefficients have the same name."""
         table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.solution.method)}
         if given:
             digests = [hashlib.sha256(b"".join(v.tobytes() for v in values)).hexdigest() for values in given]

@@ -64,7 +64,7 @@ SLIPLESS, SLIPPING, UNDECIDED, DRIVEN, TIED = ContactState
 
 
 def counts_of_states(state: np.ndarray) -> np.ndarray:
-    """Return (R, S), how many contacts of each of R samples are in each of the S states, in the order of
+    """Return how many contacts of each of R samples are in each of the S states, (R, S), in the order of
     `ContactState`.
 
     state : (R, E), states of E contacts.
