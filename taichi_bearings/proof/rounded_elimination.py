@@ -234,10 +234,10 @@ class Elimination:
 
         The two differ by at most gamma |L| |L|^T, entry by entry, with gamma = t EPS / (1 - t EPS) for sums of t terms
         in any order (Higham, Accuracy and Stability of Numerical Algorithms, 2002, theorem 10.3). Entry (i, j) has a
-        term for each unknown at which both rows i and j of L may differ from 0, so no more than either row has; its
-        gamma is at most the root of gamma_i gamma_j, those of t_i and t_j terms. So the difference is at most W W^T,
-        where W is |L| with each row times the root of its gamma. As W has no negative entries, the norm of W W^T is at
-        most its largest row sum.
+        term for each unknown at which both rows i and j of L may differ from 0, so no more than either row has. (Fronts
+        add updates that have 0 at some entries; adding 0 rounds nothing.) So its gamma is at most the root of gamma_i
+        gamma_j, those of t_i and t_j terms. So the difference is at most W W^T, where W is |L| with each row times the
+        root of its gamma. As W has no negative entries, the norm of W W^T is at most its largest row sum.
         """
         # t of each row: the number of its entries in L, and two more.
         terms = np.full(self.size, 2)

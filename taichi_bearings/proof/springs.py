@@ -16,7 +16,8 @@ What is done
    Then each contact has q |y*|^2 <= phi(y*) / Phi: for friction as w |y*| <= Phi and w_min <= w, for damping as phi(y*)
    >= eta |y*|^2 / 2. As the potentials phi(y*) add up to at most Phi, the norm of q^1/2 y* is at most 1, and
        |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D.
-   An elimination proves sigma^2.
+   An elimination proves sigma^2. As all minima have the same potential, this holds at each of them, once spheres that
+   can turn freely (below) are turned so that the component held at 0 is 0, which changes no slip and no work of r.
 
 Motions without any slip would make sigma 0. Two kinds are removed first:
 * Spheres whose contacts all have one direction can turn about it without slip. The largest component of this direction
