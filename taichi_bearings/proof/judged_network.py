@@ -64,6 +64,8 @@ class JudgedNetwork:
     graph : where the contacts are, and the friction that they bear.
     rolling : (n,) mask of free spheres whose contacts can all roll, whatever the other spheres do; None for none.
     factors : arrays (m,) whose product is in exact proportion to mu F_n within a sample, to compare friction exactly.
+    as_oblique : True to treat normals along the axes like any others, as if components mixed. What is proven of those
+        holds for these too, and loops may be odd.
     """
 
     law: Law
@@ -79,6 +81,7 @@ class JudgedNetwork:
     graph: Listed
     rolling: np.ndarray | None = None
     factors: tuple[np.ndarray, ...] = ()
+    as_oblique: bool = False
 
     @property
     def power_unit(self) -> np.ndarray:
@@ -148,14 +151,16 @@ class JudgedNetwork:
 
     @cached_property
     def mixes(self) -> bool:
-        """True if some slip component depends on several components of the spins. False for discs, and where all
-        normals are along the axes."""
+        """True if some slip component depends on several components of the spins, or is treated so (`as_oblique`).
+        Otherwise False for discs, and where all normals are along the axes."""
         return bool(self.samples_that_mix.any())
 
     @property
     def samples_that_mix(self) -> np.ndarray:
-        """(R,) mask of the samples in which a component of some slip depends on several components of the spins."""
-        return np.asarray((self.graph.mixing & self.counts).reshape(self.count, -1).any(axis=1))
+        """(R,) mask of the samples in which a component of some slip depends on several components of the spins, or is
+        treated so (`as_oblique`)."""
+        mixing = self.counts if self.as_oblique else self.graph.mixing & self.counts
+        return np.asarray(mixing.reshape(self.count, -1).any(axis=1))
 
     @cached_property
     def slips_with(self) -> np.ndarray:

@@ -64,6 +64,7 @@ STILL, STILL_IN_PAIRS = 1e-12, 1e-28  # slip over the fastest imposed one that m
 CLEAR_RATIO = 10  # ratio of slip / jump and (friction left) / limit, either way, from which damping leaves no doubt
 CLEAR_ROOM = 1e-3  # (friction left) / limit, above which a contact may well rest
 STIFFEST = 1e4  # largest weight of a contact off its limit in the form, over the one that it would have at its limit
+ODD_LOOPS = "loops are odd"  # what is missing where spins cannot be given signs such that slips are differences
 PASSES = 2  # number of times that the form is made, the second time with the bounds on slips of the first
 
 
@@ -294,6 +295,8 @@ def _of_packings(network: JudgedNetwork) -> list[States]:
         if isinstance(states, States):
             return [replace(states, unique=None if states.unique else states.unique)]
         doubt = doubt or states
+    if doubt == ODD_LOOPS:
+        return proven_states(Bounds.of(replace(network, as_oblique=True)))
     return _all_undecided(network, doubt)
 
 
@@ -382,7 +385,7 @@ def _in_domains(network: JudgedNetwork, rests: np.ndarray) -> Motion | str:
     """
     odd = (network.graph.in_odd_loops(k, network.feels[k]) for k in network.needed)
     if any(found[network.graph.contact[:, network.counts]].any() for found in odd):
-        return "loops are odd"
+        return ODD_LOOPS
     motion = Motion(network, rests)
     first, second = network.graph.contact
     within = [(motion.domain[k][first] == motion.domain[k][second]) | ~network.feels[k] for k in network.needed]

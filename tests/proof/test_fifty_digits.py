@@ -88,7 +88,8 @@ def contradiction(found):
     """What is wrong with states of which all are proven; "" if nothing is."""
     getcontext().prec = DIGITS
     packing, state, p = found.packing, found.state, numbers(found.packing)
-    held, damping = (exact(values[0]) for values in packing.material)
+    held, *others = (exact(values[0]) for values in packing.material)
+    damping = others[0] if others else 0 * held
     rows, fixed = slips_of(packing)
     slipping, resting = np.flatnonzero(state == 1), np.flatnonzero(state == 0)
     still = (p * resting[:, None] + np.arange(p)).ravel()
@@ -163,6 +164,18 @@ def test_states_of_discs_with_odd_loops_are_proven_and_those_of_the_minimum(seed
     found = tb.solve(drawn_discs(seed))
     damped = found.packing.viscosity > 0
     assert found.states_proven or not damped.all()
+    if found.states_proven:
+        assert contradiction(found) == ""
+
+
+@pytest.mark.parametrize("seed", some_of(48, 8))
+def test_states_of_cubic_lattices_with_odd_rings_are_proven_and_those_of_the_minimum(seed):
+    """Friction alone; rings of three along one or two axes, so that no signs make slips differences of spins."""
+    cells, periodic = [((3, 2, 3), ("x",)), ((3, 3, 3), ("x", "y")), ((2, 3, 4), ("y",)), ((3, 2, 4), ("x",))][seed % 4]
+    friction = ["uniform:0.1,1.0", "lognormal:0.5,0.8", "bimodal:1,2,0.5"][seed // 4 % 3]
+    spin = {"direction": (1, 1, 0.5 * (seed % 3)), "spin_bottom": 0.25 * (seed % 2)}
+    found = tb.solve(tb.Packing.lattice("cubic", cells, periodic, seed=seed, distribution=friction, **spin))
+    assert found.states_proven or "bimodal" in friction
     if found.states_proven:
         assert contradiction(found) == ""
 
