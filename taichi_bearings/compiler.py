@@ -22,6 +22,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from taichi_bearings.errors import DeviceError
+from taichi_bearings.later import standing_in
 
 VARIABLE = "TAICHI_BEARINGS_COMPILER"
 LOCKED = 300.0  # seconds; an older lock of the compiler is one that a killed process has left
@@ -165,7 +166,8 @@ def __getattr__(attribute: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
     with environment(), warnings.catch_warnings(), _lines_found_quickly():  # it adds filters of its own
         warnings.simplefilter("ignore")  # what it uses of Python is not ours to mend, even where warnings are errors
-        globals()["ti"] = importlib.import_module(name())
+        with standing_in("dill"):  # which finds the source of kernels that were typed into Python itself
+            globals()["ti"] = importlib.import_module(name())
         with contextlib.suppress(ImportError):
             walker: Any = importlib.import_module(f"{name()}.lang.ast.ast_transformer_utils")
             reader: Any = importlib.import_module(f"{name()}.lang.kernel_impl")

@@ -6,6 +6,8 @@ for its newest version. That is a tenth of the time in which a command loads the
 
 import importlib
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
@@ -17,6 +19,8 @@ class Later(ModuleType):
 
     def __getattr__(self, name: str) -> Any:
         """Return what the module has under a name; the module is loaded if it is not yet."""
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
         return getattr(importlib.import_module(self.__name__), name)
 
 
@@ -32,3 +36,18 @@ def postpone(names: tuple[str, ...] = RARELY_USED) -> None:
         if name not in sys.modules:
             package, _, part = name.rpartition(".")
             setattr(importlib.import_module(package), part, Later(name))
+
+
+@contextmanager
+def standing_in(name: str) -> Iterator[None]:
+    """Have modules that are loaded inside the block, and import a package, get a stand-in that loads the package when
+    something of it is first used. Nothing changes if it is loaded already.
+
+    name : name of the package.
+    """
+    sys.modules.setdefault(name, Later(name))
+    try:
+        yield
+    finally:
+        if isinstance(sys.modules.get(name), Later):  # for others the statement `import` loads the package
+            del sys.modules[name]

@@ -4,6 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from taichi_bearings import compiler
+
 ROOT = Path(__file__).parents[1]
 USES = """
 import sys
@@ -34,9 +38,25 @@ def test_a_module_is_loaded_by_its_first_use_and_is_itself():
     assert output(USES).stdout.splitlines()[-1] == "unequal"
 
 
+DILL = """
+import sys, types
+from taichi_bearings.compiler import ti
+print("dill" in sys.modules)
+from taichi.lang import _wrap_inspect
+print(_wrap_inspect.dill.source.findsource.__name__, type(_wrap_inspect.dill.loads) is types.FunctionType)
+import dill
+print(dill.loads(dill.dumps(lambda: 3))(), sys.modules["dill"] is dill, "Later" in repr(type(dill)))
+"""
+
+
+@pytest.mark.skipif(compiler.name() != "taichi", reason="looks into Taichi")
+def test_taichi_loads_dill_when_it_is_used_and_others_get_the_package_itself():
+    assert output(DILL).stdout.splitlines()[-3:] == ["False", "findsource True", "3 True False"]
+
+
 def test_a_command_does_without_them(tmp_path):
     words = ["bearings", "run", "--shape", "3,3,4", "--figures", "none", "--out", str(tmp_path / "out")]
     code = f"{LOADED}sys.argv = {words}; from taichi_bearings_cli.__main__ import main; main()"
     loaded = set(output(code).stderr.split())
     assert {"scipy.sparse.csgraph", "h5py"} <= loaded
-    assert not {"numpy.f2py", "numpy.testing", "numpy.polynomial", "unittest", "http.client", "ssl"} & loaded
+    assert not {"dill", "numpy.f2py", "numpy.testing", "numpy.polynomial", "unittest", "http.client", "ssl"} & loaded
