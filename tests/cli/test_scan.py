@@ -113,7 +113,8 @@ def test_bad_input_is_one_sentence_and_exit_code_2(scan_file, tmp_path):
 
 def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
     """Killed without its worker and with it, resumed by its folder alone, extended: no empty column, every state."""
-    file, folder = scan_file("shape = [3, 3, 4]\n[scan]\nseed = { start = 0, stop = 25 }\n"), tmp_path / "s"
+    scanned = "spin_bottom = [0.0, 0.1, 0.2, 0.3, 0.4]\nseed = { start = 0, stop = 5 }\n"  # five units of work
+    file, folder = scan_file(f"shape = [3, 3, 4]\n[scan]\n{scanned}"), tmp_path / "s"
     words = [*COMMAND, file, "--out", folder, "--analyse", "--keep-states", "--workers", "1"]
     for kill, least in ((os.kill, 1), (os.killpg, 7)):
         process = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
@@ -121,14 +122,14 @@ def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
         kill(process.pid, signal.SIGKILL)
         process.wait()
     assert 7 <= journalled(folder) < 25
-    for more, samples in ((folder,), 25), ((file, "--out", folder, "--set", "scan.seed={start=0, stop=27}"), 27):
+    for more, samples in ((folder,), 25), ((file, "--out", folder, "--set", "scan.seed={start=0, stop=6}"), 30):
         done = bearings("scan", *more, "--json")
         assert done.returncode == 0, done.stderr
         assert 0 < json.loads(done.stdout)["solved_now"] <= 18
         table = rows(folder)
         assert len(table) == samples == len(list((folder / "states").glob("*.h5")))
         assert all(row["power_minimum_cut"] and row["domains"] and row["spans"] for row in table)
-    whole = read_plan(file, ["scan.seed={start=0, stop=27}"])
+    whole = read_plan(file, ["scan.seed={start=0, stop=6}"])
     scan(asking(whole, analyse=True), tmp_path / "undisturbed", engine=Here(analyse=True))
     assert_same_but_for_the_clock(folder, tmp_path / "undisturbed")
 
