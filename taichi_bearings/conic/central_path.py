@@ -191,7 +191,7 @@ class _Step:
         `share` of the way to the boundary of the cones, and at most 1."""
         return np.minimum(1.0, share * self.lengths)
 
-    def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
+    def with_samples_of(self, kept: np.ndarray, other: "_Step") -> "_Step":
         """Return a copy of this step in which some samples have the changes of spins and the numbers found that another
         step has. The rows of memory with its changes of bounds, slips and forces are not copied.
 
@@ -266,10 +266,10 @@ class Path:
         if iterate.viscosity is not None:
             stiffness = stacked(isotropic(iterate.difference, iterate.viscosity))
             if self._viscosity is None or self._viscous is None:
-                self._viscosity = np.zeros_like(rows.two(kernels.FORCE))
+                self._viscosity = np.zeros_like(rows.two_components(kernels.FORCE))
                 self._viscous = np.zeros((len(stiffness), self.samples))
             rows.put(kernels.FORCE, sample, iterate.viscosity * np.ones_like(iterate.difference))
-            self._viscosity[:, sample] = rows.two(kernels.FORCE)[:, sample]
+            self._viscosity[:, sample] = rows.two_components(kernels.FORCE)[:, sample]
             self._viscous[:, sample] = stiffness
 
     @np.errstate(all="ignore")  # at the end, and where there is no sample, numbers that are not finite turn up
@@ -316,7 +316,7 @@ class Path:
                 break
             further = self._furthest(step, self._recentred(step, target, going, rejected))
             rejected = going & (further.reach < step.reach + LEAST_GAIN)
-            step = further.but(rejected, step) if rejected.any() else further
+            step = further.with_samples_of(rejected, step) if rejected.any() else further
             going = going & ~rejected
         # Of rejected samples the better step is in the rows of the other one of the two steps in memory.
         for sample in np.flatnonzero(rejected).tolist():
@@ -384,10 +384,10 @@ class Path:
         torques and they are above STEP_TORQUE, in units of the mean friction."""
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(STEP_REFINEMENTS):
-            rows.add(kernels.DUAL, _in(step.slot, kernels.DUAL_STEP), kernels.FORCE)
+            rows.add(kernels.DUAL, _row_of_step(step.slot, kernels.DUAL_STEP), kernels.FORCE)
             if self._viscosity is not None:
-                slip = rows.two(kernels.SLIP) + rows.two(_in(step.slot, kernels.CHANGE))
-                rows.two(kernels.FORCE)[:] -= self._viscosity * slip
+                slip = rows.two_components(kernels.SLIP) + rows.two_components(_row_of_step(step.slot, kernels.CHANGE))
+                rows.two_components(kernels.FORCE)[:] -= self._viscosity * slip
             self._imbalance(kernels.FORCE, self._spins + step.spins)
             size = np.abs(rows.spins.T.copy()).max(axis=1, initial=0.0)
             going &= (size > STEP_TORQUE) & (size < last / 2)
@@ -406,10 +406,10 @@ class Path:
 
         slot : 0 or 1, the place in memory that holds the right-hand sides; the step is written into the same place.
         """
-        pull = _in(slot, kernels.PULL)
+        pull = _row_of_step(slot, kernels.PULL)
         if self._viscosity is not None:
-            forces = self._rows.two(pull) - self._viscosity * self._rows.two(kernels.SLIP)
-            pull, self._rows.two(kernels.FORCE)[:] = kernels.FORCE, forces
+            forces = self._rows.two_components(pull) - self._viscosity * self._rows.two_components(kernels.SLIP)
+            pull, self._rows.two_components(kernels.FORCE)[:] = kernels.FORCE, forces
         self._imbalance(pull, self._spins)
         self._matrix.solve_rows(self._rows)
         return self._expanded(slot)
@@ -438,7 +438,7 @@ class Path:
         slot : 0 or 1, the place in memory that gets the changes of slips, bounds and forces.
         """
         spins = self._rows.spins.copy()
-        self._rows.change(_in(slot, kernels.CHANGE))
+        self._rows.change(_row_of_step(slot, kernels.CHANGE))
         found = self._rows.run(kernels.expand, (slot, slot))
         if self._together:
             found[: kernels.LEAST_FOUND] = found[: kernels.LEAST_FOUND].min(axis=0)
@@ -500,7 +500,7 @@ class Path:
         )
 
 
-def _in(slot: int, row: int) -> int:
+def _row_of_step(slot: int, row: int) -> int:
     """Return the number, among all rows of memory, of one row of a Newton step; a row has one number of every contact.
 
     slot : 0 or 1, which of the two steps in memory.

@@ -100,10 +100,10 @@ class ContactSystem:
         moves = network.reached(contact)
         contact = contact[moves[network.contact[:, contact]].any(axis=0)]
         known, wanted, number = network.needed(bearing.driven_speed, contact, moves)
-        return cls._over(network, contact, known, wanted, number)
+        return cls._with_tangents(network, contact, known, wanted, number)
 
     @classmethod
-    def _over(
+    def _with_tangents(
         cls, network: Network, contact: np.ndarray, known: np.ndarray, wanted: np.ndarray, number: int | None
     ) -> "ContactSystem":
         """Return the system of some contacts of a network over some of its spins, with rows along the tangents.
@@ -140,7 +140,7 @@ class ContactSystem:
         found = network.motions(self.operator, self.sphere, self.numbers, moves)
         wanted = (self.moved >= 0) & ~np.isin(self.moved, found.held)
         number = found.number if found.number_is_certain else None
-        return ContactSystem._over(network, self.numbers, self.known, wanted, number)
+        return ContactSystem._with_tangents(network, self.numbers, self.known, wanted, number)
 
     def with_motions(self, number: int) -> "ContactSystem":
         """Return the same system with its field `motions`, the number of motions of spheres at which no contact slips,

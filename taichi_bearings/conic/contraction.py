@@ -123,7 +123,7 @@ class Contraction:
         # `kept` : numbers in `whole` of the contacts that are left; `system` : these contacts over the new unknowns
         self.whole, self._order = whole, order
         self._label(whole, tied, samples)
-        self.kept, self.system = self._left(whole, np.flatnonzero(~tied))
+        self.kept, self.system = self._system_left(whole, np.flatnonzero(~tied))
         self.owners = Owners(samples, self._owner, self.kept // max(len(tied) // samples, 1))
 
     def _label(self, whole: ContactSystem, tied: np.ndarray, samples: int) -> None:
@@ -151,7 +151,7 @@ class Contraction:
         self.unknowns, self._owner, self.number = int(is_free.sum()), owner[is_free], number[label]
         self.imposed: Pair = (imposed_values[0][label], imposed_values[1][label])
 
-    def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
+    def _system_left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
         """Return the contacts that can still slip after others were tied: their indices (q,) in the system `whole`, and
         a system of these contacts alone, whose unknowns are the sets of spins that tied contacts join.
 

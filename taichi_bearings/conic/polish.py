@@ -60,7 +60,7 @@ def polished(
     system = _PreciseSystem(tied)
     # the small parts of the given spins may be larger than the rounding of the large ones
     balanced, slips, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen)
-    return tied.expanded(balanced), slips[0], -_along(strengths[0], slips)[0], fine
+    return tied.expanded(balanced), slips[0], -_friction_along(strengths[0], slips)[0], fine
 
 
 def _balanced(
@@ -86,8 +86,8 @@ def _balanced(
         size, smallest = owners.largest_of_spins(np.abs(torques)), owners.smallest(slip)
         going = going & (size < least) & (smallest > 0)
         # Keep the best point; go on while torques are more than halved and are not yet negligible.
-        best, fine = _chosen(going[owners.spins], unknown, best), fine | going
-        slips = precise if slips is None else _chosen(going[owners.contacts], precise, slips)
+        best, fine = _where(going[owners.spins], unknown, best), fine | going
+        slips = precise if slips is None else _where(going[owners.contacts], precise, slips)
         enough = np.maximum(POLISHED_TORQUE, np.minimum(SMALL_TORQUE, SMALL_SHARE_OF_SLIP * smallest)) * strongest
         going = going & (size <= least / 2) & (size > enough)
         if not going.any():
@@ -100,7 +100,7 @@ def _balanced(
         change = owners.largest(length(system.contracted.change(step)) / slip)
         going = going & (change <= MOST_SLIP_CHANGE)
         fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
-        unknown = _chosen(going[owners.spins], add(unknown, exactly(step)), unknown)
+        unknown = _where(going[owners.spins], add(unknown, exactly(step)), unknown)
     assert slips is not None
     return best, slips, fine
 
@@ -168,11 +168,11 @@ def _forces(strengths: Strengths, difference: Pair) -> Pair:
     Letters: n contacts with up to d slip components.
     """
     friction, viscosity = strengths
-    held = _along(friction, difference)
+    held = _friction_along(friction, difference)
     return held if viscosity is None else add(held, scaled(viscosity, difference))
 
 
-def _along(friction: np.ndarray, difference: Pair) -> Pair:
+def _friction_along(friction: np.ndarray, difference: Pair) -> Pair:
     """Return friction times the direction of the slip, (d, n), as sums of two doubles; exact where the slip has one
     component only.
 
@@ -191,7 +191,7 @@ def _along(friction: np.ndarray, difference: Pair) -> Pair:
     return found
 
 
-def _chosen(mask: np.ndarray, one: Pair, other: Pair) -> Pair:
+def _where(mask: np.ndarray, one: Pair, other: Pair) -> Pair:
     """Return the numbers of `one` where `mask` is True, and those of `other` elsewhere. Each number is a sum of two
     doubles, and all arrays have one shape."""
     if mask.all():

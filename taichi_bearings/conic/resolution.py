@@ -542,14 +542,14 @@ class _SmoothPower:
         )
         # the minima in twice the precision; in doubles, for samples that are not `fine`: where that was not reached
         rests = np.split(rest, self.samples)
-        precise, rough = self._each(spins, rests, difference, dual), []
+        precise, rough = self._as_minima(spins, rests, difference, dual), []
         if not fine[self.balanced].all():
             high, low = self.tied.expanded(self.spins)
-            rough = self._each(high + low, [None] * self.samples, self.difference, self.dual)
+            rough = self._as_minima(high + low, [None] * self.samples, self.difference, self.dual)
         pairs = zip(self.balanced, fine, strict=True)
         return [(precise if known else rough)[n] if balanced else None for n, (balanced, known) in enumerate(pairs)]
 
-    def _each(
+    def _as_minima(
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
     ) -> list[Resolved]:
         """Return the :class:`Resolved` minimum of each sample, with arrays over all its spins and contacts. A contact

@@ -251,7 +251,7 @@ class ContactRows:
         """
         return self.values[row : row + count, :, sample].take(self._at, axis=1)
 
-    def two(self, row: int) -> np.ndarray:
+    def two_components(self, row: int) -> np.ndarray:
         """Return a view (2*contacts, S) of rows `row` and `row + 1`: the two components of a vector on each contact.
         Letters: S samples."""
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)

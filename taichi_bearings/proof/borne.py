@@ -287,7 +287,7 @@ class ExactlyRolling:
         limit = self.friction_bounds.network.holding.least[self.contacts]
         if springs is None:
             return found
-        faint, by_others = self._faint(most_change), np.zeros(len(margin))
+        faint, by_others = self._with_faint_torques(most_change), np.zeros(len(margin))
         residual = self.unknown_torques + abs(self.loads[0]) @ np.repeat(np.where(faint, most_change, 0.0), 2) * UP
         # Friction that other contacts may demand: theirs may have any direction, so the norm of what a unit demands
         # times the bound on its size, summed.
@@ -310,7 +310,7 @@ class ExactlyRolling:
             largest = np.linalg.norm(self.friction_bounds.friction[self.contacts] + moved, axis=1) + weighted_lengths(
                 force, half_length, 3
             )
-            found |= self._bears(largest + by_others, residual + left)
+            found |= self._stay_below_limits(largest + by_others, residual + left)
             worst = float(((largest + by_others) / limit)[~found].max(initial=0.0))
             if found.all() or not len(half_length) or not worst < WORTH_A_TRIAL * last:
                 break
@@ -358,7 +358,7 @@ class ExactlyRolling:
                 return none
             largest[own] = size + np.where(close[own], largest[own], 0.0)
             close[own] = True
-        return self._bears(largest + by_others, residual)
+        return self._stay_below_limits(largest + by_others, residual)
 
     def _close_to(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the mask (N,) of the spheres on which a load acts, and of others close to them; and the indices, among
@@ -394,7 +394,7 @@ class ExactlyRolling:
         rounded = self.rounding * (np.abs(load) + abs(exact) @ np.abs(change).ravel())
         return change, (np.abs(load + exact @ change.ravel()) + rounded) * UP
 
-    def _faint(self, most_change: np.ndarray) -> np.ndarray:
+    def _with_faint_torques(self, most_change: np.ndarray) -> np.ndarray:
         """Return the mask (k,) of those `bounded_contacts` whose changes of friction exert only small torques on the
         exactly rolling contacts. One correction balances all these torques together; those of other contacts are
         balanced one by one.
@@ -412,7 +412,7 @@ class ExactlyRolling:
         faint[order[: max(len(order) - MOST_OTHERS, 0)]] = True
         return faint
 
-    def _bears(self, largest: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    def _stay_below_limits(self, largest: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return the mask (q,) of the exactly rolling contacts that lie in parts all of whose contacts stay below their
         friction limits. (Parts share no free sphere.)
 

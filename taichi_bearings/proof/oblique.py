@@ -388,7 +388,7 @@ class Centre:
         found: np.ndarray = np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
         return found
 
-    def _of_all(self, holds: np.ndarray, sample: np.ndarray) -> np.ndarray:
+    def _samples_where_all(self, holds: np.ndarray, sample: np.ndarray) -> np.ndarray:
         """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are True; also of those
         without any entry.
 
@@ -443,7 +443,7 @@ class Centre:
         torques r that friction leaves over, and of a vector a for the angle between friction and slip.
         """
         size, damping, sample = self.size.most, self.damping.most, self._sample
-        slips = self._of_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
+        slips = self._samples_where_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
         curvature = self.curvature() if slips.any() else None
         if curvature is None:
             return np.full(len(size), np.inf), np.zeros_like(slips)
@@ -491,7 +491,7 @@ class Centre:
         # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
         # be no more than what is lost, below tau / 8, but it is tau or more: so there is just one minimum.
         remains = (largest**2 * loss * UP).reshape(len(tau), -1).max(axis=1) < tau / 8
-        return distance, proven & self._of_all(relative_change <= MOST_RELATIVE_CHANGE, sample) & remains
+        return distance, proven & self._samples_where_all(relative_change <= MOST_RELATIVE_CHANGE, sample) & remains
 
     def _newton_step(self, curvature: Form, floor: Floor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Find a motion z that takes away as much as possible of the torques that friction leaves over, about one step
@@ -566,7 +566,7 @@ class Centre:
         by_exact = self._norms_on_spheres(exact.unit * torque, exact.spheres) / exact.floor * UP**2
         margin = (network.holding - length(self.friction)).lower() - ROUNDED_NORMAL * network.holding.most
         change = np.where(rolls, by_exact[sample], change)
-        return self._of_all(margin[self.resting] > change * UP, sample)
+        return self._samples_where_all(margin[self.resting] > change * UP, sample)
 
 
 def _without_error(values: Enclosure) -> Enclosure:

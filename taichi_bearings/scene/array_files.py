@@ -159,12 +159,12 @@ def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0)
         if values.dtype.kind not in "fiu":
             raise FileError(f"{name} in {path} is of type {values.dtype}; it must be real numbers")
     x, y = (values.shape for values in list(stored.values())[:2])
-    if len(stored) == 2 and _are_of(3, x, y) and not _are_of(2, x, y):
+    if len(stored) == 2 and _fit_one_lattice(3, x, y) and not _fit_one_lattice(2, x, y):
         read_arrays(path, along)
     return tuple(values.astype(np.float64) for values in stored.values())
 
 
-def _are_of(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
+def _fit_one_lattice(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
     """Return True if coefficients along x and y have shapes that fit one lattice of this dimension.
 
     x, y : the two shapes, with or without a leading axis of samples.

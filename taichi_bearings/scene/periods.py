@@ -58,7 +58,7 @@ class Box:
         """
         return self.edges[[axis for axis in range(dimension) if self.periodic and self.periodic[axis]], :dimension]
 
-    def is_as(self, other: "Box") -> bool:
+    def is_nearly(self, other: "Box") -> bool:
         """Return True if another box is the same but for digits that were lost in printing.
 
         other : the other box.

@@ -172,9 +172,9 @@ class PackingPaths(Paths):
 
     def found(self) -> list[Found]:
         """Return spins and forces of each sample: at the end of its path, or where it is now."""
-        return [self.ends.get(number) or self._now(number) for number in self.numbers]
+        return [self.ends.get(number) or self._reached_now(number) for number in self.numbers]
 
-    def _now(self, number: int) -> Found:
+    def _reached_now(self, number: int) -> Found:
         """Return the spins and forces that a sample has now: those of its point on the central path, those of its
         minimum if the contact states are settled, or 0 if it has no path.
 

@@ -259,7 +259,7 @@ def test_numbers_of_a_sample_do_not_depend_on_those_beside_it(spent, monkeypatch
     found = []
     for contacts in (alone, together):
         contacts.run(kernels.prepare, (0, 0), 1e-3)
-        contacts.rows.two(kernels.STATE_ROWS + kernels.CHANGE)[:] = 0.1
+        contacts.rows.two_components(kernels.STATE_ROWS + kernels.CHANGE)[:] = 0.1
         over_contacts = [contacts.run(kernels.expand, (0, 0)), contacts.run(kernels.take, (0, 0), 0.2, 0.3)]
         contacts.run(kernels.correct, (0, 1), 0.1)
         contacts.run(kernels.recentre, (1, 0), 0.2, 0.3, 0.01, 2.0, kernels.GO_ON)

@@ -277,7 +277,7 @@ def _contacts(
     spheres : centres and radii by name.
     asked : options of the user.
     """
-    if frame.box is not None and rows.box is not None and not frame.box.is_as(rows.box):
+    if frame.box is not None and rows.box is not None and not frame.box.is_nearly(rows.box):
         raise FileError(
             f"the box in {rows.path} differs from that in {frame.path} at timestep {frame.step}; both dumps must be of "
             "one run"
