@@ -70,7 +70,7 @@ from taichi_bearings.conic.iterate import Iterate, whole_dual
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import may_have_several_minima, nearly_borne
+from taichi_bearings.conic.slipless_forces import balanced_inside, may_have_several_minima, nearly_borne
 from taichi_bearings.conic.ties import sometimes_slipping
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
@@ -91,7 +91,14 @@ DOUBTFUL_SHARE = (
     1e-2  # share of the contacts with friction that may be undecided when the trials on the last decades begin
 )
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
-FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trial, made if minima can be unique
+FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trials, made if minima can be unique
+# With so many unknowns contacts are tied from the start of the last decades: with fewer the analysis of a further
+# pattern takes as long as smaller matrices save (18^3 1.15, 24^3 1.00, 32^3 0.90 of the time).
+TIED_UNKNOWNS = 30_000
+# Then a contact is tied if its margin is above the first number and changed by less than
+# this share in the last step of the path, and its slip is below this share of the margin. In 32^3 spheres, seed 2, with
+# slips down to 5e-15, this ties no slipping contact from a relative gap of 4e-10 on, and three quarters of the others.
+TIED_MARGIN, TIED_SHARE = 1e-2, 1e-2
 # Largest torque over the mean friction: below the first, some 1e4 roundings of a force, Newton's method ends; below the
 # second, its end is accepted after its last step all the same.
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
@@ -281,6 +288,23 @@ def _seem_to_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
     return apart & (noisy | parting)
 
 
+def _clearly_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
+    """Return a mask (n,) of contacts that stick, as far as a point before the last decades of the path can tell: with a
+    wide margin that stays, and a small slip that falls as fast as the product of both does (TIED_MARGIN, TIED_SHARE).
+
+    A contact with a smaller slip than the product seems to stick, too, but its margin begins to fall as the product
+    comes down to a hundred times its slip.
+
+    iterate : the point of the path.
+    before : the point one step before.
+    """
+    slip, margin = length(iterate.difference), iterate.margin
+    falls = slip * before.complementarity < 2 * length(before.difference) * iterate.complementarity
+    stays = np.abs(margin - before.margin) < TIED_SHARE * margin
+    found: np.ndarray = falls & stays & (margin > TIED_MARGIN) & (slip < TIED_SHARE * margin)
+    return found
+
+
 def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surroundings) -> Resolved | None:
     """Return the minimum of one sample, found by following its central path on to the end of double precision; None if
     it is not found.
@@ -289,31 +313,41 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     before : the point one step before, None if unknown.
     shared : what all samples share.
 
-    The path is followed until few contacts are undecided. Then come trials, up to the first one whose states are sure;
-    each is a minimum of the smooth power with balanced forces. They differ in which contacts are tied, so that they
-    cannot slip, and in how far the path is followed:
+    There are several trials, up to the first one whose states are sure; each is a minimum of the smooth power with
+    balanced forces. They differ in which contacts are tied, so that they cannot slip, and in how far the path is
+    followed. All but the first trial begin where few contacts are undecided.
 
     ============================  =====  ====================================  ===================================
     minima                        trial  tied contacts                         path followed until
     ============================  =====  ====================================  ===================================
-    one, most likely              1      none                                  FEW_DOUBTFUL contacts are undecided
-    one, most likely              2      none                                  no contact is undecided
-    one, most likely              3      those that stick                      no contact is undecided
+    one, most likely              1      of large systems, those that seem to  FEW_DOUBTFUL contacts are undecided
+                                         stick at the start
+    one, most likely              2      none                                  FEW_DOUBTFUL contacts are undecided
+    one, most likely              3      none                                  no contact is undecided
+    one, most likely              4      those that stick                      no contact is undecided
     several, as frictions repeat  1      those that stick                      no contact is undecided
     several, as frictions repeat  2, 3   also those that stuck in trial 1, 2   double precision ends
     several, as frictions repeat  4      none                                  no contact is undecided
     ============================  =====  ====================================  ===================================
 
-    Tying contacts helps as the stiffness of those that stick blurs the forces of the others. If no states are sure, the
-    minimum of the last trial that has found one is returned.
+    Tying contacts helps as fewer unknowns are left (at 32^3 a matrix takes a third of the operations or less), and as
+    the stiffness of those that stick blurs the forces of the others. If no states are sure, the minimum of the last
+    trial that has found one is returned.
     """
     path, settled = LastDecades.after(iterate, before, shared.matrix), None
+    none = np.zeros(len(iterate.friction), dtype=bool)
+    ties_possible = may_have_several_minima(iterate.friction, none)
+    if shared.system.unknowns >= TIED_UNKNOWNS and before is not None and not ties_possible:
+        with suppress(NotPositiveDefinite):
+            settled = _minimum_with_few_unknowns(iterate, path, _clearly_stick(iterate, before), shared)
+            if settled is not None and settled.sure:
+                return settled
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
-    none, sticking = np.zeros_like(path.sticking), path.sticking
-    if not (ties_possible := may_have_several_minima(iterate.friction, none)):
+    sticking = path.sticking
+    if not ties_possible:
         with suppress(NotPositiveDefinite):
-            settled = _early_minimum(iterate, copy(path), shared)
+            settled = _early_minimum(iterate, copy(path), shared) or settled
             if settled is not None and settled.sure:
                 return settled
     # for each trial: (are contacts tied?, is the path followed to its end?)
@@ -344,6 +378,28 @@ def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) ->
     return settled
 
 
+def _minimum_with_few_unknowns(
+    iterate: Iterate, path: LastDecades, sticking: np.ndarray, shared: Surroundings
+) -> Resolved | None:
+    """Return the minimum at the end of the path on which contacts are tied that clearly stick at its start; None if it
+    is not found.
+
+    Forces of the tied contacts do not follow the path, and may be far from balance at its end. There they are found by
+    steps with a barrier at the friction limits.
+
+    iterate : the point at which the path was begun.
+    path : the point that was reached; not changed.
+    sticking : (n,) mask of the contacts to tie.
+    shared : what all samples share.
+    """
+    found, later, _ = _smooth_minimum_with_tied(iterate, path, sticking, shared, doubtful=FEW_DOUBTFUL)
+    if found is None:
+        return None
+    start = np.where(found.slipping, found.whole_dual, later)
+    dual = balanced_inside(shared.system, iterate.friction, start, found.slipping, found.heads)
+    return None if dual is None else replace(found, dual=np.where(found.slipping, found.dual, dual), borne=True)
+
+
 def _minimum_with_tied(
     iterate: Iterate, path: LastDecades, sticking: np.ndarray, shared: Surroundings, to_the_end: bool
 ) -> tuple[Resolved | None, np.ndarray]:
@@ -360,12 +416,41 @@ def _minimum_with_tied(
     Forces of slipless contacts are looked for near those at the end of the path. Where there may be several minima, a
     path with tied contacts can change these forces a lot; then those of `path` are tried as well.
     """
+    found, later, more_sticking = _smooth_minimum_with_tied(iterate, path, sticking, shared, to_the_end)
+    (settled,) = _with_slipless_forces([iterate], [found], [later], shared)
+    if found is not None and settled is None and may_have_several_minima(iterate.friction, found.at_limit):
+        earlier = np.where(found.at_limit | (path.point.slip_over_margin > 1), later, path.point.dual)
+        (settled,) = _with_slipless_forces([iterate], [found], [earlier], shared)
+    return settled, more_sticking
+
+
+def _smooth_minimum_with_tied(
+    iterate: Iterate,
+    path: LastDecades,
+    sticking: np.ndarray,
+    shared: Surroundings,
+    to_the_end: bool = False,
+    doubtful: int = 0,
+) -> tuple[Resolved | None, np.ndarray, np.ndarray]:
+    """Follow the central path on with some contacts tied, and find the minimum of the smooth power at its end.
+
+    iterate : the point at which the path was begun.
+    path : the point that was reached; not changed.
+    sticking : (n,) mask of the contacts to tie: the spins across each of them are made equal.
+    shared : what all samples share.
+    to_the_end : True to follow the path until double precision ends, False until it is clear whether contacts slip.
+    doubtful : number of contacts of which that may stay unclear.
+    returns : the minimum without forces of the slipless contacts, None if there is none; minus the forces (d, n) at the
+        end of the path, of tied contacts those of `path`; (n,) mask of the further contacts that surely stick there.
+
+    Letters: n contacts with up to d slip components.
+    """
     none, later = np.zeros_like(sticking), path.point.dual.copy()
     tied = Contraction(shared.system, shared.order, sticking) if sticking.any() else None
     rest = path.over(tied) if tied else copy(path)
-    left = None if tied and tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
+    left = None if tied and tied.contradicts.any() else rest.decide(doubtful, to_the_end)
     if left is None:
-        return None, none
+        return None, later, none
     # From the contacts that are not tied to all: which slip, which may be at their limit, and which stick at the end.
     slipping, at_limit, more_sticking, kept = none.copy(), none.copy(), none.copy(), tied.kept if tied else slice(None)
     slipping[kept], at_limit[kept], more_sticking[kept] = left, rest.at_limit, rest.sticking
@@ -373,11 +458,7 @@ def _minimum_with_tied(
     (found,) = _smooth_minima([iterate], [tied.expanded(rest.spins) if tied else rest.spins], [slipping], shared)
     if found is not None and at_limit.any():  # as are those that Newton's method has brought to rest
         found = replace(found, at_limit=(at_limit | slipping) & ~found.slipping)
-    earlier = np.where(at_limit | (path.point.slip_over_margin > 1), later, path.point.dual)
-    (settled,) = _with_slipless_forces([iterate], [found], [later], shared)
-    if settled is None and may_have_several_minima(iterate.friction, at_limit):
-        (settled,) = _with_slipless_forces([iterate], [found], [earlier], shared)
-    return settled, more_sticking
+    return found, later, more_sticking
 
 
 def _with_slipless_forces(

@@ -15,9 +15,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taichi_bearings.conic.cones import determinant, inner, length
+from taichi_bearings.conic.cones import determinant, inner, isotropic, length
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
+from taichi_bearings.conic.contraction import order_by_place
+from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix, resisted
+from taichi_bearings.numerics.cholesky import Engine
 
 LEFT_TORQUE = 1e-10  # torque over the mean friction that may be left: some 1e6 roundings of a force
 # least room over the sum of all torques left; no force has to change by more than that sum to balance them
@@ -31,6 +33,7 @@ NOISE_ACROSS = 5e-5  # component of a force at its limit, over the other, that m
 MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
 MOST_CUTS = 60  # number of times that forces are cut to their limits and balanced again, after the last balance
 BALANCED_TORQUE = 1e-14  # torque over the mean friction that needs no further cut
+MOST_BARRIER_STEPS = 20  # most steps of the search for balanced forces with a barrier; at 32^3 they take 3 to 5
 TINY = np.finfo(np.float64).tiny
 
 
@@ -92,6 +95,52 @@ def nearly_borne(
             break
     whole = _one_by_one(side)
     return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(side))
+
+
+@np.errstate(all="ignore")
+def balanced_inside(
+    system: ContactSystem, friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, heads: np.ndarray
+) -> np.ndarray | None:
+    """Return minus the forces (d, n) of one sample that balance all torques, where those of slipping contacts stay and
+    the others are within friction; None if they are not found in MOST_BARRIER_STEPS steps.
+
+    The stiffness of the spring at each contact is the inverse second derivative of the barrier -log(friction^2 -
+    |force|^2): along a force close to its limit it is far smaller than across it. So a step goes further than one with
+    the springs of :func:`nearly_borne`. The matrix couples spins at slipless contacts only, which takes a thousandth of
+    the operations of a Newton step: 0.06 instead of 108 billion at 48^3.
+
+    system : the n contacts, whose slips are differences of two unknowns.
+    friction : (n,), friction limits.
+    dual : (d, n), minus the forces to begin with; those of slipless contacts are within friction.
+    slipping : (n,) mask of contacts that slip.
+    heads : (unknowns,) mask, as in :func:`nearly_borne`.
+
+    Raises NotPositiveDefinite if the matrix is singular to working precision. Letters: n contacts with up to d slip
+    components.
+    """
+    assert system.ends is not None
+    own, fixed = np.flatnonzero(~slipping), system.torques(np.where(slipping, dual, 0.0))
+    ends = system.ends[:, :, own]
+    part = ContactSystem(system.unknowns, system.offset[:, own], system.felt[:, own], ends, place=system.place)
+    matrix = NewtonMatrix(part, order_by_place(part), engine=Engine.LAUNCH)  # many small fronts
+    limit, inside = friction[own], dual[:, own]
+    for _ in range(MOST_BARRIER_STEPS):
+        room = determinant((limit, inside))
+        along = room / (room + 2 * inner(inside, inside)) * inside
+        stiffness = isotropic(inside, room / 2) - along[:, None] * inside[None, :]
+        matrix.factorise(stiffness, heads.astype(float))
+        balanced = inside
+        for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
+            balanced = balanced - resisted(stiffness, part.change(matrix.solve(part.torques(balanced) + fixed)))
+        free = np.zeros_like(own, dtype=bool)
+        reach = _reach(limit, inside, balanced, free, 1)[0]
+        if reach > 1:
+            found = dual.copy()
+            found[:, own] = balanced
+            fine = _inside(friction, found, slipping, system.torques(found)[:, None])[0]
+            return found if fine else None
+        inside = inside + SHARE_OF_WAY * reach * (balanced - inside)
+    return None
 
 
 def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:

@@ -1,13 +1,16 @@
 """What slipless contacts can bear, and what moves if they cannot: by hand, and in samples with slips below 1e-12."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from taichi_bearings.conic import resolution
 from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.shared import surroundings_of_lattice
-from taichi_bearings.conic.slipless_forces import nearly_borne
+from taichi_bearings.conic.slipless_forces import balanced_inside, nearly_borne
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -66,6 +69,36 @@ def test_a_contact_at_its_limit_bears_its_friction_and_no_more(beyond):
     assert beyond or found[0] == pytest.approx(-0.2, abs=1e-12)
 
 
+def inside(system, friction, dual, slipping):
+    """The forces of :func:`balanced_inside` of one sample with one component, None if there are none."""
+    heads = np.zeros(system.unknowns, dtype=bool)
+    found = balanced_inside(system, np.array(friction), np.array([dual]), np.array(slipping), heads)
+    return found if found is None else found[0]
+
+
+def side_by_side():
+    """Two chains as in :func:`pulled`, of one sphere each, with a place for each sphere."""
+    bottom = [(BOTTOM, n, 0.0) for n in (0, 0, 1, 1)]
+    system, _ = chain(*bottom, (0, TOP, 1.0), (1, TOP, 1.0), unknowns=2)
+    return replace(system, place=np.array([[0.0, 1.0]]))
+
+
+@pytest.mark.parametrize("start", [0.0, 0.299, -0.299])
+def test_a_barrier_leads_to_balanced_forces_from_far_away(start):
+    friction, slipping = (0.3, 0.2001, 0.3, 0.3, 0.5, 0.1), [False] * 4 + [True] * 2
+    dual = inside(side_by_side(), friction, [start, 0.0, start, 0.0, -0.5, -0.1], slipping)
+    assert (np.abs(dual[:4]) < friction[:4]).all()
+    assert dual[:2].sum() == pytest.approx(-0.5, abs=1e-11)
+    assert dual[2:4].sum() == pytest.approx(-0.1, abs=1e-11)
+    assert tuple(dual[4:]) == (-0.5, -0.1)
+
+
+@pytest.mark.parametrize("excess", [-1e-2, -1e-10, 0.0], ids=str)
+def test_a_barrier_finds_no_forces_where_there_are_none(excess):
+    friction, slipping = (0.3, 0.2 + excess, 0.3, 0.3, 0.5, 0.1), [False] * 4 + [True] * 2
+    assert inside(side_by_side(), friction, [0.0, 0.0, 0.0, 0.0, -0.5, -0.1], slipping) is None
+
+
 def minimum_of(scene, start="linear"):
     return solve(scene, InteriorPoint().build(), initial_spin(scene, start), StopRule(1e-10))
 
@@ -97,6 +130,32 @@ def test_states_are_proven_before_the_last_steps_of_the_path(monkeypatch):
     solution = minimum_of(make_scene((12, 12, 12), seeds=(29,)))
     assert solution.states_proven[0]
     assert not late
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_states_are_the_same_if_contacts_are_tied_before_the_last_decades(monkeypatch, wrong):
+    """Also if one of them slips: then no forces balance, and the path is followed with all contacts."""
+    scene, followed = make_scene((12, 12, 12), seeds=(29,)), []
+    tied, own = resolution._clearly_stick, LastDecades.decide
+    one = minimum_of(scene)
+
+    def with_one_more(iterate, before):
+        found = tied(iterate, before)
+        fastest = int(np.argmax(np.abs(iterate.difference).sum(axis=0)))
+        return found | (np.arange(len(found)) == fastest) if wrong else found
+
+    def decide(path, *given):
+        followed.append(len(path.point.friction))
+        return own(path, *given)
+
+    monkeypatch.setattr(resolution, "TIED_UNKNOWNS", 0)
+    monkeypatch.setattr(resolution, "_clearly_stick", with_one_more)
+    monkeypatch.setattr(LastDecades, "decide", decide)
+    other = minimum_of(scene)
+    assert other.states_proven[0]
+    assert (one.state == other.state).all()
+    assert one.objective == pytest.approx(other.objective, rel=1e-14)
+    assert (max(followed) < 0.8 * len(scene.coefficient[0])) != wrong
 
 
 def test_springs_of_a_large_lattice_fall_apart_into_planes():
