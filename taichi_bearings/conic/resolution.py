@@ -48,7 +48,7 @@ Steps of :func:`resolve`.
    precision (polish.py), as slips go down to 1e-15 of the jump and below.
 3. Look for the forces (c) (slipless_forces.py). If they exist and no slip is as small as rounding, the sample is done.
 4. Else, if the path has ended or minima may tie, follow it on until slip and margin of each contact have parted
-   (last_decades.py), and repeat steps 2 and 3 with the contacts that slip there, three or four times with different
+   (last_decades.py), and repeat steps 2 and 3 with the contacts that slip there, up to four times with different
    contacts tied (:func:`_minimum_along_path`).
 5. Refuse a minimum whose power differs from that of the path. If its states are sure and there is no viscosity, find
    contacts that slip at some minima and rest at others (ties.py).

@@ -33,7 +33,7 @@ NOISE_ACROSS = 5e-5  # component of a force at its limit, over the other, that m
 MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
 MOST_CUTS = 60  # number of times that forces are cut to their limits and balanced again, after the last balance
 BALANCED_TORQUE = 1e-14  # torque over the mean friction that needs no further cut
-MOST_BARRIER_STEPS = 20  # most steps of the search for balanced forces with a barrier; at 32^3 they take 3 to 5
+MOST_INSIDE_STEPS = 20  # most steps of the search for balanced forces with a barrier; at 32^3 they take 3 to 5
 TINY = np.finfo(np.float64).tiny
 
 
@@ -102,7 +102,7 @@ def balanced_inside(
     system: ContactSystem, friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, heads: np.ndarray
 ) -> np.ndarray | None:
     """Return minus the forces (d, n) of one sample that balance all torques, where those of slipping contacts stay and
-    the others are within friction; None if they are not found in MOST_BARRIER_STEPS steps.
+    the others are within friction; None if they are not found in MOST_INSIDE_STEPS steps.
 
     The stiffness of the spring at each contact is the inverse second derivative of the barrier -log(friction^2 -
     |force|^2): along a force close to its limit it is far smaller than across it. So a step goes further than one with
@@ -124,7 +124,7 @@ def balanced_inside(
     part = ContactSystem(system.unknowns, system.offset[:, own], system.felt[:, own], ends, place=system.place)
     matrix = NewtonMatrix(part, order_by_place(part), engine=Engine.LAUNCH)  # many small fronts
     limit, inside = friction[own], dual[:, own]
-    for _ in range(MOST_BARRIER_STEPS):
+    for _ in range(MOST_INSIDE_STEPS):
         room = determinant((limit, inside))
         along = room / (room + 2 * inner(inside, inside)) * inside
         stiffness = isotropic(inside, room / 2) - along[:, None] * inside[None, :]
