@@ -93,7 +93,7 @@ DOUBTFUL_SHARE = (
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
 FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trials, made if minima can be unique
 # With so many unknowns contacts are tied from the start of the last decades: with fewer the analysis of a further
-# pattern takes as long as smaller matrices save (18^3 1.15, 24^3 1.00, 32^3 0.90 of the time).
+# pattern takes as long as smaller matrices save (18^3 1.15, 24^3 1.00, 32^3 0.91 of the time).
 TIED_UNKNOWNS = 30_000
 # Then a contact is tied if its margin is above the first number and changed by less than
 # this share in the last step of the path, and its slip is below this share of the margin. In 32^3 spheres, seed 2, with
