@@ -137,11 +137,10 @@ def _source_of_run(run: Result) -> Source:
     assert run.path is not None
     settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
-    if in_lists := run.scene.network.lattice is None:
-        scene = run.solution.scene
-        given = [(scene.network.contact, *values) for values in zip(*scene.material, strict=True)]
-    elif attributes.get("coefficients"):
-        given = [(values,) for values in run.solution.scene.coefficient]
+    in_lists = run.scene.network.lattice is None
+    if in_lists or attributes.get("coefficients"):
+        own = (run.scene.network.contact,) if in_lists else ()
+        given = [(*own, *values) for values in zip(*run.solution.scene.material, strict=True)]
     replicas = len(state)
     known = {*attributes, *RunSettings.keys()} - {"scene", "command"} - ({"shape"} if in_lists else set())
 

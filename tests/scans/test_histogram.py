@@ -87,11 +87,14 @@ def test_runs_and_scans_pool_together(scan, block):
         pooled([one], by="colour")
 
 
-def test_given_coefficients_are_one_disorder_where_all_of_them_are_the_same(tmp_path):
+@pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous"])
+def test_given_coefficients_are_one_disorder_where_all_of_them_are_the_same(law, tmp_path):
     x, y = (np.random.default_rng(1).uniform(0.1, 1.0, shape).repeat(3, axis=0) for shape in ((1, 3, 5), (1, 4, 4)))
-    y[2, 3, 3] += 1e-9
-    np.savez(tmp_path / "given.npz", x=x, y=y)
-    settings = RunSettings(shape=(4, 5), replicas=3, coefficients=str(tmp_path / "given.npz"), threads=1)
+    damping = {"x_viscosity": x.copy(), "y_viscosity": y.copy()} if law == "coulomb-viscous" else {}
+    last = damping.get("y_viscosity", y)
+    last[2, 3, 3] += 1e-9
+    np.savez(tmp_path / "given.npz", x=x, y=y, **damping)
+    settings = RunSettings(shape=(4, 5), law=law, replicas=3, coefficients=str(tmp_path / "given.npz"), threads=1)
     run(settings, tmp_path / "run")
     first, same, other = read_source(tmp_path / "run").disorder()
     assert first == same != other
