@@ -138,8 +138,13 @@ def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
 
     found : table of the samples of each distribution, by the name of the distribution.
 
-    Among them: `random`, the tables of the distributions in which not all values are equal; `judged`, the samples whose
-    contact states are all proven, of the distributions in which all values differ.
+    bulk : side of the lattices, spheres.
+    practically : share of the free spheres that counts as practically all of them.
+    paper_name, equal_name : names of the distribution of the paper, and of that in which all values are equal.
+    equal : its table.
+    all : all tables, by the name of the distribution.
+    random : the tables of the distributions in which not all values are equal.
+    judged : the samples whose contact states are all proven, of the distributions in which all values differ.
     """
     return {
         "bulk": BULK, "practically": PRACTICALLY_ALL, "paper_name": SPREAD[0],

@@ -348,12 +348,14 @@ class _Solved:
         return slot % columns, True
 
     def motions(self, chosen: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Return for each column the sum of the motions of its choices, (f, columns), for the f unknowns in `follow`. A
-        motion is what these unknowns have to be if its choice is 1 and all other choices are 0, so that no contact
-        slips. The residual is solved for once more, against rounding; entries that are not finite are set to 0.
+        """Return for each column the sum of the motions of its choices, (f, columns).
+
+        A choice is a spin component that can be set freely; the f unknowns in `follow` then have to take certain values
+        if no contact is to slip. The motion of a choice is these values, (f,), if this choice is 1 and all others are
+        0. The residual is solved for once more, against rounding; entries that are not finite are set to 0.
 
         chosen : (k,), indices of the choices.
-        column : (k,), the column of each."""
+        column : (k,), the column that each choice belongs to."""
         together = sparse.csr_array((np.ones(len(chosen)), (np.arange(len(chosen)), column)))
         sums = (self.choices.sums[:, chosen] @ together).toarray()
         normal = self.parts.normal.T[..., None]
@@ -363,14 +365,12 @@ class _Solved:
         return np.where(np.isfinite(x), x, 0.0)
 
     def one_of_each_part(self, x: np.ndarray, chosen: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motions of single choices (numbers from which all spins follow) from columns that hold at most one
-        choice of each part (spheres that contacts connect). The result is an array (3, entries) with, for each number
-        that is not nearly 0: which of the f unknowns moves, the choice, and by how much. As a second result return an
-        empty array (0,): no choice is left to be solved for again.
+        """Return the motions of single choices, as `split` does, from columns that hold at most one choice of each part
+        (spheres that contacts connect). No choice is left: the second result is empty, (0,).
 
         x : (f, columns), the sums of motions.
         chosen : (k,), indices of the choices.
-        column : (k,), the column of each."""
+        column : (k,), the column of x that each choice belongs to."""
         choice = np.full((self.parts.count, x.shape[1]), -1)
         choice[self.choices.owner[chosen], column] = chosen
         at, among = np.nonzero(np.abs(x) > WHOLE)
@@ -379,18 +379,18 @@ class _Solved:
         return np.stack([at[there], own[there], x[at[there], among[there]]]), chosen[:0]
 
     def split(self, x: np.ndarray, chosen: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motions of single choices (numbers from which all spins follow) from columns that hold the sum of
-        several. The result is an array (3, entries) with, for each number that is not nearly 0: which of the f unknowns
-        moves, the choice, and by how much. As a second result return the choices that are left, since their motions
-        could not be told apart.
+        """Take sums of motions apart: return the motions of single choices, and the choices for which this fails.
 
-        In a column, moving spheres that contacts connect form a set. If a set contains one choice, its motion makes no
-        contact slip and is 1 at this choice alone; so it is the motion of this choice. The choices of sets with several
-        are left.
+        A choice is a spin component that can be set freely; its motion is how the f other unknowns follow. Moving
+        spheres that contacts connect form a set. If a set contains one choice, its motion makes no contact slip and is
+        1 at this choice alone; so it is the motion of this choice. The choices of sets with several are left.
 
-        x : (f, columns), the sums of motions.
+        The first result is an array (3, entries) with a column for each number of x that is not nearly 0: which of the
+        f unknowns moves, the index of the choice, and by how much. The second is (left,), indices of choices.
+
+        x : (f, columns), each column the sum of the motions of several choices.
         chosen : (k,), indices of the choices.
-        column : (k,), the column of each."""
+        column : (k,), the column of x that each choice belongs to."""
         width, sphere = x.shape[1], np.nonzero(self.parts.free)[0]
         at, among = np.nonzero(np.abs(x) > WHOLE)
         # A node is a sphere in a column. Contacts join two of them if both spheres move in this column.

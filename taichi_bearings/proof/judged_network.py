@@ -338,8 +338,9 @@ class JudgedNetwork:
 
     @property
     def joins(self) -> np.ndarray:
-        """(R,) mask of the samples of a lattice in which some spin component is driven differently at bottom and top,
-        and a chain of contacts which this component makes slip joins both planes."""
+        """(R,) mask of samples. On a lattice it is true if some spin component is imposed differently at bottom and
+        top, and contacts that slip when this component of a sphere changes connect both planes. A packing whose samples
+        are judged as one (`is_whole`) has one answer for all: whether contacts along any component may slip."""
         if self.is_whole:
             return np.full(self.count, bool(self.needed))
         return Motion(self, self.acts).torn

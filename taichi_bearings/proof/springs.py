@@ -133,13 +133,13 @@ def weighed(
     sizes: sparse.csr_array | None = None,
 ) -> Form | None:
     """Return the quadratic form |A x|^2 of n unknowns x, with the matrix A = `rows` (3 E, n) after each row is
-    multiplied by its `weight` (3 E,). The unknowns are scaled so that each column of A gets the length 1. Return None
-    if a column of A is 0.
+    multiplied by its `weight` (3 E,). The form is stored for unknowns that are scaled so that each column of A gets the
+    length 1. Return None if a column of A is 0.
 
     network : a packing with N spheres and E contacts.
     number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none.
-    sizes : (3 E, n), sum of the sizes of the products that each entry of `rows` is the sum of; None if `rows` are
-        exact."""
+    sizes : (3 E, n) or None. Each entry of `rows` is a sum of products, and that of `sizes` the sum of their absolute
+        values, from which the rounding error is bounded. None if `rows` are exact."""
     by_weight = sparse.diags_array(weight)
     rows = sparse.csr_array(by_weight @ rows)
     rows.eliminate_zeros()
