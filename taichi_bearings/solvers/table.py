@@ -329,7 +329,7 @@ class InteriorPoint(MethodOptions):
         tolerance : not used, as a tighter one costs few steps more.
         """
         sites = prod(shape)
-        return 3e-6 * sites**1.3 if len(shape) == 2 else 1.5e-4 * sites + 1e-8 * sites**2
+        return 3e-6 * sites**1.3 if len(shape) == 2 else 1e-5 * sites + 9e-8 * sites**1.8
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:

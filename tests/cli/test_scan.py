@@ -20,7 +20,7 @@ from tests.scans.scan_faults import Here, asking
 from tests.scans.test_scan import assert_same_but_for_the_clock
 
 COMMAND = [sys.executable, "-m", "taichi_bearings_cli", "scan"]
-SLOW = 'shape = [12, 12]\nlaw = "viscous"\n[scan]\nseed = { start = 0, stop = 500 }\n'  # a second of work in many units
+SLOW = 'shape = [12, 12]\nlaw = "viscous"\n[scan]\nseed = { start = 0, stop = 5000 }\n'  # many seconds in many units
 
 
 @pytest.fixture
@@ -77,11 +77,11 @@ def test_a_dry_run_writes_nothing(scan_file, tmp_path):
     done = bearings("scan", file, "--dry-run", "--out", tmp_path / "s", "--json")
     assert done.returncode == 0, done.stderr
     expected = json.loads(done.stdout)
-    assert (expected["samples"], expected["missing"], expected["scanned"]) == (500, 500, ["seed"])
+    assert (expected["samples"], expected["missing"], expected["scanned"]) == (5000, 5000, ["seed"])
     assert 0.5 < expected["seconds"] < 20
-    assert "500 samples over seed" in bearings("scan", file, "--dry-run").stdout
+    assert "5,000 samples over seed" in bearings("scan", file, "--dry-run").stdout
     part = bearings("scan", file, "--dry-run", "--part", "1/4", "--json")
-    assert json.loads(part.stdout)["samples"] == 125, part.stderr
+    assert json.loads(part.stdout)["samples"] == 1250, part.stderr
     assert [entry.name for entry in tmp_path.iterdir()] == ["scan.toml"]
 
 
@@ -111,17 +111,34 @@ def test_bad_input_is_one_sentence_and_exit_code_2(scan_file, tmp_path):
     assert not (tmp_path / "s").exists()
 
 
+KILLED = """
+import os, signal, sys
+from taichi_bearings.files.scan_journal import Journal
+from taichi_bearings_cli.__main__ import main
+kill, left, append = getattr(os, sys.argv.pop(1)), int(sys.argv.pop(1)), Journal.append
+
+def append_some(self, samples):
+    global left
+    append(self, samples[:left])
+    left -= len(samples[:left])
+    if left == 0:
+        kill(os.getpid(), signal.SIGKILL)
+
+Journal.append = append_some
+main()
+"""
+
+
 def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
     """Killed without its worker and with it, resumed by its folder alone, extended: no empty column, every state."""
     scanned = "spin_bottom = [0.0, 0.1, 0.2, 0.3, 0.4]\nseed = { start = 0, stop = 5 }\n"  # five units of work
     file, folder = scan_file(f"shape = [3, 3, 4]\n[scan]\n{scanned}"), tmp_path / "s"
-    words = [*COMMAND, file, "--out", folder, "--analyse", "--keep-states", "--workers", "1"]
-    for kill, least in ((os.kill, 1), (os.killpg, 7)):
-        process = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
-        wait_for(lambda least=least: journalled(folder) >= least)
-        kill(process.pid, signal.SIGKILL)
-        process.wait()
-    assert 7 <= journalled(folder) < 25
+    words = ["scan", file, "--out", folder, "--analyse", "--keep-states", "--workers", "1"]
+    for kill, samples in (("kill", "1"), ("killpg", "6")):  # that are written down before
+        command = [sys.executable, "-c", KILLED, kill, samples, *words]
+        done = subprocess.run(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
+        assert done.returncode == -signal.SIGKILL
+    assert journalled(folder) == 7
     for more, samples in ((folder,), 25), ((file, "--out", folder, "--set", "scan.seed={start=0, stop=6}"), 30):
         done = bearings("scan", *more, "--json")
         assert done.returncode == 0, done.stderr
@@ -147,7 +164,7 @@ def test_an_interrupted_scan_keeps_its_samples(scan_file, tmp_path):
     assert err == ""
     report = json.loads(out)
     assert report["interrupted"]
-    assert 0 < report["done"] == journalled(folder) == len(rows(folder)) < 500
+    assert 0 < report["done"] == journalled(folder) == len(rows(folder)) < 5000
 
 
 def test_a_full_disk_is_told_and_loses_nothing(scan_file, tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from taichi_bearings.runs.settings import read_toml
+from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.scans.estimate import WorkLeft, seconds_in_all, seconds_of
 from taichi_bearings.scans.plan import read_plan
 
@@ -78,3 +78,11 @@ def test_samples_without_an_estimate_are_learnt_kind_by_kind(plan_of):
     assert work.seconds_left([], 1, 1.0) is None  # most of the work is of a kind that is not measured
     finish(work, samples[10:11], 30.0)
     assert work.seconds_left([], 1, 31.0) == pytest.approx(9 * 1 + 9 * 30, rel=0.01)
+
+
+MEASURED = {7: 0.0089, 10: 0.030, 16: 0.385, 24: 3.04}  # seconds of a core for a sample of so many spheres a side
+
+
+@pytest.mark.parametrize("side", MEASURED)
+def test_a_sample_takes_half_to_twice_of_what_is_estimated(side):
+    assert 0.5 < seconds_of(RunSettings(shape=(side, side, side))) / MEASURED[side] < 2
