@@ -17,8 +17,9 @@ Candidates are made from the given forces and the best bound is kept. With frict
 2. the forces after a Poisson solve has removed the leftover torque, divided by one number so that all are within
    limits;
 3. these balanced forces capped contact by contact.
-Where the force grows with the slip all forces are admissible: as they are, and without the leftover torque. Rounding is
-paid for as well: torques are summed in twice the precision, so what is paid is proportional to the leftover torques and
+Where the force grows with the slip all forces are admissible: as they are, and without the leftover torque. A law of
+one's own may have a largest force, beyond which its phi* is infinite; forces beyond it are shortened, contact by contact
+or all by one number, until phi* is finite. Rounding is paid for as well: torques are summed in twice the precision, so what is paid is proportional to the leftover torques and
 the power, not to the much larger sum of all forces times the imposed jump.
 """
 
@@ -48,6 +49,7 @@ ROUNDED_PULL = 1e-13  # leftover force on a sphere, relative to the largest forc
 # relative distance from the bound below which it is worth computing what forces prove with all roundings
 ENCLOSED_GAP = 1e-9
 CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # for certifying_forces: relative error, and most projections on discs
+SHORTENINGS = 12  # halvings of the interval of the factor by which a force is shortened
 LONG_BALANCE = 60_000  # spheres from which a projection on forces in balance takes as long as ten iterations
 
 
@@ -74,14 +76,55 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Iter
     force : (C components, R samples, E contacts), finite.
     spin_axes : the axes of the C components."""
     balanced = None
-    if scene.law.flows:  # every force is admissible
+    if not scene.law.is_rate_independent:  # every force is admissible, or nearly
         yield force
         yield (balanced := balance(scene, force, spin_axes))
-    if scene.law.holds:
+    if not scene.law.is_sum:
+        yield from _shortened(scene, force, one_by_one=True)
+        yield from _shortened(scene, balanced, one_by_one=False)
+        yield from _shortened(scene, balanced, one_by_one=True)
+    elif scene.law.holds:
         yield capped(force, saturation(scene, force))
         balanced = balance(scene, force, spin_axes) if balanced is None else balanced
         yield scaled(scene, balanced)
         yield capped(balanced, saturation(scene, balanced))
+
+
+def _shortened(scene: Scene, force: Forces, one_by_one: bool) -> Iterator[Forces]:
+    """Yield forces shortened until the conjugate of a law of one's own is finite, (C, R, E), if it is infinite for some
+    of the given ones: the law then has a largest force, which forces in balance exceed by rounding.
+
+    scene : R samples of a lattice with E contacts each.
+    force : (C components, R samples, E contacts), finite.
+    one_by_one : True to shorten each force by its own factor; False for one factor for each sample, so that forces in
+        balance stay so."""
+    share = _finite_share(scene, vector_length(force))
+    if (share < 1).any():
+        yield force * (share if one_by_one else share.min(axis=1)[:, None])
+
+
+def _finite_share(scene: Scene, size: np.ndarray) -> np.ndarray:
+    """Return for each force the largest factor found, (R, E) from 0 to 1, with which the conjugate of the law is
+    finite. The conjugate is convex and 0 without a force, so it is finite for all smaller factors, too.
+
+    scene : R samples of a lattice with E contacts each.
+    size : (R, E), sizes of the forces."""
+
+    def is_finite(share: np.ndarray) -> np.ndarray:
+        """Return a mask (R, E) of the forces that, times `share` (R, E), have a finite conjugate."""
+        with np.errstate(all="ignore"):
+            return np.isfinite(scene.law.conjugate(scene.material, size * share))
+
+    whole = is_finite(np.ones(size.shape))
+    if whole.all():
+        return whole.astype(np.float64)
+    # the factor is 1 - 2^-k, and the interval in which k lies is halved
+    low, high = np.zeros(size.shape), np.full(size.shape, float(np.finfo(np.float64).nmant))
+    for _ in range(SHORTENINGS):
+        middle = (low + high) / 2
+        is_fine = is_finite(1 - 2.0**-middle)
+        low, high = np.where(is_fine, middle, low), np.where(is_fine, high, middle)
+    return np.where(whole, 1.0, (1 - 2.0**-low) * (1 - SUM_ROUNDING))
 
 
 def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
@@ -94,7 +137,7 @@ def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
 
     scene : R samples of a lattice. The answer is False unless its contacts have friction alone.
     excess : (R,) for R samples, power less its proven lower bound, energy/time."""
-    if scene.law.flows or not scene.law.holds:
+    if not scene.law.is_rate_independent:
         return False
     strongest = scene.strength * scene.acting_coefficient.max(axis=1, initial=0.0)
     return bool((excess >= strongest * scene.lattice.radius * scene.jump).all() and scene.jump > 0)
@@ -125,7 +168,7 @@ def certifying_forces(
     given = force = _finite(scene, force)
     # Where no contact state can follow from the bound, or none is asked for, any forces that prove it will do.
     proves_none = excess is not None and can_prove_no_state(scene, excess)
-    if proves_none or (not are_states_asked and scene.lattice.sites >= LONG_BALANCE and not scene.law.flows):
+    if proves_none or (not are_states_asked and scene.lattice.sites >= LONG_BALANCE and scene.law.is_rate_independent):
         return _most_proving(scene, given, np.full(scene.replicas, -np.inf), given, spin_axes, bound)
     # Balance the forces of samples that leave torques; without friction limits that is all.
     largest = np.abs(force).max(axis=(0, 2), initial=0.0)
@@ -133,7 +176,7 @@ def certifying_forces(
     in_balance = left_over <= ROUNDED_PULL * largest
     if not in_balance.all():
         force = _where(in_balance, force, balance(scene, force, spin_axes))
-    if scene.law.flows:
+    if not scene.law.is_rate_independent:
         return _most_proving(scene, force, dual_value(scene, force, spin_axes), given, spin_axes, bound)
     ratio = saturation(scene, force)
     worst, best = ratio.max(axis=1), force
@@ -331,8 +374,10 @@ def dual_value(
     total = _sum_of_sizes(force, share)
     allowance += (PLAIN_ROUNDING if plain else SUM_ROUNDING**2) * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
-    if scene.law.flows:  # else the conjugate of admissible forces is 0
-        cost = scene.law.conjugate(scene.material, vector_length(force)).sum(axis=1)
+    if not scene.law.is_rate_independent:  # else the conjugate of admissible forces is 0
+        with np.errstate(all="ignore"):  # functions of a user
+            cost = scene.law.conjugate(scene.material, vector_length(force)).sum(axis=1)
+        cost = np.where(np.isnan(cost), np.inf, cost)
         work, allowance = work - cost, allowance + SUM_ROUNDING * cost
     return scene.law.share * (work - allowance)
 

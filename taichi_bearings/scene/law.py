@@ -88,8 +88,8 @@ class Law:
 
     @property
     def is_rate_independent(self) -> bool:
-        """True for friction alone, whose force does not depend on the speed of the slip."""
-        return self.holds and not self.flows
+        """True for friction alone, whose force does not depend on the speed of the slip; False for laws of one's own."""
+        return self.is_sum and self.holds and not self.flows
 
     def holding_force(self, coefficients: Coefficients) -> np.ndarray | None:
         """Return the largest force (..., E) that each of E contacts bears without slipping; None for a law without
@@ -226,8 +226,10 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
 
     * the force grows with the slip;
     * force times slip is the power;
-    * phi(v) + phi*(f) = f v for f = F(v), and phi(v) + phi*(f) >= f v for all other pairs.
+    * phi(v) + phi*(f) = f v for f = F(v), and phi(v) + phi*(f) >= f v for all other pairs, forces beyond the largest
+      F(v) included: there phi* may be infinite.
     """
+    _check_objective(law)
     acting = np.flatnonzero(np.all([values.ravel() > 0 for values in coefficients], axis=0))
     some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CONTACTS_TRIED)).astype(int))]
     slip = np.append(0.0, fastest * np.logspace(-9, 3, 49))[:, None]
@@ -251,6 +253,7 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
             "its power must be force times slip": np.abs(power - work) > TERM_ROUNDING * np.abs(work),
             "potential(v) + conjugate(force(v)) must be force(v) * v": np.abs(missed) > TERM_ROUNDING * size,
             "potential(v) + conjugate(f) must be at least f * v": np.min(pairs, axis=0) < -TERM_ROUNDING * size,
+            **_wrong_beyond(law, at, speed),
         }
         if law.minimises == "power":
             wrong["its power must be `share` times its potential"] = np.abs(
@@ -266,6 +269,41 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
             )
 
 
+def _wrong_beyond(law: Law, of: Coefficients, slip: np.ndarray) -> dict[str, np.ndarray]:
+    """Return two masks (S, E) by sentence: where the conjugate of a law is wrong for forces beyond the largest one. Such
+    forces occur: those in balance exceed it by rounding at least.
+
+    law : the law, defined by a user.
+    of : its coefficients, a tuple of arrays (S, E).
+    slip : (S, E), for S slips, of which the last is the largest.
+    """
+    largest, potential = law.force(of, slip)[-1], law.potential(of, slip)
+    is_no_number, is_less = np.zeros(slip.shape, dtype=bool), np.zeros(slip.shape, dtype=bool)
+    for share in BEYOND:
+        force = np.broadcast_to(largest * (1 + share), slip.shape)
+        dual, work = law.conjugate(of, force), force * slip
+        is_no_number |= np.isnan(dual)
+        is_less |= potential + dual - work < -TERM_ROUNDING * (potential + work)
+    return {
+        "its conjugate must be a number for any force, or infinite beyond the largest one": is_no_number,
+        "potential(v) + conjugate(f) must be at least f * v for an f beyond the largest force(v), too": is_less,
+    }
+
+
+def _check_objective(law: Law) -> None:
+    """Raise InputError for a law that minimises something unknown, or whose `share` is wrong for its potential.
+
+    law : the law, defined by a user.
+    """
+    if law.minimises not in ("power", "potential"):
+        raise InputError(f"law is {law.name!r}, which minimises {law.minimises!r}; it must be 'power' or 'potential'")
+    if law.minimises == "potential" and law.share != 1:
+        raise InputError(
+            f"law is {law.name!r}, which minimises its potential, so its `share` must be 1, not {law.share:g}"
+        )
+
+
+BEYOND = (1e-6, 1e-2, 1.0, 1e3)  # how far beyond the largest force forces are tried, relative to it
 CONTACTS_TRIED = 32  # contacts at which a law is checked
 TERM_ROUNDING = 1e-9  # rounding error that a condition may have, relative to its terms
 
