@@ -18,9 +18,10 @@ Candidates are made from the given forces and the best bound is kept. With frict
    limits;
 3. these balanced forces capped contact by contact.
 Where the force grows with the slip all forces are admissible: as they are, and without the leftover torque. A law of
-one's own may have a largest force, beyond which its phi* is infinite; forces beyond it are shortened, contact by contact
-or all by one number, until phi* is finite. Rounding is paid for as well: torques are summed in twice the precision, so what is paid is proportional to the leftover torques and
-the power, not to the much larger sum of all forces times the imposed jump.
+one's own may have a largest force, beyond which its phi* is infinite; forces beyond it are shortened, contact by
+contact or all by one number, until phi* is finite. Rounding is paid for as well: torques are summed in twice the
+precision, so what is paid is proportional to the leftover torques and the power, not to the much larger sum of all
+forces times the imposed jump.
 """
 
 from collections.abc import Callable, Iterator

@@ -15,6 +15,7 @@ from taichi_bearings.proof.contact_state import (
     too_uneven,
     unresolved,
 )
+from taichi_bearings.runs.own_law_torque import WITHIN
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.gear import ACCURATE_ERROR
@@ -57,6 +58,24 @@ def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
             f"the torque {settings.torque:.17g} lies between {low[number]:.17g}, up to which friction is proven to "
             f"hold the top, and {high[number]:.17g}, above which the top is proven to move; so it is not known "
             "whether it moves"
+        )
+
+
+def _strength_unknown(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Yield a sentence if, with a law that the user has defined, a torque turns the top with a speed that is not known.
+
+    solution : the answer to all samples, with findings on the torque if one was given.
+    settings : settings of the run, with the torque.
+    """
+    found = solution.findings
+    if settings.torque is None or "yields" not in found or solution.scene.law.is_sum:
+        return
+    unknown = found["yields"] & np.isnan(found["amplitude"])
+    if unknown.any():
+        yield (
+            f"the torque {settings.torque:g} turns the top{_in_samples(unknown)}, but how fast is not known: no speed "
+            f"is proven within {WITHIN:.1%}; perhaps nothing limits it, or the tolerance {settings.tolerance:g} is too "
+            "large"
         )
 
 
@@ -282,7 +301,7 @@ def _stretched_springs(solution: Solution, settings: RunSettings) -> Iterator[st
 
 
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _torque_between, _law_of_ones_own, _no_power, _unfinished, _not_proven, _contacts_found_and_idle, _undecided,
-    _hardly_apart, _tied, _long_time_step, _stretched_springs,
+    _torque_between, _strength_unknown, _law_of_ones_own, _no_power, _unfinished, _not_proven,
+    _contacts_found_and_idle, _undecided, _hardly_apart, _tied, _long_time_step, _stretched_springs,
 )  # fmt: skip
 """The warnings, in their order."""

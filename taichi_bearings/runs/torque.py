@@ -9,6 +9,8 @@ P(a). The torque that keeps it going is P(a) / a: its unit is such that a torque
 * With viscosity alone P(a) = a^2 P(1), and every torque moves the plane.
 * With both, P(a) / a grows without limit from its value for friction alone, and a is found by repeated solves.
 
+For laws of one's own P(a) may be any function; runs/own_law_torque.py finds a from repeated solves, and proves it.
+
 In a packing the top is the driven body of the largest number, and the bottom is all others.
 
 If the bottom turns, less torque is needed. With friction the torque at the strength a is the slope of the potential
@@ -23,9 +25,10 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.own_law_torque import findings_with_own_law
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Bearing, Solution, Status
-from taichi_bearings.scene.law import LAWS
+from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Bearing], Solution]
@@ -38,8 +41,8 @@ AMPLITUDE_ERROR = 1e-13  # relative error of an amplitude that is found by repea
 
 
 def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
-    """Raise InputError for settings with a torque that also impose the spin of the top, or turn the bottom with the law
-    viscous.
+    """Raise InputError for settings with a torque that also impose the spin of the top, or turn the bottom with a law
+    that does not allow it.
 
     settings : settings of the run; without a torque nothing is refused.
     method : class of the method that the settings name.
@@ -52,8 +55,15 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
                 f"{key} is {settings.given[key]}, but with --torque only --top says how the top moves; leave {key} out"
             )
     driven = settings.spin_bottom or (any(settings.bottom or ()) and settings.bottom)
-    if driven and not LAWS[settings.law].holds:
-        raise InputError(f"the bottom has the spin {driven}; with --torque and the law viscous it must be at rest")
+    if driven and not _may_turn_both(LAWS[settings.law]):
+        raise InputError(
+            f"the bottom has the spin {driven}; with --torque and the law {settings.law} it must be at rest"
+        )
+
+
+def _may_turn_both(law: Law) -> bool:
+    """Return True if the bottom may turn beside a torque on the top: for friction, with viscosity or without."""
+    return law.is_sum and law.holds
 
 
 def _with_driven_contacts(found: Solution) -> Solution:
@@ -97,7 +107,8 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
       solution, 0 where friction is proven to hold the torque, not-a-number (null in `--json`) where nothing limits the
       motion or the factor is not known.
 
-    Raises InputError if the imposed motion leaves the top at rest, or if the bottom turns with the law viscous.
+    Raises InputError if the imposed motion leaves the top at rest, or if the bottom turns with a law other than
+    friction, with viscosity or without.
     """
     top, others = solution.scene.sides
     if not top:
@@ -105,8 +116,8 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
             f"torque is {torque:g}, but all imposed spins are 0; the torque acts about the axis of the top's spin, so "
             "give the top one"
         )
-    if others and not solution.scene.law.holds:
-        raise InputError(f"torque is {torque:g}; with the law viscous all driven bodies but the last must be at rest")
+    if others and not _may_turn_both(law := solution.scene.law):
+        raise InputError(f"torque is {torque:g}; with the law {law} all driven bodies but the last must be at rest")
     found = _torque_findings(_with_driven_contacts(solution), torque, lambda other: _with_driven_contacts(solve(other)))
     return replace(solution, findings={**solution.findings, **found})
 
@@ -125,6 +136,8 @@ def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[st
     scene = solution.scene
     if scene.sides[1]:
         return _findings_above_driven_bottom(scene, torque, solve)
+    if not scene.law.is_sum:
+        return findings_with_own_law(scene, torque, solve)
     friction = _by_friction(solution, solve)
     # Friction alone decides whether the top yields: bounds on its least power are the bounds on the torque.
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)

@@ -88,7 +88,7 @@ class Law:
 
     @property
     def is_rate_independent(self) -> bool:
-        """True for friction alone, whose force does not depend on the speed of the slip; False for laws of one's own."""
+        """True for Coulomb friction alone, whose force does not depend on the slip; False for laws of one's own."""
         return self.is_sum and self.holds and not self.flows
 
     def holding_force(self, coefficients: Coefficients) -> np.ndarray | None:
@@ -270,8 +270,8 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
 
 
 def _wrong_beyond(law: Law, of: Coefficients, slip: np.ndarray) -> dict[str, np.ndarray]:
-    """Return two masks (S, E) by sentence: where the conjugate of a law is wrong for forces beyond the largest one. Such
-    forces occur: those in balance exceed it by rounding at least.
+    """Return two masks (S, E) by sentence: where the conjugate of a law is wrong for forces beyond the largest one.
+    Forces in balance exceed that by rounding at least.
 
     law : the law, defined by a user.
     of : its coefficients, a tuple of arrays (S, E).

@@ -4,45 +4,18 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from taichi_bearings.compiler import ti
 from taichi_bearings.errors import InputError
-from taichi_bearings.kernels.contact import FORCES, length
+from taichi_bearings.kernels.contact import FORCES
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.scene.law import LAWS, Law, Quantity
+from taichi_bearings.scene.law import LAWS, Quantity
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS
+from tests.own_laws import FAST, Bounded, bounded_force
 
-NAME, FAST = "bounded", 0.05
-
-
-class Bounded(Law):
-    """F = f min(v / FAST, 1); phi*(g) = FAST g^2 / (2 f) up to g = f, infinite beyond."""
-
-    def force(self, of, slip):
-        return of[0] * np.minimum(slip / FAST, 1.0)
-
-    def power(self, of, slip):
-        return self.force(of, slip) * slip
-
-    def potential(self, of, slip):
-        return of[0] * np.where(slip < FAST, slip**2 / (2 * FAST), slip - FAST / 2)
-
-    def conjugate(self, of, force):
-        share = np.divide(force, of[0], out=np.zeros_like(force), where=of[0] > 0)
-        return np.where(force <= of[0], of[0] * FAST * share**2 / 2, np.inf)
-
-    def steepest(self, of, slip):
-        return of[0] / FAST
-
-
-@ti.func
-def bounded_force(difference: ti.template(), coefficients: ti.template(), radius):
-    spin = ti.max(length(difference), 1e-30)
-    size = ti.min(radius * spin / FAST, 1.0)
-    return [coefficients[0] * size / spin * d for d in ti.static(difference)]
+NAME = "bounded"
 
 
 def law_of(kind=Bounded, unit="force", **others):
