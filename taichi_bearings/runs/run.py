@@ -31,7 +31,7 @@ from taichi_bearings.runs.run_directory import (
     write_checkpoint,
 )
 from taichi_bearings.runs.run_file import refuse_scan
-from taichi_bearings.runs.settings import RunSettings, parse_toml
+from taichi_bearings.runs.settings import RunSettings, parse_toml, refuse_unloaded
 from taichi_bearings.runs.writing import draw_figures, publish, self_contained, versions, write_run
 from taichi_bearings.solvers.recording import SAME_TIME
 from taichi_bearings.stages import stage
@@ -174,6 +174,7 @@ def resume(
             raise InputError(f"{key} cannot change when a run is resumed; these can: {', '.join(CHANGEABLE)}")
     with in_use(path):
         scene, arrays = read_checkpoint(path)
+        refuse_unloaded(parse_toml(scene), checkpoint_of(path))
         stored = RunSettings.from_mapping(parse_toml(scene) | changes, "the options")
         if stored.checkpoint_every is None:
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")

@@ -25,12 +25,11 @@ from taichi_bearings.quantities import CONTACTS, FINDINGS, SAID_OF_PACKINGS
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed, is_run
 from taichi_bearings.runs.run_layout import AXES, PACKING_ARRAYS
-from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml, settings_table
+from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml, refuse_unloaded, settings_table
 from taichi_bearings.runtime import HOST, Runtime
-from taichi_bearings.scene import LAWS, Bearing, Scene, Snapshots, Solution, Status
+from taichi_bearings.scene import Bearing, Scene, Snapshots, Solution, Status
 from taichi_bearings.scene.solution import OF_ALL, is_crossed
 from taichi_bearings.stages import stage
-from taichi_bearings.words import shown
 
 SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
 WHOLE_SETS = re.compile("/state$|/proven$|^history/")  # data sets that may hold whole numbers
@@ -125,11 +124,7 @@ def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, object]) -> Re
         scene = parse_toml(str(attributes["scene"]))
     except FileError as error:
         raise InputError(str(error)) from None
-    if isinstance(law := scene.get("law"), str) and law not in LAWS:
-        raise FileError(
-            f"{path} has the law {shown(law)}; known are {', '.join(LAWS)}, and laws of one's own once the file that"
-            " defines them is imported"
-        )
+    refuse_unloaded(scene, path)
     try:
         settings = RunSettings.from_mapping(scene, "its scene")
     except FileError as error:

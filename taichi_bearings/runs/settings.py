@@ -7,7 +7,7 @@ key : the name of a setting. row : as a name, the class of a method.
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -117,7 +117,9 @@ class RunSettings:
 
     The options of methods are attributes as well.
 
-    owned : names and values of these options.
+    owned : names and values of those that are stored: the options of the method, and others that differ from their
+        defaults. With the method auto, which names none, these are the options that were given, and once the method is
+        chosen those of it.
     """
 
     shape: tuple[int, ...] = option((32, 32, 32), SHAPE, "Numbers of spheres along each axis, the height last.")
@@ -303,12 +305,23 @@ class RunSettings:
         owned : names and values of options of methods, which are no fields of this class.
         given : values by key, as texts or numbers. An unknown key raises TypeError, a wrong value InputError.
         """
-        given = dict(owned) | given
-        values = {key: item.read(key, given.pop(key, item.default)) for key, item in settings_table().items()}
-        if given:
-            raise TypeError(f"a run has no setting {', '.join(given)}")
-        owned = tuple((key, value) for key, value in values.items() if key not in self.__dataclass_fields__)
-        vars(self).update(values, owned=owned)
+        given, table = dict(owned) | given, settings_table()
+        values = {key: item.read(key, given.get(key, item.default)) for key, item in table.items()}
+        if unknown := given.keys() - table.keys():
+            raise TypeError(f"a run has no setting {', '.join(sorted(unknown))}")
+        method = values["method"]
+        kept = {key for key, value in values.items() if value != table[key].default}
+        kept |= options_of(METHODS[method]).keys() if method in METHODS else given.keys()
+        vars(self).update(values, owned=self._owned(values, kept))
+
+    @classmethod
+    def _owned(cls, values: Mapping[str, Any], kept: Collection[str]) -> tuple[tuple[str, Any], ...]:
+        """Return names and values of options of methods, in the order of `values`.
+
+        values : all settings by key.
+        kept : keys of which those that are options of methods are returned.
+        """
+        return tuple((key, values[key]) for key in values if key in kept and key not in cls.__dataclass_fields__)
 
     @classmethod
     def keys(cls) -> tuple[str, ...]:
@@ -323,8 +336,8 @@ class RunSettings:
 
     @property
     def values(self) -> Json:
-        """All keys with their values, those of methods included."""
-        return {key: value for key, value in vars(self).items() if key != "owned"}
+        """All keys with their values; of the options of methods those that are stored."""
+        return {key: getattr(self, key) for key in self.__dataclass_fields__ if key != "owned"} | dict(self.owned)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], source: str = "the settings") -> "RunSettings":
@@ -434,17 +447,18 @@ class RunSettings:
         return unused
 
     def fitting(self, method: type[MethodOptions], strict: bool = True) -> "RunSettings":
-        """Return the settings with unused keys set to their defaults.
+        """Return the settings with unused keys set to their defaults; of the options of methods only those of this one
+        are stored.
 
         method : class of the method whose options are used.
         strict : True to raise InputError instead if a key was given that is not used.
         """
         unused = self.unused(method)
-        if not unused:
-            return self
-        if strict:
+        if unused and strict:
             raise InputError(next(iter(unused.values())))
-        return replace(self, **{key: settings_table()[key].default for key in unused})
+        one = replace(self, **{key: settings_table()[key].default for key in unused}) if unused else copy(self)
+        vars(one).update(owned=self._owned(vars(one), options_of(method)))
+        return one
 
 
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -497,6 +511,26 @@ def _options_by_key(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
         default = first.default if len(defaults) == 1 and not first.unset else None
         found[key] = replace(first, default=default, methods=frozenset(items).__contains__)
     return found
+
+
+def refuse_unloaded(scene: Mapping[str, object], path: Path) -> None:
+    """Raise FileError for a stored scene that names a law, a method or an option of a method that is not loaded.
+
+    scene : its settings by key, as the program has written them.
+    path : the file that stores it, for the message.
+    """
+    for key, table, define in (("law", LAWS, "defines"), ("method", {"auto": None, **METHODS}, "registers")):
+        name = scene.get(key)
+        if isinstance(name, str) and name not in table:
+            raise FileError(
+                f"{path} has the {key} {shown(name)}; known are {', '.join(table)}, and {key}s of one's own once the "
+                f"file that {define} them is imported"
+            )
+    if unknown := [key for key in scene if key not in RunSettings.keys()]:
+        raise FileError(
+            f"{path}: its scene has the option {unknown[0]!r} of a method that is not loaded; import the file that "
+            "registers it"
+        )
 
 
 def toml_text(values: Mapping[str, object]) -> str:
