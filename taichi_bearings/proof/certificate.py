@@ -80,11 +80,11 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Iter
     if not scene.law.is_rate_independent:  # every force is admissible, or nearly
         yield force
         yield (balanced := balance(scene, force, spin_axes))
-    if not scene.law.is_sum:
-        yield from _shortened(scene, force, one_by_one=True)
-        yield from _shortened(scene, balanced, one_by_one=False)
-        yield from _shortened(scene, balanced, one_by_one=True)
-    elif scene.law.holds:
+        if not scene.law.is_sum:
+            yield from _shortened(scene, force, one_by_one=True)
+            yield from _shortened(scene, balanced, one_by_one=False)
+            yield from _shortened(scene, balanced, one_by_one=True)
+    if scene.law.is_sum and scene.law.holds:
         yield capped(force, saturation(scene, force))
         balanced = balance(scene, force, spin_axes) if balanced is None else balanced
         yield scaled(scene, balanced)
@@ -114,7 +114,8 @@ def _finite_share(scene: Scene, size: np.ndarray) -> np.ndarray:
     def is_finite(share: np.ndarray) -> np.ndarray:
         """Return a mask (R, E) of the forces that, times `share` (R, E), have a finite conjugate."""
         with np.errstate(all="ignore"):
-            return np.isfinite(scene.law.conjugate(scene.material, size * share))
+            found: np.ndarray = np.isfinite(scene.law.conjugate(scene.material, size * share))
+        return found
 
     whole = is_finite(np.ones(size.shape))
     if whole.all():
@@ -125,7 +126,8 @@ def _finite_share(scene: Scene, size: np.ndarray) -> np.ndarray:
         middle = (low + high) / 2
         is_fine = is_finite(1 - 2.0**-middle)
         low, high = np.where(is_fine, middle, low), np.where(is_fine, high, middle)
-    return np.where(whole, 1.0, (1 - 2.0**-low) * (1 - SUM_ROUNDING))
+    found: np.ndarray = np.where(whole, 1.0, (1 - 2.0**-low) * (1 - SUM_ROUNDING))
+    return found
 
 
 def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:

@@ -41,7 +41,8 @@ class Scene(Bearing):
     ----------
     coefficients : tuple of arrays
         One array for each axis, x, y(, z), of shape (nx-1, ny, nz), (nx, ny-1, nz), (nx, ny, nz-1), in 2D (nx-1, ny),
-        (nx, ny-1); several samples have a leading axis R. The last axis of the lattice is the height, bottom first.
+        (nx, ny-1); several samples have a leading axis R, a single one has it only if it was given with it (`material`
+        has it always). The last axis of the lattice is the height, bottom first.
         Entry [i, j, k] belongs to the contact of sphere (i, j, k) with its upper neighbour along that axis: friction, a
         pure number, or damping of the viscous law, force * time/length. Numbers are from 1e-15 to 1e15, or 0 where
         spheres do not touch.

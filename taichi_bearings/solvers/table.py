@@ -59,6 +59,21 @@ def _steps(law: Law) -> bool:
     return law.is_sum or (is_steady and len(law.quantities) == 1)
 
 
+def _why_not_stepped(law: Law, method: str) -> str:
+    """Return in words why explicit steps do not solve a law of a user; empty if they do, or for other laws.
+
+    law : the law.
+    method : name of the method that makes the steps.
+    """
+    if _steps(law):
+        return ""
+    if len(law.quantities) > 1:
+        return f"{method} takes laws of your own with one coefficient"
+    if law.holds:
+        return f'its {law.quantities[0].name} has the unit "1" of friction, which none of our methods takes'
+    return f"{method} takes it if it defines `steepest`"
+
+
 # bytes for each sphere of a lattice of 2 or 3 dimensions while its answer is judged: the answer, and enclosures (16 or
 # 24 bytes a number) of the slips, forces and moments of 2 or 3 contacts a sphere; the peak that tracemalloc shows
 JUDGED_BYTES = {2: 1000.0, 3: 1500.0}
@@ -142,7 +157,8 @@ class MethodOptions:
         if cls.solves(scene.law):
             return ""
         laws = " or ".join(name for name, law in LAWS.items() if cls.solves(law))
-        return f"method {cls.name!r} does not solve the law {scene.law.name!r}; it solves {laws}"
+        why = _why_not_stepped(scene.law, cls.name) if cls.solves is _steps else ""
+        return f"method {cls.name!r} does not solve the law {scene.law.name!r}; it solves {laws}{why and f'; {why}'}"
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
@@ -660,13 +676,8 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
     for row in METHODS.values():
         if row.suits(scene, tolerance, on_gpu):
             return row
-    law, why = scene.law, "name one of your own by --method"
-    if len(law.quantities) > 1:
-        why = "gradient-descent takes laws of your own with one coefficient; " + why
-    elif law.holds:
-        why = f'its {law.quantities[0].name} has the unit "1" of friction, which none of our methods takes; ' + why
-    elif type(law).steepest is Law.steepest:
-        why = "gradient-descent takes it if it defines `steepest`; " + why
+    law, why = scene.law, _why_not_stepped(scene.law, "gradient-descent")
+    why = f"{why}; name one of your own by --method" if why else "name one of your own by --method"
     raise InputError(f"law is {law.name!r}; auto knows no method for this law: {why}")
 
 

@@ -9,10 +9,10 @@ from taichi_bearings.kernels.contact import FORCES
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.scene.law import LAWS, Quantity
+from taichi_bearings.scene.law import LAWS, Law, Quantity
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import METHODS
+from taichi_bearings.solvers.table import METHODS, fastest
 from tests.own_laws import FAST, Bounded, bounded_force
 
 NAME = "bounded"
@@ -112,3 +112,22 @@ def test_a_wrong_conjugate_or_share_is_refused(sentence):
     Scene.random((3, 4), law=law_of())
     with pytest.raises(InputError, match=sentence):
         Scene.random((3, 4), law=law_of(**WRONG[sentence]))
+
+
+class Unsloped(Bounded):
+    steepest = Law.steepest
+
+
+REFUSED = {
+    "gradient-descent takes it if it defines `steepest`": {"kind": Unsloped},
+    'its friction has the unit "1" of friction, which none of our methods takes': {"unit": "1"},
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_a_named_method_refuses_a_law_for_the_reason_that_auto_gives(why):
+    scene = Scene.random((3, 4), law=law_of(**REFUSED[why]))
+    assert METHODS["gradient-descent"].refusal(scene).endswith(f"; {why}")
+    with pytest.raises(InputError, match=why):
+        fastest(scene, 1e-6, on_gpu=False)
+    assert METHODS["linear-solver"].refusal(scene).endswith("; it solves viscous")

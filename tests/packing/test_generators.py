@@ -1,7 +1,6 @@
 """Packings that are made: they touch to rounding, overlap nowhere, and are what they are said to be."""
 
 import zlib
-from pathlib import Path
 
 import networkx
 import numpy as np
@@ -10,9 +9,6 @@ from scipy.spatial import cKDTree
 
 import taichi_bearings as tb
 from taichi_bearings.analysis.topology import topology_of
-from taichi_bearings.options import options_of
-from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.generators.lattices import KINDS
 
 OVERLAP = 1e-9  # over the sum of the radii
@@ -168,17 +164,3 @@ def test_what_cannot_be_made_is_refused():
         with pytest.raises(tb.InputError, match=words) as told:
             make()
         assert "\n" not in str(told.value)
-
-
-def test_lattices_and_distributions_are_named_wherever_users_look_for_them():
-    page = (Path(__file__).parents[2] / "docs" / "packings.md").read_text()
-    for kind in KINDS:
-        assert f'"{kind}"' in tb.Packing.lattice.__doc__, kind
-        assert f"`{kind}`" in page, kind
-    options, known = options_of(RunSettings)["distribution"].help, tb.Scene.random.__doc__
-    scenes = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
-    for form in Distribution.forms():
-        assert form in options, form
-        assert f'"{form}"' in known, form
-        assert f"`{form}`" in scenes, form
-        assert f"``{form.split(':')[0]}:" in Distribution.__doc__, form
