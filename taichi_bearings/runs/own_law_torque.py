@@ -30,9 +30,10 @@ def moves_freely(scene: Bearing) -> bool:
 
     scene : what is solved.
     """
-    law, of = scene.law, scene.material
-    slopes = law.steepest(of, scene.slip_radius * scene.jump)
-    return bool(not law.holds and np.isfinite(slopes).all() and (law.force(of, np.zeros_like(of[0])) == 0).all())
+    law, coefficients = scene.law, scene.material
+    slopes = law.steepest(coefficients, scene.slip_radius * scene.jump)
+    at_rest = law.force(coefficients, np.zeros_like(coefficients[0]))
+    return bool(not law.holds and np.isfinite(slopes).all() and (at_rest == 0).all())
 
 
 @dataclass(frozen=True)

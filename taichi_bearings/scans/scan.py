@@ -29,6 +29,7 @@ from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
 from taichi_bearings.scans.sample import STATES, solve_samples, state_path
 from taichi_bearings.scans.stored_scans import attributes_of, columns_of, histograms_of, outdated_figures
 from taichi_bearings.scene import LAWS, Status
+from taichi_bearings.solvers.table import MethodOptions
 from taichi_bearings.words import shown
 
 if TYPE_CHECKING:
@@ -130,7 +131,13 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
             )
         runs = run_kind_of(settings)
         runs.refuse(settings, has_seeds=len(group) > 1)
-        unused = settings.unused(runs.row(settings))
+        row = runs.row(settings)
+        if row.__module__ != MethodOptions.__module__:
+            raise InputError(
+                f"method is {shown(row.name)}, a method of your own, which scans do not allow, as their processes do "
+                "not import the file that registers it; solve its scenes with taichi_bearings.solve_many"
+            )
+        unused = settings.unused(row)
         if is_here:
             refuse_absent(settings.arch, settings.precision)
         found = unused | found

@@ -269,19 +269,19 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
             )
 
 
-def _wrong_beyond(law: Law, of: Coefficients, slip: np.ndarray) -> dict[str, np.ndarray]:
+def _wrong_beyond(law: Law, coefficients: Coefficients, slip: np.ndarray) -> dict[str, np.ndarray]:
     """Return two masks (S, E) by sentence: where the conjugate of a law is wrong for forces beyond the largest one.
     Forces in balance exceed that by rounding at least.
 
     law : the law, defined by a user.
-    of : its coefficients, a tuple of arrays (S, E).
+    coefficients : its coefficients, a tuple of arrays (S, E).
     slip : (S, E), for S slips, of which the last is the largest.
     """
-    largest, potential = law.force(of, slip)[-1], law.potential(of, slip)
+    largest, potential = law.force(coefficients, slip)[-1], law.potential(coefficients, slip)
     is_no_number, is_less = np.zeros(slip.shape, dtype=bool), np.zeros(slip.shape, dtype=bool)
     for share in BEYOND:
         force = np.broadcast_to(largest * (1 + share), slip.shape)
-        dual, work = law.conjugate(of, force), force * slip
+        dual, work = law.conjugate(coefficients, force), force * slip
         is_no_number |= np.isnan(dual)
         is_less |= potential + dual - work < -TERM_ROUNDING * (potential + work)
     return {

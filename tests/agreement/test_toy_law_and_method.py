@@ -13,7 +13,8 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.options import Kind, bounded, how, real
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.settings import RunSettings, read_toml
-from taichi_bearings.scans.plan import sample_key
+from taichi_bearings.scans.plan import read_plan, sample_key
+from taichi_bearings.scans.scan import scan
 from taichi_bearings.scene import LAWS, Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
@@ -93,6 +94,13 @@ def test_a_method_renames_no_sample(toy):
     own = [sample_key(RunSettings(law="viscous", method="minimise", **of)) for of in ({}, {"corrections": 5})]
     assert own[0] != own[1]
     assert own[0] == sample_key(RunSettings(law="viscous", method="minimise", corrections=10))
+
+
+def test_a_scan_refuses_a_method_that_its_processes_would_not_know(toy, tmp_path):
+    (tmp_path / "scan.toml").write_text('shape = [4, 5]\nlaw = "viscous"\nmethod = "minimise"\n[scan]\nseed = [0, 1]\n')
+    with pytest.raises(InputError, match="method is 'minimise', a method of your own, which scans do not allow"):
+        scan(read_plan(tmp_path / "scan.toml"), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def run(*words):
