@@ -15,7 +15,7 @@ from taichi_bearings.proof.contact_state import (
     too_uneven,
     unresolved,
 )
-from taichi_bearings.runs.own_law_torque import WITHIN
+from taichi_bearings.runs.own_law_torque import SHARP
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.solvers.gear import ACCURATE_ERROR
@@ -74,7 +74,7 @@ def _strength_unknown(solution: Solution, settings: RunSettings) -> Iterator[str
     if unknown.any():
         yield (
             f"the torque {settings.torque:g} turns the top{_in_samples(unknown)}, but how fast is not known: no speed "
-            f"is proven within {WITHIN:.1%}; perhaps nothing limits it, or the tolerance {settings.tolerance:g} is too "
+            f"is proven within {SHARP:.1%}; perhaps nothing limits it, or the tolerance {settings.tolerance:g} is too "
             "large"
         )
 

@@ -19,10 +19,10 @@ import numpy as np
 from taichi_bearings.scene import Bearing, Solution, Status
 
 Solve = Callable[[Bearing], Solution]
-WITHIN = 1e-3  # a strength is told if it is proven within this, relatively
+SHARP = 1e-3  # a strength is told if it is proven within this, relatively
 FOUND_ERROR = 1e-9  # relative error to which the strength is sought
 FACTOR, MOST_TRIED = 10.0, 8  # the strength is sought between 1 / FACTOR^MOST_TRIED and FACTOR^MOST_TRIED
-SURELY = 1 + 1e-13  # factor that makes a bound true in spite of the rounding of sums
+SUMMED = 1 + 1e-13  # factor that makes a bound true in spite of the rounding of sums
 
 
 def moves_freely(scene: Bearing) -> bool:
@@ -70,7 +70,7 @@ class Motions:
         """Return the motion of a strength, which is solved if it is not known."""
         if strength not in self.known:
             found = self.solve(self.scene.with_top(strength))
-            bounds = np.array([found.lower_bound[0], found.objective[0] * SURELY]) / self.scene.law.share
+            bounds = np.array([found.lower_bound[0], found.objective[0] * SUMMED]) / self.scene.law.share
             torque, reached = float(found.power[0]) / strength, found.status is Status.CERTIFIED
             self.known[strength] = _Motion(strength, torque, float(bounds[0]), float(bounds[1]), reached)
         return self.known[strength]
@@ -78,10 +78,10 @@ class Motions:
     @property
     def moving_torque(self) -> float:
         """The smallest torque found, force*length, above which the top is proven to turn."""
-        return min(motion.high / motion.strength * SURELY for motion in self.known.values())
+        return min(motion.high / motion.strength * SUMMED for motion in self.known.values())
 
     def strength_of(self, torque: float) -> float:
-        """Return the strength that a torque causes, proven within WITHIN; NaN if there is none, or if it is not proven.
+        """Return the strength that a torque causes, proven within SHARP; NaN if there is none, or if it is not proven.
 
         torque : its size, force*length, above 0.
         """
@@ -111,12 +111,12 @@ class Motions:
         return None
 
     def _is_proven(self, strength: float, torque: float) -> bool:
-        """Return True if the strength that a torque causes is proven to differ from `strength` by at most WITHIN,
+        """Return True if the strength that a torque causes is proven to differ from `strength` by at most SHARP,
         relatively.
 
         torque : its size, force*length.
         """
-        slower, found, faster = (self.at(strength * share) for share in (1 - WITHIN, 1.0, 1 + WITHIN))
+        slower, found, faster = (self.at(strength * share) for share in (1 - SHARP, 1.0, 1 + SHARP))
         is_no_less = found.high - slower.low <= torque * (found.strength - slower.strength)
         is_no_more = faster.low - found.high >= torque * (faster.strength - found.strength)
         return is_no_less and is_no_more and all(one.reached for one in (slower, found, faster))
@@ -129,7 +129,7 @@ def findings_with_own_law(scene: Bearing, torque: float, solve: Solve) -> dict[s
     * yield_torque: force*length; a larger torque is proven to turn the top. It is 0 if the force of the law grows from
       0 with a finite slope.
     * yield_torque_lower_bound: 0; a torque of 0 turns nothing.
-    * amplitude: factor by which the imposed motion is multiplied, with the sign of the torque, proven within WITHIN;
+    * amplitude: factor by which the imposed motion is multiplied, with the sign of the torque, proven within SHARP;
       not-a-number where nothing limits the motion, or where it is not proven.
 
     scene : what is solved, with the top moved as imposed.
