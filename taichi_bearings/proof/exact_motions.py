@@ -54,6 +54,7 @@ DENOMINATORS = 720  # largest denominator of the fractions that are guessed
 # How far a number may be off the integer that it is taken for, and the size up to which integers are allowed, so that
 # sums and products of them in doubles are exact.
 WHOLE, LARGEST = 1e-6, 2.0**40
+LEFT_SLIP = 1e-12  # slip, of motions in which one spin is 1, that is left over and no reason to solve once more
 MOST_ROUNDS = 12  # number of times that spheres are left out and the rest is tried again
 MOST_EXACT_SPHERES = 20_000  # free spheres beyond which exact motions take longer than finding the minimum
 # Motions that are solved for at once; choices of a part in one of them at most; share of the choices that such sums may
@@ -352,7 +353,7 @@ class _Solved:
 
         A choice is a spin component that can be set freely; the f unknowns in `follow` then have to take certain values
         if no contact is to slip. The motion of a choice is these values, (f,), if this choice is 1 and all others are
-        0. The residual is solved for once more, against rounding; entries that are not finite are set to 0.
+        0. Slips that are more than rounding are solved for once more; entries that are not finite are set to 0.
 
         chosen : (k,), indices of the choices.
         column : (k,), the column that each choice belongs to."""
@@ -361,7 +362,9 @@ class _Solved:
         normal = self.parts.normal.T[..., None]
         slips = np.cross(sums.reshape(3, -1, sums.shape[1]), normal, axis=0).reshape(sums.shape)
         x = -self.factor.solve(self.rows.T @ slips)  # the others follow by K x = -slips
-        x -= self.factor.solve(self.rows.T @ (self.rows @ x + slips))
+        left = self.rows @ x + slips
+        if not np.abs(left).max(initial=0.0) < LEFT_SLIP:
+            x -= self.factor.solve(self.rows.T @ left)
         return np.where(np.isfinite(x), x, 0.0)
 
     def one_of_each_part(self, x: np.ndarray, chosen: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
