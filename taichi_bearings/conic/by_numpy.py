@@ -19,9 +19,7 @@ from scipy import sparse
 
 from taichi_bearings.kernels import central_path as kernels
 
-MOST_BY_NUMPY = (
-    6_000  # a sample with more contacts uses kernels at once: by NumPy it would take as long as to load them
-)
+MOST_BY_NUMPY = 6_000  # contacts; for a larger sample NumPy would take as long as kernels take to load
 WORTH_LOADING = 1_500_000  # contacts, counted once in each pass, for which NumPy takes as long as kernels take to load
 LANGUAGE = SimpleNamespace(
     static=lambda value: value, cast=lambda value, kind: value, f64=None,
