@@ -9,11 +9,14 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from taichi_bearings.errors import InputError
 from taichi_bearings.options import FILE, TRUTH, OneOf, Option, options_of
 from taichi_bearings.runs.settings import ALSO_CALLED, settings_table, users_of
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import METHODS
 from taichi_bearings.words import meant
+
+FILE_SUFFIXES = (".csv", ".gif", ".h5", ".hdf5", ".html", ".json", ".mp4", ".pdf", ".png", ".svg", ".toml", ".txt")
 
 
 class Text(click.types.StringParamType):
@@ -44,6 +47,22 @@ class FileName(Text):
         return Path(value) if value or isinstance(parameter, click.Argument) else None
 
 
+class FolderName(FileName):
+    """The type of a path of a folder that a command writes into; a name that ends like that of a file is refused."""
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """Return the value as a path, None for an empty text. Click calls this for each value, with its own context.
+
+        Raises InputError for a name that ends like that of a file, unless there is a folder of this name.
+        """
+        path = super().convert(value, parameter, context)
+        if path is not None and path.suffix.lower() in FILE_SUFFIXES and not path.is_dir():
+            raise InputError(
+                f"--out is {value!r}; it is a folder for several files, so give a name without {path.suffix}"
+            )
+        return path
+
+
 class Choice(click.Choice):
     """A choice of words that suggests the one that was likely meant by a mistyped word."""
 
@@ -58,7 +77,7 @@ class Choice(click.Choice):
             raise
 
 
-FILES, FILE_PATH = Text(), FileName()  # types of names of files: as they were typed, and as paths
+FILES, FILE_PATH, FOLDER_PATH = Text(), FileName(), FolderName()  # names of files as typed; paths of files, of folders
 
 
 class SettingsCommand(click.Command):
@@ -237,15 +256,13 @@ dpi_option = click.option(
 title_option = click.option("--title/--no-title", default=True, help="Put titles above figures. [default: on]")
 
 
-def out_options(
-    out: str, metavar: str = "DIR", force: str = "Replace existing files.", kind: click.ParamType = FILE_PATH
-) -> Callable[[Any], Any]:
+def out_options(out: str, metavar: str = "DIR", force: str = "Replace existing files.") -> Callable[[Any], Any]:
     """Return a decorator that adds the options --out and --force to a command.
 
     out, force : help texts.
-    metavar : name of the value of --out.
-    kind : type of that value.
+    metavar : "DIR" if the value of --out is a folder, "FILE" if it is a file.
     """
+    kind = FOLDER_PATH if metavar == "DIR" else FILE_PATH
 
     def with_options(command: Any) -> Any:
         """Return the command with both options."""

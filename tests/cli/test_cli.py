@@ -153,6 +153,15 @@ def test_the_histogram_counts_every_slipping_contact_once(finished_run, tmp_path
     assert "already exists" in refused("histogram", folder, "--out", tmp_path)
 
 
+@pytest.mark.parametrize(
+    "words", [("run", "--shape", "4,5"), ("scan", "s.toml"), ("stress",), ("histogram", "r"), ("analyse", "r")]
+)
+def test_a_folder_of_results_is_not_called_like_a_file(words, tmp_path):
+    sentence = refused(*words, "--out", tmp_path / "x.csv")
+    assert "x.csv" in sentence and "give a name without .csv" in sentence
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_block_of_seeds_is_summarised_for_people(tmp_path):
     done = bearings("run", "--shape", "6,7", "--replicas", 12, "--out", tmp_path / "r")
     assert done.returncode == 0, done.stderr
