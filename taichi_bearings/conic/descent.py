@@ -65,9 +65,11 @@ class Descent:
     it is known which contacts slip at the minimum, and which rest.
 
     samples : all of them; each is done where nothing is left to gain for it.
+    ends_at : relative gap, (cost - lower bound) / cost, at which a path ends.
     """
 
     samples: list[Sample]
+    ends_at = LEAST_GAP
 
     def __init__(
         self,
@@ -175,7 +177,7 @@ class Descent:
         for place, sample in samples.items():
             gap = self._gap(sample, path, place) if taken[place] else np.nan
             sample.steps, accepted = sample.steps + 1, math.isfinite(gap)
-            sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
+            sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > self.ends_at
             sample.at_end = sample.gap < max(self._near(sample), SETTLING_GAP if self.settles and sample.done else 0.0)
             if sample.done or sample.at_end:
                 sample.iterate = path.iterate(place) if accepted else path.before(place)

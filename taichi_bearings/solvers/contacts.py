@@ -132,12 +132,13 @@ class WithMinima(Contacts):
     """
 
     @abstractmethod
-    def paths(self, spin: np.ndarray, settle: bool) -> Part:
+    def paths(self, spin: np.ndarray, settle: bool, tolerance: float) -> Part:
         """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
         along which Newton steps lead to the minimum.
 
         spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         settle : True to go on along the paths until contact states are settled.
+        tolerance : relative gap that will do if `settle` is False.
         """
 
     @abstractmethod

@@ -214,6 +214,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
     with Interrupt() as interrupt:
         with stage("preparing"), interrupt.at_once():
             for one in samples:
+                one.method.tolerance = asked.stop.tolerance
                 one.method.begin(one.scene, one.spin)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt

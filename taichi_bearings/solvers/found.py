@@ -25,6 +25,7 @@ class Found:
     open : (A,), mask of contacts that could not be settled: they slip by more than rounding, but bear less than the
         friction limit; None if there is no such mask.
     rest : (unknowns,), second double of each u, where a method computes sums of two; else None.
+    states_are_asked : False if no contact state is to be proven, since a bound on the power alone is asked for.
     """
 
     spins: np.ndarray
@@ -36,3 +37,4 @@ class Found:
     everywhere: np.ndarray | None = None
     open: np.ndarray | None = None
     rest: np.ndarray | None = None
+    states_are_asked: bool = True

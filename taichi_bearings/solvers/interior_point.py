@@ -29,4 +29,4 @@ class InteriorPointMethod(Minimiser):
         """Return the solver that makes the Newton steps of all samples along their central paths, curves of spins and
         forces that end at the minimum. There is one solver for lattices and one for packings.
         """
-        return self.contacts.paths(self.start, self.options.settle)
+        return self.contacts.paths(self.start, self.options.settle, self.tolerance)

@@ -34,6 +34,8 @@ class Method(ABC):
     contacts : the fields and kernels of the contacts of this scene.
     iteration : how many iterations were made.
     spin_axes : numbers of the axes of the C spin components that are computed.
+    tolerance : relative gap, (objective - lower bound) / objective, at which the loop takes an answer as certified; set
+        before `begin`.
     """
 
     resumes: ClassVar[bool] = False
@@ -43,6 +45,7 @@ class Method(ABC):
     contacts: Contacts
     iteration: int
     spin_axes: tuple[int, ...]
+    tolerance: float = 1e-8
 
     def __init__(self, options: "MethodOptions") -> None:
         """Take the options of the method: an object of its class in table.py."""

@@ -67,12 +67,13 @@ class OnStrides(Stepped, WithMinima):
         self.scene = scene
         self.spin_axes = _moving_axes(scene, spin) if moves else scene.minimum_spin_axes
 
-    def paths(self, spin: np.ndarray, settle: bool) -> Part:
+    def paths(self, spin: np.ndarray, settle: bool, tolerance: float) -> Part:
         """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
         along which Newton steps lead to the minimum.
 
         spin : (R samples, *N spheres, 3), in 2D (R, *N), spins to start from, 1/time.
         settle : True to go on along the paths until it is known which contacts slip.
+        tolerance : not used; the paths of lattices prove their gap after each step.
         """
         from taichi_bearings.solvers.lattice_paths import LatticePaths
 

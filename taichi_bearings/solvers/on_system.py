@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings import runtime
+from taichi_bearings.conic.iterate import LEAST_GAP
 from taichi_bearings.conic.rolling import rolled
 from taichi_bearings.conic.shared import system_of
 from taichi_bearings.interrupts import GivenUp, look_up
@@ -67,15 +68,16 @@ class OnSystem(WithMinima):
         """
         return Found(np.zeros(self.system.unknowns), np.zeros_like(self.system.offset), method, steps=steps)
 
-    def paths(self, spin: np.ndarray, settle: bool) -> Part:
+    def paths(self, spin: np.ndarray, settle: bool, tolerance: float) -> Part:
         """Return the solver of the interior-point method: the central paths of all samples. A central path is a curve
-        of spins and forces along which Newton steps lead to the minimum. It is always followed until it is known which
-        contacts slip.
+        of spins and forces along which Newton steps lead to the minimum.
 
-        spin, settle : not used; they are for lattices.
+        spin : not used; it is for lattices.
+        settle : True to follow the paths until it is known which contacts slip.
+        tolerance : relative gap, at a tenth of which the paths end if `settle` is False.
         """
         with one_thread():
-            return PackingPaths(self)
+            return PackingPaths(self, ends_at=LEAST_GAP if settle else max(tolerance / 10, LEAST_GAP))
 
     def cuts(self, spin: np.ndarray) -> Part:
         """Return the solver of the planar cut: it finds the spins of least power of each sample, one after the other,

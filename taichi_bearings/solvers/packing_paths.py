@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import flowing
+from taichi_bearings.conic.central_path import balance, flowing
 from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
@@ -81,15 +81,21 @@ class PackingPaths(Paths):
         nothing is driven.
     """
 
-    def __init__(self, contacts: "OnSystem", resisting: Mapping[int, tuple[np.ndarray, ...]] | None = None) -> None:
+    def __init__(
+        self,
+        contacts: "OnSystem",
+        resisting: Mapping[int, tuple[np.ndarray, ...]] | None = None,
+        ends_at: float = LEAST_GAP,
+    ) -> None:
         """Put each sample at the start of its path: at the spins that would balance if friction were viscous. If
         nothing is driven, all results are known: spins and forces 0.
 
         contacts : the contacts of the samples, A of which take part.
         resisting : coefficients of the law, arrays (A contacts,), by the number of each sample that is solved; None for
             all samples with their own coefficients.
+        ends_at : relative gap at which the paths end. Contact states are settled only if it is LEAST_GAP.
         """
-        self.contacts, system = contacts, contacts.system
+        self.contacts, system, self.ends_at = contacts, contacts.system, ends_at
         if resisting is None:
             resisting = {number: system.of_contacts(sample) for number, sample in enumerate(contacts.samples)}
         self.numbers, self.ends = list(resisting), dict[int, Found]()
@@ -107,9 +113,14 @@ class PackingPaths(Paths):
             path = shared.system.in_units(self.fastest)
         else:  # no path, so that neither order nor matrix is used
             shared, path = Surroundings(system, np.zeros(0, dtype=int), None), system
-        settles, spheres = path.sign is not None, len(np.unique(system.sphere))
+        settles, spheres = path.sign is not None and self._states_are_asked, len(np.unique(system.sphere))
         super().__init__(replace(shared, system=path), spheres, is_small(path), settles)
         self.samples = [_begun(system, path, of, shared.matrix) for of in self.strengths.values()]
+
+    @property
+    def _states_are_asked(self) -> bool:
+        """True if contact states are to be settled, at the ends of the paths; False if a bound on the power will do."""
+        return self.ends_at <= LEAST_GAP
 
     def _strengths(self, coefficients: tuple[np.ndarray, ...]) -> "Strengths | None":
         """Return the friction limits and viscosities of one sample in units in which the largest is about 1; None if no
@@ -167,8 +178,12 @@ class PackingPaths(Paths):
         """
         if number not in self.strengths:
             return self.contacts.flowing(number)
-        path = self._path_of(number)
-        return _ended(self.contacts.system, path, self.strengths[number], self.shared.matrix, self.fastest)
+        path, strengths = self._path_of(number), self.strengths[number]
+        if not self._states_are_asked:
+            with suppress(NotPositiveDefinite):
+                path.iterate = balance(path.iterate, self.shared.springs)
+            return self._on_path(path, strengths)
+        return _ended(self.contacts.system, path, strengths, self.shared.matrix, self.fastest)
 
     def found(self) -> list[Found]:
         """Return spins and forces of each sample: at the end of its path, or where it is now."""
@@ -185,11 +200,21 @@ class PackingPaths(Paths):
         path = self._path_of(number)
         if path.resolved is not None:
             return self._end(number)
-        of = self.strengths[number]
+        return self._on_path(path, self.strengths[number])
+
+    def _on_path(self, path: Sample, strengths: Strengths) -> Found:
+        """Return the spins and forces of the point on the central path at which a sample is, in the units of the
+        packing.
+
+        path : the sample.
+        strengths : friction and viscosity of its contacts, with their unit of force.
+        """
+        point = path.iterate
         spins, _, force = _in_units_of_packing(
-            self.contacts.system, path, of, self.fastest, (path.iterate.spins, None), path.iterate.whole_dual
+            self.contacts.system, path, strengths, self.fastest, (point.spins, None), point.whole_dual
         )
-        return Found(spins, force, "interior-point", steps=path.steps)
+        asked = self._states_are_asked
+        return Found(spins, force, "interior-point", steps=path.steps, states_are_asked=asked)
 
     def progress(self) -> Progress:
         """Return the progress of all samples: their minima with proven bounds, once all are found; before that their
@@ -199,7 +224,7 @@ class PackingPaths(Paths):
             return self.contacts.at_the_end(self.found(), self.iteration)
         found = self.contacts.on_the_way(self.found(), self.iteration)
         gap = max((sample.gap for sample in self.samples), default=np.inf)
-        return replace(found, gap_of_path=gap, falls_to=self.settles_at if self.settles else LEAST_GAP)
+        return replace(found, gap_of_path=gap, falls_to=self.settles_at if self.settles else self.ends_at)
 
 
 def _begun(system: ContactSystem, contacts: ContactSystem, strengths: Strengths, matrix: NewtonMatrix) -> Sample:

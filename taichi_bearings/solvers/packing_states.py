@@ -97,12 +97,13 @@ class PackingReached(Reached):
         steps, methods = np.array([of.steps for of in self.found]), [of.method for of in self.found]
         return Indicated(state, own={"iterations": steps, "method": np.array(methods, dtype=object)})
 
-    def known(self, has_ended: bool) -> np.ndarray:
-        """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is.
+    def known(self, has_ended: bool) -> np.ndarray | None:
+        """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is; None if
+        no state is asked for.
 
         has_ended : not used.
         """
-        return self.judgement.known
+        return self.judgement.known if all(of.states_are_asked for of in self.found) else None
 
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
         """Return the states (R samples, E contacts) that slips and friction margins (friction limit minus force) show.

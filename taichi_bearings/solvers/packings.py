@@ -67,6 +67,7 @@ def least_power(
     stop: StopRule,
     monitors: Sequence[Monitor] = (),
     checkpoints: Checkpoints | None = None,
+    settle: bool = True,
 ) -> Solution:
     """Return the minima of all samples of a packing. The samples differ in coefficients alone, and a contact that is
     absent in one of them is absent in all.
@@ -76,9 +77,11 @@ def least_power(
     stop : limits and tolerance at which to end.
     monitors : functions that are called with a report each time that the progress is read.
     checkpoints : where the state is saved, and from which to continue; None for none.
+    settle : False to end the interior point once the gap is within the tolerance, whatever is known of contact states.
     """
     row = METHODS[method_of(scene, method)]
-    return solve(scene, row().build(), scene.imposed_spins()[0][None], stop, monitors, None, None, checkpoints)
+    options = row(settle=settle) if row is InteriorPoint else row()
+    return solve(scene, options.build(), scene.imposed_spins()[0][None], stop, monitors, None, None, checkpoints)
 
 
 def method_of(scene: Bearing, method: str, looks_for_motions: bool = True) -> str:

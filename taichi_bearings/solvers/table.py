@@ -344,8 +344,9 @@ class InteriorPoint(MethodOptions):
         shape : shape of the lattice.
         tolerance : not used, as a tighter one costs few steps more.
         """
-        sites = float(prod(shape))
-        return 3e-6 * sites**1.3 if len(shape) == 2 else 1e-5 * sites + 9e-8 * sites**1.8
+        sites = prod(shape)
+        found: float = 3e-6 * sites**1.3 if len(shape) == 2 else 1e-5 * sites + 9e-8 * sites**1.8
+        return found
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:

@@ -158,7 +158,8 @@ def test_the_histogram_counts_every_slipping_contact_once(finished_run, tmp_path
 )
 def test_a_folder_of_results_is_not_called_like_a_file(words, tmp_path):
     sentence = refused(*words, "--out", tmp_path / "x.csv")
-    assert "x.csv" in sentence and "give a name without .csv" in sentence
+    assert "x.csv" in sentence
+    assert "give a name without .csv" in sentence
     assert not list(tmp_path.iterdir())
 
 

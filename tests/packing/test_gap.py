@@ -158,6 +158,29 @@ STILL = {
 }
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
+@pytest.mark.parametrize(
+    "packing",
+    [
+        tb.Packing.lattice("bcc", (5, 5, 5), seed=1),  # oblique normals
+        tb.Packing.lattice("cubic", (5, 5, 5), seed=1),
+        tb.Packing.random(300, seed=2),
+        tb.Packing.together([tb.Packing.lattice("triangular", (6, 6), seed=seed) for seed in range(3)]),
+        tb.Packing.lattice("diamond", (3, 3, 3), seed=1, law="coulomb-viscous"),
+    ],
+    ids=["bcc", "cubic", "random", "discs", "damped"],
+)
+def test_a_packing_whose_states_are_not_asked_for_ends_once_its_power_is_certified(packing, tolerance):
+    method = tb.InteriorPoint(settle=False)
+    whole, quick = tb.solve(packing, "interior-point"), tb.solve(packing, method, tolerance=tolerance)
+    assert set(np.ravel(quick.status)) == {"certified"}
+    assert (np.array(quick.gap) <= tolerance).all()
+    assert (quick.solution.objective >= whole.solution.lower_bound).all()
+    assert (quick.solution.lower_bound <= whole.solution.objective).all()
+    assert np.max(quick.iterations) < np.max(whole.iterations) + (tolerance < 1e-3) * 2  # small samples settle early
+    assert not quick.solution.proven[quick.solution.state != 3].any()
+
+
 def random_chain(free):
     """Spheres of any radii in a crooked row between two driven ones: more spins than slips."""
     draw = np.random.default_rng(7)
