@@ -25,7 +25,8 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
-HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs one after the other, in units of friction
+# Stiffnesses of the springs one after the other, in units of friction; the second ones if contacts are still open then.
+HOLDS, HOLDS_ONCE_MORE = (1e6, 1e8, 1e10, 1e10), (1e8, 1e10, 1e10, 1e10, 1e10)
 # With inertia: stiffnesses of the springs one after the other; first weight of the inertia, in units of friction over
 # spin; factors of the last weight that are tried one after the other at each minimum.
 HOLDS_WITH_INERTIA, FIRST_INERTIA, INERTIA_FACTORS = (1e6, 1e8, 1e8, 1e8, 1e8), 1e-5, (0.1, 1.0, 10.0, 100.0)
@@ -54,8 +55,8 @@ def settled_by_springs(
     method fails the masks are None, and spins and forces are those of the path.
     """
     best = _Multipliers(point, matrix)
-    for hold in HOLDS:
-        if best.is_settled:
+    for number, hold in enumerate((*HOLDS, *HOLDS_ONCE_MORE)):
+        if best.is_settled or (number >= len(HOLDS) and not best.has_open):
             break
         if not best.take(hold):
             best.take_with_inertia()
@@ -103,9 +104,14 @@ class _Multipliers:
         return self.whole_dual + np.where(beyond, self.held * (1 - limit / size), 0.0)
 
     @property
+    def has_open(self) -> bool:
+        """True if some contact is open, or if no minimum is found yet."""
+        return self.open is None or bool(self.open.any())
+
+    @property
     def is_settled(self) -> bool:
         """True if forces change no more and no contact is open."""
-        return self.open is not None and self.change < SETTLED_FORCE and not self.open.any()
+        return self.change < SETTLED_FORCE and not self.has_open
 
     def take(self, hold: float, inertia: float = 0.0) -> bool:
         """Go on to the minimum with springs that begin with the forces `held`, and return True; False if Newton's

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
+from taichi_bearings.conic import multipliers
 from tests.packing.fraction_twin import least_power_of_discs, states_of_discs
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
@@ -156,6 +157,16 @@ STILL = {
     "a loose chain": lambda: random_chain(3),
     "nothing joins them": lambda: chain(np.array([1.0, 0.0, 1.0]), 2),
 }
+
+
+def test_springs_that_rounding_has_moved_are_tried_once_more(monkeypatch):
+    packing = tb.Packing.lattice("bcc", (10, 10, 10), seed=0)
+    often = tb.solve(packing)
+    monkeypatch.setattr(multipliers, "HOLDS_ONCE_MORE", ())
+    once = tb.solve(packing)
+    assert often.undecided < once.undecided / 2
+    assert often.lower_bound <= once.power
+    assert once.lower_bound <= often.power
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
