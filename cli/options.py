@@ -53,10 +53,10 @@ class FolderName(FileName):
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
         """Return the value as a path, None for an empty text. Click calls this for each value, with its own context.
 
-        Raises InputError for a name that ends like that of a file, unless there is a folder of this name.
+        Raises InputError for a name that ends like that of a file, unless something of this name exists.
         """
         path = super().convert(value, parameter, context)
-        if path is not None and path.suffix.lower() in FILE_SUFFIXES and not path.is_dir():
+        if path is not None and path.suffix.lower() in FILE_SUFFIXES and not path.exists():
             raise InputError(
                 f"--out is {value!r}; it is a folder for several files, so give a name without {path.suffix}"
             )
@@ -256,13 +256,16 @@ dpi_option = click.option(
 title_option = click.option("--title/--no-title", default=True, help="Put titles above figures. [default: on]")
 
 
-def out_options(out: str, metavar: str = "DIR", force: str = "Replace existing files.") -> Callable[[Any], Any]:
+def out_options(
+    out: str, metavar: str = "DIR", force: str = "Replace existing files.", kind: click.ParamType | None = None
+) -> Callable[[Any], Any]:
     """Return a decorator that adds the options --out and --force to a command.
 
     out, force : help texts.
     metavar : "DIR" if the value of --out is a folder, "FILE" if it is a file.
+    kind : type of that value; None for a path that is refused if a folder is called like a file.
     """
-    kind = FOLDER_PATH if metavar == "DIR" else FILE_PATH
+    kind = kind or (FOLDER_PATH if metavar == "DIR" else FILE_PATH)
 
     def with_options(command: Any) -> Any:
         """Return the command with both options."""

@@ -28,7 +28,9 @@ LAST_COLUMNS = (
 
 @click.command(cls=SettingsCommand)
 @click.argument("scene", required=False, metavar="[SCENE.toml]", type=FILES)
-@out_options("Run directory. [default: outputs/<time>-run-<id>]", force="Replace an existing run directory.")
+@out_options(
+    "Run directory. [default: outputs/<time>-run-<id>]", force="Replace an existing run directory.", kind=FILES
+)
 @click.option(
     "--resume", metavar="RUN", type=FILES, help="Continue this run from its last checkpoint, in the same directory."
 )
@@ -45,7 +47,7 @@ LAST_COLUMNS = (
 def command(
     context: click.Context,
     scene: str | None,
-    out: Path | None,
+    out: str | None,
     force: bool,
     resume: str | None,
     verify: bool,
@@ -197,7 +199,7 @@ def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
 
 
 def _task(
-    scene: str | None, out: Path | None, force: bool, resumed: str | None, given: dict[str, Any]
+    scene: str | None, out: str | None, force: bool, resumed: str | None, given: dict[str, Any]
 ) -> tuple[Callable[..., Any], str | None]:
     """Return a function that solves what the command line asks for, and the directory that it asks for, None if it
     names none.
@@ -218,8 +220,8 @@ def _task(
             )
         return partial(resume, Path(resumed), given), resumed
     settings, stored_out = _settings(scene, given)
-    place = str(out) if out else stored_out
-    return partial(run, settings, Path(place) if place else None, force), place
+    out = out or stored_out
+    return partial(run, settings, Path(out) if out else None, force), out
 
 
 def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, FOLDER_PATH, answer, json_option, options_in
+from taichi_bearings_cli.options import FILE_PATH, answer, json_option, options_in
 from taichi_bearings_cli.progress import ScanDisplay
 
 from taichi_bearings import interrupts
@@ -44,7 +44,7 @@ from taichi_bearings.words import counted
     "--dry-run", is_flag=True, help="Solve nothing; print the number of samples, and the time and memory to expect."
 )
 @click.option(
-    "--out", metavar="DIR", type=FOLDER_PATH,
+    "--out", metavar="DIR", type=FILE_PATH,
     help="Folder of the scan; if it holds one already, what is missing is solved. [default: outputs/<time>-scan-<id>]",
 )  # fmt: skip
 @json_option

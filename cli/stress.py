@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import FOLDER_PATH, answer, json_option
+from taichi_bearings_cli.options import FILE_PATH, answer, json_option
 from taichi_bearings_cli.progress import Display
 
 
@@ -38,7 +38,7 @@ from taichi_bearings_cli.progress import Display
 @click.option(
     "--out",
     metavar="DIR",
-    type=FOLDER_PATH,
+    type=FILE_PATH,
     help="Folder of the report; if it holds one already, that is continued. [default: outputs/<time>-stress-<id>]",
 )
 @json_option
