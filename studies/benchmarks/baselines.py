@@ -116,7 +116,11 @@ class NumpySweep:
                 np.multiply(force, square, out=force)
 
     def _move(self) -> None:
-        """Move the spins by their steps times the sums of the friction on them."""
+        """Change each spin in place by its step times the sum of the friction on its sphere, component after component.
+
+        A contact joins site i and site i + stride. Its friction counts with + on the first and with - on the second
+        one, and only in the components `kept` that the contacts of this axis have.
+        """
         start, sites = self.layout.margin, self.layout.sites
         for slot, (spin, step) in enumerate(zip(self.arrays.spin, self.arrays.step, strict=True)):
             first = True

@@ -84,10 +84,11 @@ class ConicProgramme:
         return scene.impose_driving(scene.clip_to_box(staggered, axes), axes)
 
     def forces(self, z: np.ndarray) -> np.ndarray:
-        """Return contact forces (C components, 1, E contacts), in the form of solvers: with the sign of the lower
-        sphere of each contact; signs alternate between neighbours.
+        """Return the contact forces (C components, 1, E contacts) for which the multipliers of a conic solver stand. A
+        force is that on the lower sphere, times the sign of this sphere; signs alternate between neighbours.
 
-        z : (rows,), multipliers of the rows of the constraints.
+        z : (rows,), multipliers of the constraints. With friction these are two inequalities for each contact with one
+            slip component, then three rows of a cone for each other contact; without friction one row for each slip.
         """
         scene, pairs = self.scene, self.inequalities // 2
         if not scene.law.holds:

@@ -263,10 +263,10 @@ class Collapse(Fitted):
 
 
 def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
-    """Return the exponent a for which the means of samples against n / L^a fall onto one curve for all sizes. Each
-    curve is a cubic spline in log n.
+    """Find the exponent a for which the means of samples against n / L^a fall onto one curve for all sizes L; n is a
+    number of contacts. Return it with its errors and the misfit. Each curve is a cubic spline in log n.
 
-    curves : for each size L and each n, numbers (samples,).
+    curves : for each size L and each n, the measured quantity of each sample, (samples,).
     """
     rng, sizes = np.random.default_rng(0), sorted(curves)
 

@@ -129,10 +129,10 @@ class RigidDomains:
 
     @property
     def turn(self) -> np.ndarray:
-        """(domains D, components C) spin of each rigid domain, by component, as a fraction: 0 for the spin of the
-        bottom, 1 for the spin of the top in the layers of the domain.
+        """(domains D, components C) spin of each rigid domain, by component, as a share of the way from the spin of the
+        bottom (0) to that of the top (1). Where these vary over a plane, those in the layers of the domain count.
 
-        It is 0 where bottom and top have the same spin.
+        Domains that are locked to neither plane have 0 where both spins are the same.
         """
         share = np.divide(self.staggered, self.jump, out=np.zeros_like(self.staggered), where=self.jump != 0)
         return np.where(self.lock == Lock.TOP, 1.0, np.where(self.lock == Lock.NEITHER, share, 0.0))

@@ -316,7 +316,7 @@ class Structure:
         """Number of independent forces on slipless contacts that balance by themselves (states of self-stress), so that
         contact forces are not unique; None if rounding hides it.
         """
-        with stage("counting forces that balance by themselves"):
+        with stage("counting contact forces that balance without a load"):
             chosen, axes = np.flatnonzero(self.slipless), self.rigid_domains.spin_axes
             if self.whole.lattice is not None:
                 return int(self_stress(self.network, axes).sum())

@@ -52,16 +52,17 @@ class ContactSystem:
     components:
 
     contact : (n,), numbers of the contacts in the network.
-    slot : (d, n), the spin component or the tangent of each row.
+    slot : (d, n), for each row the number of the spin component (normals along the axes) or of the tangent (others).
     place : (D dimensions, unknowns), where the sphere of each unknown is.
     offset_rest : (d, n), what `offset` lacks: both added are what imposed spins contribute in twice the precision. None
         where `offset` is exact.
-    whole : the network whose contacts these are; None for a lattice in strides.
+    whole : the network whose contacts these are; None for a lattice, whose neighbours follow from their indices.
     sphere : (unknowns,), the sphere of each unknown.
     moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0.
     known : (N, C), u = radius * spin where it is not unknown.
     sign : (N, C), factors +1 and -1 that turn u into unknowns; None for all 1.
-    motions : number of motions without slip before one spin of each was held; None if undecided.
+    motions : number of independent motions in which no contact slips, before one spin of each was held at 0, so that
+        they are left out; None if it was not counted.
     """
 
     unknowns: int

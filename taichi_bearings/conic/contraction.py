@@ -127,8 +127,13 @@ class Contraction:
         self.owners = Owners(samples, self._owner, self.kept // max(len(tied) // samples, 1))
 
     def _label(self, whole: ContactSystem, tied: np.ndarray, samples: int) -> None:
-        """Number the sets of spins that tied contacts join, and set the fields `unknowns`, `number`, `imposed` and
-        `contradicts`, and the sample of each set.
+        """Number the sets of spins that tied contacts join, and set these fields:
+
+        unknowns : number of sets without an imposed spin.
+        number : (spins,), number of the set of each spin among these, -1 if the set is imposed.
+        imposed : two arrays (spins,), the imposed value of the set of each spin and what it lacks; 0 if none is.
+        contradicts : (samples,) mask of samples with a set that has two different imposed values.
+        _owner : (unknowns,), sample of each set.
 
         whole : contacts of all samples.
         tied : (n,) mask of the tied ones, which make the spins at both ends equal.

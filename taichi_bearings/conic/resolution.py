@@ -237,13 +237,13 @@ def resolve(
 def _guessed(
     iterates: Sequence[Iterate], before: Sequence[Iterate | None], wanted: Sequence[bool], shared: Surroundings
 ) -> list[Resolved | None]:
-    """Return the minimum of each sample that follows from a guess of its slipping contacts, by the last two points of
-    its path; None where none is found.
+    """Guess from the last two points of each path which contacts of a sample slip, and return the minimum in which the
+    others rest; None where no guess is wanted or no such minimum is found.
 
-    iterates : for each sample the last point.
+    iterates : for each sample the last point of its path.
     before : the points one step before, None where unknown: then no guess is made.
     wanted : for each sample whether a guess is wanted.
-    shared : what all samples share.
+    shared : the contact system of all samples, with its order of elimination and Newton matrix.
     """
     steps = zip(iterates, before, wanted, strict=True)
     slipping = [~_seem_to_stick(here, there) if own and there is not None else None for here, there, own in steps]

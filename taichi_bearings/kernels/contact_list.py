@@ -86,14 +86,16 @@ class ListSweeps(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Do one part of a sweep for one block: of contacts (part 0) or of spheres (part 1).
+        """Do one part of a sweep for one block of neighbours in memory, in place in `values`: new forces from the slips
+        of contacts (part 0), or new spins from the torques on spheres (part 1).
 
-        values : all fields, flat.
-        blocks : the same memory as vectors, one for each block (neighbours in memory that are worked on together).
+        values : all fields one after the other, (numbers,). A field has several rows; a row has one number for each
+            sphere, or for each contact.
+        blocks : the same memory as vectors, one for each block.
         tables : integers that say which spheres each contact joins and which contacts each sphere has.
-        size : five integers: lengths of the rows of spheres and of contacts (a row has one number of each) of all
-            copies of the network, that is of all samples; the same two of one copy; and that of a row of constants.
-        number : number of the block.
+        size : five lengths, in numbers: of a row of spheres and of a row of contacts, of all samples; the same two of
+            one sample; and of a row of constants.
+        number : index of the block.
         numbers : not used, as each copy of the network has constants of its own among `values`.
         sweep : number of the sweep.
         carried : not used.

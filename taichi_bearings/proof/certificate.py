@@ -294,9 +294,9 @@ def work_and_bound_within(
     scene: Scene, balanced: Forces, within: Forces, worst: np.ndarray, spin_axes: tuple[int, ...], enough: float = 0.0,
     share: Share = map,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return two arrays (R,), energy/time: the work of the driven planes against given Coulomb forces; and the lower
-    bound that these prove after each is capped at its friction limit, or all are scaled to their limits, whichever
-    proves more.
+    """Return two arrays (R,), energy/time: the power of the driven planes against given Coulomb forces; and a lower
+    bound on the least power. It is proven by these forces, each capped at its friction limit, or all scaled down by one
+    number until none exceeds its limit, whichever proves more.
 
     scene : R samples of a lattice with E contacts each, whose law is Coulomb's.
     balanced : (C components, R samples, E contacts), the forces.
@@ -304,8 +304,8 @@ def work_and_bound_within(
     worst : (R,), the largest force of each sample over its friction limit; it only decides whether scaled forces are
         tried.
     spin_axes : the axes of the C components.
-    enough : torques are summed in plain doubles, which is quicker, where the allowance for their rounding is at most
-        this share of the distance between work and bound.
+    enough : 0 to sum torques exactly. Above 0 they are summed in plain doubles first, which is quicker; that is enough
+        if the allowance for rounding is at most `enough` times (power - bound).
     share : a function like `map`, which may share the calls among threads."""
     work = _work_of_planes(scene, balanced, spin_axes)
     bound = dual_value(scene, within, spin_axes, enough > 0, share)

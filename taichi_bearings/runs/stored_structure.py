@@ -164,7 +164,7 @@ class _Stored:
             path = np.ravel_multi_index(tuple(places.T), shape) if len(places) else np.empty(0, dtype=int)
         path = path[path >= 0]
         if len(path) and (path.dtype.kind not in "iu" or path.max() >= count):
-            raise ValueError("the data set path must hold whole numbers, those of spheres")
+            raise ValueError(f"the data set 'path' must hold numbers of spheres, whole numbers below {count:,}")
         return np.asarray(path)
 
 

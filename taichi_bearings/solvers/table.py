@@ -228,8 +228,8 @@ def register(row: Row) -> Row:
         for key, item in options_of(row).items():
             if key in theirs and item.kind.allowed != theirs[key].kind.allowed:
                 raise InputError(
-                    f"option {key} of method {row.name!r} must be {item.kind.allowed}, but that of {other.name!r} "
-                    f"{theirs[key].kind.allowed}; choose another name for it"
+                    f"the option {key} of method {row.name!r} must be {item.kind.allowed}, but method {other.name!r} "
+                    f"has an option {key} that must be {theirs[key].kind.allowed}; give yours another name"
                 )
     METHODS[row.name] = row
     return row

@@ -16,13 +16,14 @@ class ShortestPaths:
     """Shortest paths of B dual graphs of planar grids with w columns and h rows. The faces of a grid are the nodes of
     its dual graph; a path leads from the outside on the left to that on the right, and crosses a contact in each step.
 
-    length, next_length : (B,) length of the path, and of the shortest other path.
+    length, next_length : (B,) length of the path, the sum of the weights of the contacts that it crosses; and length of
+        the shortest other path.
     contacts : (B,) number of contacts that the path crosses.
-    from_left : (B, w + 1, h - 1) distance of each face from the left outside, the outsides being the end columns. It is
-        inf on the right outside, whose distance is `length`.
+    from_left : (B, w + 1, h - 1) distance of each face from the left outside. Column 0 is the left outside itself, and
+        column w the right one, for which infinity stands in place of `length`.
     from_right : (B, w + 1, h - 1) distance of each face from the right outside, likewise.
-    inner, upward : masks of the contacts that the path crosses: along rows, without the end rows, (B, w - 1, h - 2);
-        between rows, (B, w, h - 1).
+    inner : (B, w - 1, h - 2) mask of the contacts within a row that the path crosses; the end rows have none.
+    upward : (B, w, h - 1) mask of the contacts between two rows that the path crosses.
     """
 
     length: np.ndarray
