@@ -251,11 +251,27 @@ class NewtonMatrix:
         """
         if not self.factorise_springs(springs[:, None]).all():
             raise NotPositiveDefinite
+        return self.stretched(dual, lambda change: springs * change, load, solves)
+
+    def stretched(
+        self,
+        dual: np.ndarray,
+        resisting: Callable[[np.ndarray], np.ndarray],
+        load: np.ndarray | float,
+        solves: int = REFINEMENTS,
+    ) -> np.ndarray:
+        """Return forces (d, n) as :meth:`balanced` does, by springs whose matrix is factorised already.
+
+        dual : (d, n), forces to begin with.
+        resisting : function that returns the forces (d, n) of the springs against a change of the slips (d, n).
+        load : (unknowns,), torques that are to stay, or 0.
+        solves : number of solves; those after the first take away what rounding leaves.
+        """
         rows = self._system.offset.shape
         # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by
         for _ in range(solves):
             spins = self.solve(self._system.torques(dual.reshape(rows)) - load)
-            dual = dual - springs * self._system.change(spins).reshape(dual.shape)
+            dual = dual - resisting(self._system.change(spins).reshape(dual.shape))
         return dual
 
 

@@ -95,9 +95,9 @@ FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trials
 # With so many unknowns contacts are tied from the start of the last decades: with fewer the analysis of a further
 # pattern takes as long as smaller matrices save (18^3 1.15, 24^3 1.00, 32^3 0.91 of the time).
 TIED_UNKNOWNS = 30_000
-# Then a contact is tied if its margin is above the first number and changed by less than
-# this share in the last step of the path, and its slip is below this share of the margin. In 32^3 spheres, seed 2, with
-# slips down to 5e-15, this ties no slipping contact from a relative gap of 4e-10 on, and three quarters of the others.
+# Then a contact is tied if its margin is above the first number and changed by less than the second one, a share, in
+# the last step of the path, and if its slip is below this share of the margin. In 32^3 spheres, seed 2, with slips down
+# to 5e-15, this ties no slipping contact from a relative gap of 4e-10 on, and three quarters of the others.
 TIED_MARGIN, TIED_SHARE = 1e-2, 1e-2
 # Largest torque over the mean friction: below the first, some 1e4 roundings of a force, Newton's method ends; below the
 # second, its end is accepted after its last step all the same.

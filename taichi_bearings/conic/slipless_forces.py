@@ -12,6 +12,7 @@ Letters: n contacts with up to d slip components. "dual" is minus the force.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -129,9 +130,7 @@ def balanced_inside(
         along = room / (room + 2 * inner(inside, inside)) * inside
         stiffness = isotropic(inside, room / 2) - along[:, None] * inside[None, :]
         matrix.factorise(stiffness, heads.astype(float))
-        balanced = inside
-        for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
-            balanced = balanced - resisted(stiffness, part.change(matrix.solve(part.torques(balanced) + fixed)))
+        balanced = matrix.stretched(inside, partial(resisted, stiffness), -fixed)
         free = np.zeros_like(own, dtype=bool)
         reach = _reach(limit, inside, balanced, free, 1)[0]
         if reach > 1:
