@@ -399,8 +399,8 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
             raise InputError(
                 f"density is given, but method {settings.method} of a packing does not use it; only dynamics do"
             )
-        settle = getattr(settings, "settle", None) is not False
-        found = least_power(packing, settings.method, StopRule.of(settings), settle=settle, **others)
+        options = dict(settings.owned)
+        found = least_power(packing, settings.method, StopRule.of(settings), options=options, **others)
     else:
         method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
         if device:

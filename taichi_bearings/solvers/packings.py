@@ -1,10 +1,13 @@
 """Minima of packings: the method for each, and the samples that are solved side by side."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.options import options_of
 from taichi_bearings.scene import Bearing, Solution
 from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve, uninterrupted
 from taichi_bearings.solvers.stopping import StopRule
@@ -67,7 +70,7 @@ def least_power(
     stop: StopRule,
     monitors: Sequence[Monitor] = (),
     checkpoints: Checkpoints | None = None,
-    settle: bool = True,
+    options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Solution:
     """Return the minima of all samples of a packing. The samples differ in coefficients alone, and a contact that is
     absent in one of them is absent in all.
@@ -77,11 +80,11 @@ def least_power(
     stop : limits and tolerance at which to end.
     monitors : functions that are called with a report each time that the progress is read.
     checkpoints : where the state is saved, and from which to continue; None for none.
-    settle : False to end the interior point once the gap is within the tolerance, whatever is known of contact states.
+    options : values of options of methods by name; the method that is taken uses those that it has.
     """
     row = METHODS[method_of(scene, method)]
-    options = row(settle=settle) if row is InteriorPoint else row()
-    return solve(scene, options.build(), scene.imposed_spins()[0][None], stop, monitors, None, None, checkpoints)
+    own = row(**{name: options[name] for name in options_of(row) if name in options})
+    return solve(scene, own.build(), scene.imposed_spins()[0][None], stop, monitors, None, None, checkpoints)
 
 
 def method_of(scene: Bearing, method: str, looks_for_motions: bool = True) -> str:
