@@ -27,23 +27,37 @@ AS_BEFORE = "\r\x1b[2K\x1b[?25h"  # a terminal without a line of progress, and w
 _temporary = set[str]()
 _helpers = set[int]()  # processes that this one has started beside those that multiprocessing lists
 _sentences = [NOTHING_KEPT]
-_saving = 0
 _heard = threading.Event()
 _own_signals = 0  # signals that this process has sent to itself and that have not come yet
-_ended_by_signals = 0  # blocks under way in which a signal may end the process by default
 _watched = False
 _last_word = threading.Lock()  # whoever holds it ends the process
 
 
-@contextlib.contextmanager
-def saving() -> Iterator[None]:
+class _Blocks:
+    """Counts the blocks of one kind that are under way, which may be inside each other.
+
+    under_way : their number.
+    """
+
+    under_way = 0
+
+    @contextlib.contextmanager
+    def one_more(self) -> Iterator[None]:
+        """Context of a block that counts."""
+        self.under_way += 1
+        try:
+            yield
+        finally:
+            self.under_way -= 1
+
+
+_saving = _Blocks()
+_ended_by_signals = _Blocks()  # in which a signal may end the process by default, without a word
+
+
+def saving() -> contextlib.AbstractContextManager[None]:
     """Context for work that saves something: the process is not ended in it. The work handles signals itself."""
-    global _saving
-    _saving += 1
-    try:
-        yield
-    finally:
-        _saving -= 1
+    return _saving.one_more()
 
 
 @contextlib.contextmanager
@@ -147,20 +161,9 @@ def _is_own() -> bool:
     return True
 
 
-@contextlib.contextmanager
-def _ending_by_signals() -> Iterator[None]:
-    """Note that a signal inside the block may end the process as the system does by default."""
-    global _ended_by_signals
-    _ended_by_signals += 1
-    try:
-        yield
-    finally:
-        _ended_by_signals -= 1
-
-
 def is_ended_by_signals() -> bool:
     """Return True if a signal may now end this process as the system does by default, without a word."""
-    return _ended_by_signals > 0
+    return _ended_by_signals.under_way > 0
 
 
 @contextlib.contextmanager
@@ -170,10 +173,10 @@ def by_default() -> Iterator[None]:
     That works even in a call of a library that never returns and lets no other thread work. Where something is being
     saved nothing changes.
     """
-    if not _watched or _saving:
+    if not _watched or _saving.under_way:
         yield
         return
-    with _ending_by_signals(), handled(signal.SIG_DFL):
+    with _ended_by_signals.one_more(), handled(signal.SIG_DFL):
         yield
 
 
@@ -186,7 +189,7 @@ def by_default_next_time() -> Iterator[None]:
     `sysv_signal` of the GNU C library, whose handlers are called once only; elsewhere nothing changes. Nothing changes
     either while something is being saved, or in threads other than the main one.
     """
-    if not _watched or _saving or threading.current_thread() is not threading.main_thread():
+    if not _watched or _saving.under_way or threading.current_thread() is not threading.main_thread():
         yield
         return
     import ctypes  # which --help does not need
@@ -198,7 +201,7 @@ def by_default_next_time() -> Iterator[None]:
     for call in (python.PyOS_getsig, python.PyOS_setsig, heard_once):
         call.restype = ctypes.c_void_p
     before = {number: ctypes.c_void_p(python.PyOS_getsig(int(number))) for number in SIGNALS}
-    with _ending_by_signals():
+    with _ended_by_signals.one_more():
         for number, handler in before.items():
             if (handler.value or 0) > IGNORED:
                 heard_once(int(number), handler)
@@ -235,7 +238,7 @@ def _end_the_deaf(reading: int) -> None:
     left = GRACE
     while left > 0:
         time.sleep(GLANCE)
-        left = GRACE if _saving else left - GLANCE
+        left = GRACE if _saving.under_way else left - GLANCE
     _last_word.acquire()
     with contextlib.suppress(OSError):
         os.write(2, f"{AS_BEFORE if os.isatty(2) else ''}bearings: {_sentences[-1]}\n".encode(errors="replace"))
