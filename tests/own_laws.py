@@ -36,21 +36,29 @@ def bounded_force(difference: ti.template(), coefficients: ti.template(), radius
     return [coefficients[0] * size / spin * d for d in ti.static(difference)]
 
 
-class Steep(Law):
-    """F = eta v^1.5, for which the power of the least motion grows as the strength to the power 2.5."""
+class PowerLaw(Law):
+    """F = eta v^p, p being `exponent`; phi*(f) = eta p / (p + 1) (f / eta)^((p + 1) / p)."""
+
+    exponent = 3.0
 
     def force(self, of, slip):
-        return of[0] * slip**1.5
+        return of[0] * slip**self.exponent
 
     def power(self, of, slip):
-        return of[0] * slip**2.5
+        return of[0] * slip ** (self.exponent + 1)
 
     def potential(self, of, slip):
-        return of[0] * slip**2.5 / 2.5
+        return self.power(of, slip) / (self.exponent + 1)
 
     def conjugate(self, of, force):
-        share = np.divide(force, of[0], out=np.zeros_like(force), where=of[0] > 0)
-        return of[0] * 0.6 * share ** (5 / 3)
+        p, share = self.exponent, np.divide(force, of[0], out=np.zeros_like(force), where=of[0] > 0)
+        return of[0] * p / (p + 1) * share ** ((p + 1) / p)
+
+
+class Steep(PowerLaw):
+    """F = eta v^1.5, for which the power of the least motion grows as the strength to the power 2.5."""
+
+    exponent = 1.5
 
     def steepest(self, of, slip):
         return of[0] * 1.5 * slip**0.5

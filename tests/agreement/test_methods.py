@@ -2,18 +2,18 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from taichi_bearings import memory, runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.scene.law import LAWS, Law
+from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import fastest
+from tests.own_laws import PowerLaw
 
 CLOSE = 1e-4  # relative gap that every method proves on a small scene
 
@@ -91,22 +91,8 @@ def test_large_lattices_are_factorised_where_memory_allows(monkeypatch, side, to
 
 
 def test_no_method_takes_a_law_that_it_is_not_made_for():
-    class Cubic(Law):
-        """A law of a user: no method here knows its force."""
-
-        def force(self, of, slip):
-            return of[0] * slip**3
-
-        def power(self, of, slip):
-            return of[0] * slip**4
-
-        def potential(self, of, slip):
-            return of[0] * slip**4 / 4
-
-        def conjugate(self, of, force):
-            return np.where(of[0] > 0, 0.75 * force * np.cbrt(force / np.where(of[0] > 0, of[0], 1.0)), 0.0)
-
-    cubic = Cubic("cubic", LAWS["viscous"].quantities, minimises="potential")
+    # its force is known to no method here
+    cubic = PowerLaw("cubic", LAWS["viscous"].quantities, minimises="potential")
     assert [name for name, row in METHODS.items() if row.solves(cubic)] == []
     scene = replace(Scene.random((3, 4), law="viscous"), law=cubic)
     with pytest.raises(InputError, match="law is 'cubic'; auto knows no method for this law"):
