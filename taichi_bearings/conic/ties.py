@@ -14,11 +14,11 @@ from math import comb
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.numerics.graphs import pieces
 
 # Limits of a search in doubles that proves nothing: what lies beyond them is not found, or taken to be tied.
 MOST_BLOCK_UNKNOWNS = 600  # most unknowns of a block that is searched for motions which turn no slip (dense, n^3)
@@ -89,13 +89,8 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
         conditions = sparse.csr_array((across.ravel(), take), shape=(count, 2 * count)) @ tied.system.operator
     conditions.eliminate_zeros()
     # Unknowns that no condition joins are independent: each block has a kernel of its own, by singular values.
-    blocks, label = connected_components(abs(conditions.T) @ abs(conditions), directed=False)
     entries, motions = conditions.tocoo(), [np.zeros((unknowns, 0))]
-    of_entry = label[entries.col]
-    order = np.argsort(of_entry, kind="stable")
-    ends = np.searchsorted(of_entry[order], np.arange(blocks + 1))
-    for block in range(blocks):
-        own, some = np.flatnonzero(label == block), order[ends[block] : ends[block + 1]]
+    for own, some in _blocks(unknowns, entries.row, entries.col):
         if len(own) <= MOST_BLOCK_UNKNOWNS:
             row = np.unique(entries.row[some], return_inverse=True)[1]
             matrix = np.zeros((int(row.max(initial=0)) + 1, len(own)))
@@ -108,6 +103,23 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
     return np.concatenate(motions, axis=1)
 
 
+def _blocks(unknowns: int, rows: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the blocks of a sparse matrix with a column for each unknown: groups of unknowns that no row joins with
+    others. A block is a pair: its unknowns, and the indices of its entries, in rising order both.
+
+    unknowns : number of unknowns.
+    rows, columns : (entries,), where the entries stand, row by row.
+    """
+    joined = np.flatnonzero(np.diff(rows) == 0)
+    label = pieces(unknowns, columns[joined], columns[joined + 1])
+    count = int(label.max(initial=-1)) + 1
+    own, entries = (
+        np.split(np.argsort(of, kind="stable"), np.cumsum(np.bincount(of, minlength=count))[:-1])
+        for of in (label, label[columns])
+    )
+    return list(zip(own, entries, strict=True))[:count]
+
+
 def _sometimes_zero(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the slips that vanish at some points of the polyhedron slips + rates @ y >= 0, and not at
     others.
@@ -118,11 +130,9 @@ def _sometimes_zero(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
     Motions that share no contact are looked at separately.
     """
     found = np.zeros(len(slips), dtype=bool)
-    shared = (rates != 0).astype(float)
-    count, label = connected_components(sparse.csr_array(shared.T @ shared), directed=False)
-    for part in range(count):
-        own = np.flatnonzero(label == part)
-        some = np.flatnonzero(shared[:, own].any(axis=1))
+    contact, motion = np.nonzero(rates)
+    for own, entries in _blocks(rates.shape[1], contact, motion):
+        some = np.unique(contact[entries])
         slip = np.where(slips[some] > 0, slips[some], 1.0)
         found[some] = _sometimes_zero_of_part((slips[some] > 0).astype(float), rates[np.ix_(some, own)] / slip[:, None])
     return found

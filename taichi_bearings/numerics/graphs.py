@@ -1,22 +1,24 @@
-"""Finds the connected pieces of a graph, and which of them have loops of odd length. SciPy's searches do the work.
-
-SciPy is loaded when they are first called: it takes a third of a second, and scenes on lattices do without them.
-"""
+"""Finds the connected pieces of a graph, and which of them have loops of odd length."""
 
 import numpy as np
 
 
 def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return for each node of a graph the number (nodes,) of the connected piece that it belongs to, from 0.
+    """Return for each node of a graph the number (nodes,) of the connected piece that it belongs to. Pieces are
+    numbered from 0 on, in the order of their first nodes.
 
     nodes : number of nodes.
     first, second : (edges,), the two ends of each edge.
     """
-    from scipy import sparse
-    from scipy.sparse import csgraph
-
-    graph = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(nodes, nodes))
-    return np.asarray(csgraph.connected_components(graph, directed=False)[1])
+    root = np.arange(nodes)  # of each node one of its piece that is not after it; at the end the first one
+    while (apart := root[first] != root[second]).any():
+        first, second = first[apart], second[apart]
+        ends = root[first], root[second]
+        np.minimum.at(root, np.maximum(*ends), np.minimum(*ends))
+        while ((further := root[root]) != root).any():
+            root = further
+    number: np.ndarray = np.cumsum(root == np.arange(nodes)) - 1
+    return number[root]
 
 
 def odd_pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -31,11 +33,7 @@ def odd_pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> tuple[np.nd
     A piece has an odd loop if its two copies in the double cover are joined: the graph with two copies of each node, in
     which an edge joins the first copy of either end with the second copy of the other end.
     """
-    from scipy import sparse
-    from scipy.sparse import csgraph
-
     ends = np.concatenate([first, second]), np.concatenate([second, first]) + nodes
-    cover = sparse.csr_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(2 * nodes, 2 * nodes))
-    label = csgraph.connected_components(cover, directed=False)[1]
+    label = pieces(2 * nodes, *ends)
     odd, mirrored = label[:nodes] == label[nodes:], label[:nodes] > label[nodes:]
     return odd, np.where(mirrored, -1, 1)

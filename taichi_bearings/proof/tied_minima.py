@@ -72,11 +72,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from heapq import heappop, heappush
+from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import dijkstra
 
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
@@ -160,7 +163,26 @@ class Pulls:
         both = self.felt.all(axis=0)
         return np.array([both & self.apart(self.slipless_domain, 1), both & self.apart(self.slipless_domain, 0)])
 
-    def welded_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
+    def turned_at(self, domain: int, slot: int) -> np.ndarray:
+        """Return the mask (n,) of the turning contacts that lead from a domain to another one.
+
+        domain : label of the domain in `slipless_domain`, for component `slot` (0 or 1)."""
+        ends = self.slipless_domain[slot, self.lower] == domain, self.slipless_domain[slot, self.upper] == domain
+        found: np.ndarray = self.in_s & self.turned_by[slot] & (ends[0] != ends[1])
+        return found
+
+    @cached_property
+    def welded_slipless(self) -> np.ndarray:
+        """(2, spheres), by component the number of the welded domain of each sphere if slipless domains are welded: 0
+        for those that contain a driven sphere, then 1, 2, ..."""
+        return np.array([self._welded_domains(self.slipless_domain, slot) for slot in range(2)])
+
+    @cached_property
+    def welded_locked(self) -> np.ndarray:
+        """(2, spheres), the same numbers if locked domains are welded."""
+        return np.array([self._welded_domains(self.locked_domain, slot) for slot in range(2)])
+
+    def _welded_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
         """Return the number (spheres,) of the welded domain of each sphere in component `slot` (0 or 1): 0 for those
         that contain a driven sphere, then 1, 2, ...
 
@@ -173,14 +195,14 @@ class Pulls:
         domain = label[slot]
         joins = self.turned_by[slot] & self.apart(label, slot)
         first, second = domain[self.lower[joins]], domain[self.upper[joins]]
-        # all domains with a driven sphere count as joined, as none of them can move
+        # all domains with a driven sphere count as joined, as none of them can move; label 0 is one of them
         imposed = np.arange(self.imposed_labels(label, slot))
         first, second = np.append(first, 0 * imposed), np.append(second, imposed)
-        size = int(domain.max()) + 1
-        graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(size,) * 2)
-        joined = connected_components(graph, directed=False)[1]
-        found = np.where(joined == joined[0], -1, joined)[domain]
-        return np.unique(np.append(found, -1), return_inverse=True)[1][:-1]
+        joined = pieces(int(domain.max()) + 1, first, second)
+        found = np.zeros(int(joined.max()) + 1, dtype=bool)
+        found[0], found[joined[domain]] = True, True
+        of_spheres: np.ndarray = (np.cumsum(found) - 1)[joined][domain]
+        return of_spheres
 
     @cached_property
     def same_in_both(self) -> np.ndarray:
@@ -189,9 +211,9 @@ class Pulls:
         others."""
         return np.unique(self.slipless_domain, axis=1, return_inverse=True)[1].reshape(-1)
 
-    def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> dict[int, bool]:
-        """Return a dictionary with an entry for each label: True if the exactly known forces along component `slot` (0
-        or 1) add up to 0 on the spheres with this label. Labels without any such force are missing.
+    def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> np.ndarray:
+        """Return a mask (labels,): for each label True if the exactly known forces along component `slot` (0 or 1) add
+        up to 0 on the spheres with this label. It is True for labels without any such force.
 
         The force of a contact is known, plus or minus mu F_n, if it slips along this component alone (or does not slip,
         but bears all its friction along it). Contacts within one domain pull it both ways and are left out.
@@ -201,12 +223,16 @@ class Pulls:
         exact = self.felt[slot] & ~self.turned_by[slot] & np.where(
             self.in_s, self.apart(self.slipless_domain, slot), self.apart(self.firm_domain, slot)
         )  # fmt: skip
-        values_of: dict[int, list[float]] = {}
-        pull = self.sign[slot][:, None] * self.coefficient
-        for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
-            for number, values in zip(owner[end[exact]].tolist(), (sign * pull[exact]).tolist(), strict=True):
-                values_of.setdefault(number, []).extend(values)
-        return {number: math.fsum(values) == 0.0 for number, values in values_of.items()}
+        pull = self.sign[slot, exact, None] * self.coefficient[exact]
+        of = np.repeat(np.concatenate([owner[self.upper[exact]], owner[self.lower[exact]]]), pull.shape[1])
+        values, size = np.concatenate([pull, -pull]).ravel(), int(owner.max()) + 1
+        total, sizes, terms = (np.bincount(of, v, size) for v in (values, np.abs(values), np.ones_like(values)))
+        # A sum in doubles is off by less than its terms times EPS times the sum of their sizes, so that most labels
+        # need no exact sum.
+        found = np.abs(total) <= terms * EPS * sizes
+        for label in np.flatnonzero(found & (terms > 0)).tolist():
+            found[label] = math.fsum(values[of == label].tolist()) == 0.0
+        return found
 
 
 @dataclass(frozen=True)
@@ -235,8 +261,7 @@ class Constraints:
         size = int(max(self.lower.max(initial=0), self.upper.max(initial=0))) + 1
         inner = (self.lower > 0) & (self.upper > 0)
         joins = self.lower[inner], self.upper[inner]
-        graph = sparse.coo_array((np.ones(len(joins[0]), dtype=np.int8), joins), shape=(size, size))
-        piece = connected_components(graph, directed=False)[1][np.maximum(self.lower, self.upper)]
+        piece = pieces(size, *joins)[np.maximum(self.lower, self.upper)]
         return np.isin(piece, piece[mask])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -270,21 +295,59 @@ class Constraints:
         rests_at_some = high == 0
         # A slipping contact rests at some minimum if no path without the contacts of its group is shorter than its
         # slip. Paths through one of them are as long as that slip alone, at least.
-        for number in np.unique(group[~slips_at_all & ~rests_at_some]):
-            own = np.flatnonzero(group == number)
-            left, starts = group != number, np.unique(tail[own])
-            around = dijkstra(_graph_of_shortest(tail[left], head[left], low[left], len(shortest)), indices=starts)
-            rests_at_some[own] = high[own] * rounding <= around[np.searchsorted(starts, tail[own]), head[own]]
+        edges = _edges_by_node(tail, head, low, group, len(shortest))
+        for number in np.flatnonzero(~slips_at_all & ~rests_at_some).tolist():
+            limit = float(high[number] * rounding)
+            rests_at_some[number] = _none_is_shorter(edges, int(tail[number]), int(head[number]), limit, group[number])
         return rests_at_some, slips_at_all, slips_at_some
 
 
-def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
+Edges: TypeAlias = list[list[tuple[int, float, int]]]
+
+
+def _edges_by_node(tail: np.ndarray, head: np.ndarray, length: np.ndarray, group: np.ndarray, size: int) -> Edges:
+    """Return the edges of a directed graph: for each of `size` nodes a list of those that begin there, each as its last
+    node, its length and its group.
+
+    tail, head, length, group : (edges,), first and last node of each edge, its length, and the number of its group.
+    """
+    found: Edges = [[] for _ in range(size)]
+    for first, *edge in zip(tail.tolist(), head.tolist(), length.tolist(), group.tolist(), strict=True):
+        found[first].append((edge[0], edge[1], edge[2]))
+    return found
+
+
+def _none_is_shorter(edges: Edges, tail: int, head: int, limit: float, left_out: int) -> bool:
+    """Return True if no path from one node of a directed graph to another is shorter than a limit.
+
+    edges : of each node the edges that begin there.
+    tail, head : first and last node of the paths.
+    limit : length to compare with.
+    left_out : number of the group of edges that paths do not use.
+
+    Nodes are reached in the order of their distance (Dijkstra), up to the limit.
+    """
+    ahead, done = [(0.0, tail)], set()
+    while ahead:
+        distance, node = heappop(ahead)
+        if distance >= limit:
+            return True
+        if node == head:
+            return False
+        if node not in done:
+            done.add(node)
+            for end, length, group in edges[node]:
+                if group != left_out and distance + length < limit:
+                    heappush(ahead, (distance + length, end))
+    return True
+
+
+def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray) -> sparse.csr_array:
     """Return a directed graph as a sparse matrix (size, size) of lengths. Of several edges from one node to another the
     shortest is kept. A stored 0 is an edge of length 0; where nothing is stored there is no edge.
 
-    tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length.
-    size : least number of nodes; there are more if the edges need more."""
-    size = max(size, int(max(tail.max(initial=0), head.max(initial=0))) + 1)
+    tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length."""
+    size = int(max(tail.max(initial=0), head.max(initial=0))) + 1
     order = np.lexsort((length, head, tail))
     first = np.append(True, (np.diff(tail[order]) != 0) | (np.diff(head[order]) != 0))[: len(order)]
     kept = order[first]
@@ -321,19 +384,18 @@ class BetweenTwo:
         # contacts that slip in both components, between two domains in either
         spans = pulls.in_s & pulls.turned_by.all(axis=0)
         spans &= pulls.apart(pulls.slipless_domain, 0) & pulls.apart(pulls.slipless_domain, 1)
-        at = {
-            slot: _contacts_by_domain(pulls.slipless_domain[slot], pulls, pulls.in_s & pulls.turned_by[slot])
-            for slot in range(2)
-        }
+        # domains that such contacts join to two others
+        ends = label[np.stack([pulls.lower[spans], pulls.upper[spans]])]
+        pairs = np.unique(np.concatenate([ends, ends[::-1]], axis=1), axis=1)
+        inner = np.bincount(pairs[0], minlength=int(label.max()) + 1) == 2
         labels, slots, sets, undecided = [], [], [], np.zeros(len(spans), dtype=bool)
-        for sphere in np.unique(label, return_index=True)[1]:
+        for sphere in np.unique(label, return_index=True)[1][inner]:
             own = [int(pulls.slipless_domain[slot, sphere]) for slot in range(2)]
-            some = at[0].get(own[0], set())
             # The same turning contacts must pull the domain in both components, and nothing may drive it.
             driven = [of < pulls.imposed_labels(pulls.slipless_domain, slot) for slot, of in enumerate(own)]
-            if any(driven) or not some or some != at[1].get(own[1], set()):
+            chosen, others = (np.flatnonzero(pulls.turned_at(own[slot], slot)) for slot in range(2))
+            if any(driven) or not np.array_equal(chosen, others):
                 continue
-            chosen = np.array(sorted(some))
             up = label[pulls.upper[chosen]] == label[sphere]
             mine = up | (label[pulls.lower[chosen]] == label[sphere])
             other = label[np.where(up, pulls.lower[chosen], pulls.upper[chosen])]
@@ -344,7 +406,7 @@ class BetweenTwo:
             # Both sets must have the same friction in all, exactly, and all other pulls on the domain must cancel.
             weight = np.where(other == sides[0], 1.0, -1.0)[:, None] * pulls.coefficient[chosen]
             if math.fsum(weight.ravel().tolist()) != 0.0 or not all(
-                cancels.get(domain, True) for cancels, domain in zip(known, own, strict=True)
+                cancels[domain] for cancels, domain in zip(known, own, strict=True)
             ):
                 continue
             parts = [part.at(chosen) for part in contacts.difference]
@@ -377,21 +439,6 @@ class BetweenTwo:
         return True
 
 
-def _contacts_by_domain(label: np.ndarray, pulls: Pulls, mask: np.ndarray) -> dict[int, set[int]]:
-    """Return a dictionary: for the label of each domain (group of spheres), the set of the contacts that lead from it
-    to another one, as indices in the arrays of `pulls`. Domains without such contacts are missing.
-
-    label : (spheres,), the label of the domain of each sphere.
-    pulls : n contacts with their two spheres, `lower` and `upper`.
-    mask : (n,) mask of the contacts to look at."""
-    found: dict[int, set[int]] = {}
-    own = np.flatnonzero(mask & (label[pulls.lower] != label[pulls.upper]))
-    for end in (pulls.lower, pulls.upper):
-        for one, number in zip(label[end[own]].tolist(), own.tolist(), strict=True):
-            found.setdefault(one, set()).add(number)
-    return found
-
-
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
     """Prove the states of all E contacts of one sample that may have many minima.
 
@@ -407,13 +454,15 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     if saturated is None or coefficient is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
     # Hold one slipless domain of each welded domain, for one minimum; and one locked domain, to exclude other motions.
-    pulls = _pulls(motion, contacts, saturated, coefficient)
+    firm = saturated.motion_of(motion, None)
+    pulls = _pulls(motion, firm, contacts, saturated, coefficient)
     between = BetweenTwo.of(pulls, contacts)
-    held, held_locked = (_spheres_to_hold(pulls, of, between) for of in (pulls.slipless_domain, pulls.locked_domain))
+    held = _spheres_to_hold(pulls, pulls.slipless_domain, pulls.welded_slipless, between)
+    held_locked = _spheres_to_hold(pulls, pulls.locked_domain, pulls.welded_locked, between)
     if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
         return None
     # The minimum with these held; then the curvature that excludes other motions; then what shortest paths say.
-    near = _minimum_with_held(motion, pulls, between, held, saturated)
+    near = _minimum_with_held(motion, firm, pulls, between, held, saturated)
     if near is None:
         return None
     found, relative_change = near
@@ -466,11 +515,12 @@ class Saturated:
         return self.network.holding.at(own).signed(sign * (self.along[own] == slot))
 
     def motion_of(self, motion: Motion, slot: int | None) -> Motion:
-        """Return a copy of `motion` in which saturated contacts are no longer taken to rest.
+        """Return `motion` with saturated contacts no longer taken to rest.
 
         slot : 0 or 1 for those saturated contacts only that bear their friction along this component; None for all.
         """
-        return Motion(self.network, motion.rests & ~(self.mask if slot is None else self.mask & (self.along == slot)))
+        moves = self.mask if slot is None else self.mask & (self.along == slot)
+        return Motion(self.network, motion.rests & ~moves) if moves.any() else motion
 
     def missing_friction(self) -> dict[int, np.ndarray]:
         """Return by spin component k that matters, as a dictionary, a bound (spheres,) on an error of the torque over
@@ -487,11 +537,12 @@ class Saturated:
         return found
 
 
-def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) -> Pulls:
+def _pulls(motion: Motion, firm: Motion, contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) -> Pulls:
     """Return the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
     one) that these and the resting contacts make.
 
     motion : the sample, and which of its contacts rest.
+    firm : the same, in which saturated contacts are not taken to rest.
     contacts : those that slip.
     saturated : those that do not slip and yet bear all their friction.
     coefficient : (E, p), friction limits of all E contacts, in exact proportions, as sums of p doubles."""
@@ -506,7 +557,7 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated, coefficient
         np.array([_numbered(own, k) for own, k in zip(motions, network.needed, strict=True)])
         for motions in (
             [motion] * components,
-            [saturated.motion_of(motion, None)] * components,
+            [firm] * components,
             [saturated.motion_of(motion, slot) for slot in range(components)],
         )
     )
@@ -534,7 +585,9 @@ def _numbered(motion: Motion, k: int) -> np.ndarray:
     return of_spheres
 
 
-def _spheres_to_hold(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np.ndarray | None:
+def _spheres_to_hold(
+    pulls: Pulls, label: np.ndarray, welded_domain: np.ndarray, between: BetweenTwo
+) -> np.ndarray | None:
     """Choose spheres to be held where they are, so that only one minimum is left: the mask (2, spheres) of them for
     either spin component; None if that cannot be done.
 
@@ -547,12 +600,13 @@ def _spheres_to_hold(pulls: Pulls, label: np.ndarray, between: BetweenTwo) -> np
 
     pulls : the contacts that bear all their friction.
     label : (2, spheres), for either component the label of the domain of each sphere.
+    welded_domain : (2, spheres), the number of its welded domain: 0 for those that contain a driven sphere, then 1, 2,
+        ...
     between : domains that two neighbours pull with the same friction, so that they can move on the line between them.
     """
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
-        welded, inner = pulls.welded_domains(label, slot), np.isin(pulls.slipless_domain[slot], between.labels[slot])
-        # Welded domains without a driven sphere have the numbers 1, 2, ...
+        welded, inner = welded_domain[slot], np.isin(pulls.slipless_domain[slot], between.labels[slot])
         for number in range(1, int(welded.max()) + 1):
             some = label[slot][(welded == number) & ~inner]
             if not len(some):
@@ -575,6 +629,7 @@ def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> di
 
 def _minimum_with_held(
     motion: Motion,
+    firm: Motion,
     pulls: Pulls,
     between: BetweenTwo,
     held: np.ndarray,
@@ -588,11 +643,11 @@ def _minimum_with_held(
     on |slip there - slip| / |slip|.
 
     motion : the stored spins of one sample, and which contacts rest.
+    firm : the same, in which saturated contacts are not taken to rest.
     pulls : the contacts that bear all their friction.
     between : domains that two neighbours pull with the same friction.
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
     saturated : contacts without slip that bear all their friction."""
-    rests, missing_friction = saturated.motion_of(motion, None), saturated.missing_friction()
     near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:
         return None
@@ -602,7 +657,7 @@ def _minimum_with_held(
     signs = np.array([np.sign(part.high) for part in found.difference])
     same = (signs == pulls.sign[:, : len(relative_change)]) | ~known[:, : len(relative_change)]
     known_well = same.all() and _known_pulls_cancel(pulls) and between.lie_between(pulls, found, relative_change)
-    return near if known_well and bearable(rests, found, relative_change, missing_friction) else None
+    return near if known_well and bearable(firm, found, relative_change, saturated.missing_friction()) else None
 
 
 def _known_pulls_cancel(pulls: Pulls) -> bool:
@@ -619,8 +674,7 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
     """
     # For both components: welded domains; which firm domains are pulled by turning contacts; all other firm domains.
     for slot in range(2):
-        cancels_at = pulls.known_pulls_cancel_at(pulls.welded_domains(pulls.slipless_domain, slot), slot)
-        if not all(cancels for number, cancels in cancels_at.items() if number > 0):
+        if not pulls.known_pulls_cancel_at(pulls.welded_slipless[slot], slot)[1:].all():
             return False
         firm, slipless = pulls.firm_domain[slot], pulls.slipless_domain[slot]
         turning = pulls.in_s & pulls.turned_by[slot] & pulls.apart(pulls.slipless_domain, slot)
@@ -633,8 +687,9 @@ def _known_pulls_cancel(pulls: Pulls) -> bool:
             np.unique(pulled[1])
         ) < pulled.shape[1]:
             return False
-        cancels_at = pulls.known_pulls_cancel_at(firm, slot)
-        if not all(cancels for number, cancels in cancels_at.items() if number >= imposed and number not in pulled[0]):
+        cancels = pulls.known_pulls_cancel_at(firm, slot)
+        cancels[pulled[0]] = True
+        if not cancels[imposed:].all():
             return False
     return True
 
@@ -687,7 +742,7 @@ def _constraints(pulls: Pulls) -> list[Constraints]:
     found, size = [], pulls.slipless_domain.shape[1] + 2
     for slot in range(2):
         # contacts that this component makes slip, and that do not slip along the other one (`turned_by`)
-        welded = pulls.welded_domains(pulls.locked_domain, slot)
+        welded = pulls.welded_locked[slot]
         ends = welded[pulls.lower], welded[pulls.upper]
         own = np.flatnonzero(pulls.felt[slot] & ~pulls.turned_by[slot] & (ends[0] != ends[1]))
         sign = pulls.sign[slot, own]
