@@ -239,21 +239,52 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
     a, b = place[half.row], place[half.col]
     column, row = np.divmod(np.sort(np.minimum(a, b) * len(order) + np.maximum(a, b)), len(order))
     first = np.cumsum(parts.own) - parts.own
-    # border of a part: later rows of its own columns, and of the borders of its children
-    touched = np.split(row, np.searchsorted(column, first[1:]))
-    depth, known = np.zeros(len(first), dtype=np.int64), [[rows] for rows in touched]
-    for number, (end, above) in enumerate(zip(first + parts.own, parts.parent.tolist(), strict=True)):
-        later = np.unique(np.concatenate(known[number]))
-        known[number] = [later[later >= end]]
-        if above >= 0:
-            known[above] += known[number]
-    for number, above in reversed(list(enumerate(parts.parent.tolist()))):
-        depth[number] = depth[above] + 1 if above >= 0 else 0
-    borders = [of[0] for of in known]
-    share = np.cumsum([0, *map(len, borders)])
-    return Pattern(
-        order, _inverse(order), row, column, first, parts.own, parts.parent, depth, np.concatenate(borders), share
-    )
+    depth = _depth(parts.parent)
+    border, share = _borders(parts, depth, row, column)
+    return Pattern(order, _inverse(order), row, column, first, parts.own, parts.parent, depth, border, share)
+
+
+def _depth(parent: np.ndarray) -> np.ndarray:
+    """Return for each part the number of parts above it in the tree, (parts,).
+
+    parent : (parts,), the part above, or -1; children come before parents.
+    """
+    above = parent.tolist()
+    found = [0] * len(above)
+    for number in range(len(above) - 1, -1, -1):
+        if above[number] >= 0:
+            found[number] = found[above[number]] + 1
+    return np.array(found, dtype=np.int64)
+
+
+def _borders(parts: Parts, depth: np.ndarray, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the borders of all parts one after the other, as sorted places, and where each begins, (parts + 1,). The
+    border of a part are the later rows of its own columns, and of the borders of its children.
+
+    parts : the parts, children before parents.
+    depth : (parts,), number of parts above each.
+    row, column : (entries,), places of the stored entries, row >= column, sorted by column.
+
+    All parts of one depth are worked on at once. A row of a border is the number part * size + row, so that sorted
+    numbers are sorted by part.
+    """
+    end, size = np.cumsum(parts.own), np.int64(len(parts.order))
+    part = np.repeat(np.arange(len(end)), parts.own)[column]
+    outside = row >= end[part]
+    numbers, level = (part * size + row)[outside], depth[part[outside]]
+    levels = int(depth.max(initial=0)) + 1
+    by_level = np.argsort(level.astype(np.uint16) if levels < 2**16 else level, kind="stable")
+    of_level = np.split(numbers[by_level], np.cumsum(np.bincount(level, minlength=levels))[:-1])
+    found, below = list[np.ndarray](), np.zeros(0, dtype=np.int64)
+    for own in reversed(of_level):
+        child, later = np.divmod(below, size)
+        above = parts.parent[child]
+        every = np.sort(np.concatenate([own, (above * size + later)[later >= end[above]]]))
+        below = every[np.diff(every, prepend=-1) > 0]
+        found.append(below)
+    border = np.sort(np.concatenate(found))
+    share = np.searchsorted(border, size * np.arange(len(end) + 1))
+    return border - size * np.repeat(np.arange(len(end)), np.diff(share)), share
 
 
 def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_matrix:

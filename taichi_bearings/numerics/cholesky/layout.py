@@ -7,6 +7,7 @@ come first in their grove: a kernel works on each, front after front, and thread
 """
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
@@ -81,7 +82,9 @@ class Layout:
         places, extents = _places_with_branches(pattern.parent, updates, batches, branches)
         # Updates are counted from the far end of the memory, so they may lie where the columns of fronts that are
         # worked on later come to lie: memory has to hold, for each batch, the columns up to then and its updates.
-        used = np.maximum.accumulate([ends[of].max() for of in batches])
+        lengths = np.array([len(of) for of in batches])
+        largest = np.maximum.reduceat(ends[np.concatenate(batches)], np.cumsum(lengths) - lengths)
+        used = np.maximum.accumulate(largest)
         end = int((used + whole(extents, unit)).max())
         self.update, self.size = end - places - updates, end + unit  # kernels read up to a vector more
         if self.size > tuning.MOST_FACTOR_NUMBERS:
@@ -286,18 +289,22 @@ def _places_with_branches(
         branches of its batch are worked on as well. Only the update of its last front outlasts the batch.
     """
     lasting, inside, scratch = size.copy(), np.zeros_like(size), np.zeros(len(branches), dtype=np.int64)
+    known = dict[bytes, tuple[np.ndarray, int]]()  # branches of a lattice are often alike
     for number, (first, end) in enumerate(branches.tolist()):
         lasting[first : end - 1] = 0
         above, short = parent[first : end - 1] - first, size[first : end - 1]
         above[above == end - 1 - first] = -1
-        alone = [np.array([n]) for n in range(end - 1 - first)]
-        # updates that the last front takes stay until it does
-        inside[first : end - 1], within, _ = _places(above, short, alone, np.zeros(len(alone), dtype=np.int64))
-        scratch[number] = within.max(initial=0)
+        alike = above.tobytes() + short.tobytes()
+        if alike not in known:
+            # updates that the last front takes stay until it does
+            places, within, _ = _places(above, short, np.arange(end - 1 - first)[:, None].tolist())
+            known[alike] = places, int(within.max(initial=0))
+        inside[first : end - 1], scratch[number] = known[alike]
     of_branch = _branch_of(len(size), branches)
     of_batch = [np.unique(of_branch[members]) if of_branch[members[0]] >= 0 else branches[:0, 0] for members in batches]
     lengths = np.array([scratch[own].sum() for own in of_batch])
-    places, extents, starts = _places(parent, lasting, batches, lengths)
+    members = [of.tolist() for of in batches]
+    places, extents, starts = _places(parent, lasting, members, lengths.tolist())
     for start, own in zip(starts.tolist(), of_batch, strict=True):
         for number, begin in zip(own.tolist(), (start + np.cumsum(scratch[own]) - scratch[own]).tolist(), strict=True):
             first, end = branches[number]
@@ -306,7 +313,7 @@ def _places_with_branches(
 
 
 def _places(
-    parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray], scratch: np.ndarray
+    parent: np.ndarray, size: np.ndarray, batches: list[list[int]], scratch: list[int] | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; for
     each batch, (batches,), how many doubles from there on are in use while it is worked on; and where each batch has
@@ -318,36 +325,39 @@ def _places(
     parent : (fronts,) index of the front above each, or -1.
     size : (fronts,) doubles of each update.
     batches : for each batch the indices of its fronts, which are worked on at once; children come first.
-    scratch : (batches,) doubles that each batch needs besides, while it is worked on.
+    scratch : for each batch the doubles that it needs besides, while it is worked on; None for none.
     """
-    places, free = np.empty(len(size), dtype=np.int64), [(0, ENDLESS)]  # starts and lengths, never touching
-    batch, waiting = np.full(len(size) + 1, len(batches)), [list[tuple[int, int]]() for _ in range(len(batches) + 1)]
-    starts, extents = np.empty((2, len(batches)), dtype=np.int64)
+    above, sizes, more = parent.tolist(), size.tolist(), scratch or [0] * len(batches)
+    batch = [len(batches)] * (
+        len(sizes) + 1
+    )  # of each front; the last entry is that of no parent, which no batch takes
     for number, members in enumerate(batches):
-        batch[members] = number
+        for n in members:
+            batch[n] = number
+    free = [(0, ENDLESS)]  # starts and lengths, never touching
+    waiting = [list[tuple[int, int]]() for _ in range(len(batches) + 1)]
+    places, starts, extents = [0] * len(sizes), list[int](), list[int]()
     for number, members in enumerate(batches):
         # take the first free stretch that holds all updates of the batch
-        ends = np.cumsum(size[members])
-        length = int(ends[-1] + scratch[number])
+        length = sum([sizes[n] for n in members]) + more[number]
         which = next(i for i, (_, stretch) in enumerate(free) if stretch >= length)
         start, whole_length = free[which]
         free[which : which + 1] = [(start + length, whole_length - length)] if whole_length > length else []
-        extents[number] = max(free[-1][0], start + length)  # behind the last free stretch nothing is in use
-        places[members], starts[number] = start + ends - size[members], start + ends[-1]
-        waiting[number].append((int(starts[number]), int(scratch[number])))
-        taken_by = batch[parent[members]]  # where there is no parent, no batch takes it
-        cuts = np.flatnonzero(np.diff(taken_by)) + 1
-        for first, end in zip([0, *cuts.tolist()], [*cuts.tolist(), len(members)], strict=True):
-            begin = int(places[members[first]])
-            waiting[taken_by[first]].append((begin, start + int(ends[end - 1]) - begin))
-        # give back the updates of the children, and join free stretches that touch
-        for stretch in waiting[number]:
-            stretches, free = sorted([*free, stretch] if stretch[1] else free), []
-            for start, length in stretches:
-                if free and sum(free[-1]) == start:
-                    start, length = free[-1][0], free.pop()[1] + length
-                free.append((start, length))
-    return places, extents, starts
+        extents.append(max(free[-1][0], start + length))  # behind the last free stretch nothing is in use
+        for taker, some in groupby(members, lambda n: batch[above[n]]):
+            begin = start
+            for n in some:
+                places[n], start = start, start + sizes[n]
+            waiting[taker].append((begin, start - begin))
+        starts.append(start)
+        # give back the scratch memory and the updates of the children, and join free stretches that touch
+        given = [stretch for stretch in [*waiting[number], (start, more[number])] if stretch[1]]
+        stretches, free = sorted([*free, *given]), []
+        for start, length in stretches:
+            if free and sum(free[-1]) == start:
+                start, length = free[-1][0], free.pop()[1] + length
+            free.append((start, length))
+    return np.array(places, dtype=np.int64), np.array(extents), np.array(starts)
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:
