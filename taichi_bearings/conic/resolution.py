@@ -99,6 +99,7 @@ TIED_UNKNOWNS = 30_000
 # the last step of the path, and if its slip is below this share of the margin. In 32^3 spheres, seed 2, with slips down
 # to 5e-15, this ties no slipping contact from a relative gap of 4e-10 on, and three quarters of the others.
 TIED_MARGIN, TIED_SHARE = 1e-2, 1e-2
+TIED_TRIALS = 3  # most trials, in which contacts are untied that the trial before has overloaded
 # Largest torque over the mean friction: below the first, some 1e4 roundings of a force, Newton's method ends; below the
 # second, its end is accepted after its last step all the same.
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
@@ -321,7 +322,8 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     minima                        trial  tied contacts                         path followed until
     ============================  =====  ====================================  ===================================
     one, most likely              1      of large systems, those that seem to  FEW_DOUBTFUL contacts are undecided
-                                         stick at the start
+                                         stick at the start; again without
+                                         those that cannot bear their force
     one, most likely              2      none                                  FEW_DOUBTFUL contacts are undecided
     one, most likely              3      none                                  no contact is undecided
     one, most likely              4      those that stick                      no contact is undecided
@@ -385,19 +387,27 @@ def _minimum_with_few_unknowns(
     is not found.
 
     Forces of the tied contacts do not follow the path, and may be far from balance at its end. There they are found by
-    steps with a barrier at the friction limits.
+    steps with a barrier at the friction limits. A tied contact that turns out to be overloaded slips, by so little that
+    the start of the path did not show it: then it is untied, and the path is followed anew.
 
     iterate : the point at which the path was begun.
     path : the point that was reached; not changed.
     sticking : (n,) mask of the contacts to tie.
     shared : what all samples share.
     """
-    found, later, _ = _smooth_minimum_with_tied(iterate, path, sticking, shared, doubtful=FEW_DOUBTFUL)
-    if found is None:
-        return None
-    start = np.where(found.slipping, found.whole_dual, later)
-    dual = balanced_inside(shared.system, iterate.friction, start, found.slipping, found.heads)
-    return None if dual is None else replace(found, dual=np.where(found.slipping, found.dual, dual), borne=True)
+    for _ in range(TIED_TRIALS):
+        found, later, _ = _smooth_minimum_with_tied(iterate, path, sticking, shared, doubtful=FEW_DOUBTFUL)
+        if found is None:
+            return None
+        start = np.where(found.slipping, found.whole_dual, later)
+        of_system = shared.system, shared.order, iterate.friction
+        dual, overloaded = balanced_inside(*of_system, start, found.slipping, found.heads)
+        if dual is not None:
+            return replace(found, dual=np.where(found.slipping, found.dual, dual), borne=True)
+        if not (sticking & overloaded).any():
+            return None
+        sticking = sticking & ~overloaded
+    return None
 
 
 def _minimum_with_tied(

@@ -18,9 +18,9 @@ import numpy as np
 
 from taichi_bearings.conic.cones import determinant, inner, isotropic, length
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix, resisted
 from taichi_bearings.numerics.cholesky import Engine
+from taichi_bearings.numerics.graphs import pieces
 
 LEFT_TORQUE = 1e-10  # torque over the mean friction that may be left: some 1e6 roundings of a force
 # least room over the sum of all torques left; no force has to change by more than that sum to balance them
@@ -35,6 +35,9 @@ MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
 MOST_CUTS = 60  # number of times that forces are cut to their limits and balanced again, after the last balance
 BALANCED_TORQUE = 1e-14  # torque over the mean friction that needs no further cut
 MOST_INSIDE_STEPS = 20  # most steps of the search for balanced forces with a barrier; at 32^3 they take 3 to 5
+# a contact is overloaded if it allows less than this times the way that the whole of its cluster goes, where that way
+# ends before torques balance
+OVERLOADED_FACTOR = 10.0
 TINY = np.finfo(np.float64).tiny
 
 
@@ -100,17 +103,26 @@ def nearly_borne(
 
 @np.errstate(all="ignore")
 def balanced_inside(
-    system: ContactSystem, friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, heads: np.ndarray
-) -> np.ndarray | None:
+    system: ContactSystem,
+    order: np.ndarray,
+    friction: np.ndarray,
+    dual: np.ndarray,
+    slipping: np.ndarray,
+    heads: np.ndarray,
+) -> tuple[np.ndarray | None, np.ndarray]:
     """Return minus the forces (d, n) of one sample that balance all torques, where those of slipping contacts stay and
-    the others are within friction; None if they are not found in MOST_INSIDE_STEPS steps.
+    the others are within friction; None if they are not found. Return also a mask (n,) of the overloaded contacts,
+    because of which they are not found.
 
     The stiffness of the spring at each contact is the inverse second derivative of the barrier -log(friction^2 -
     |force|^2): along a force close to its limit it is far smaller than across it. So a step goes further than one with
     the springs of :func:`nearly_borne`. The matrix couples spins at slipless contacts only, which takes a thousandth of
-    the operations of a Newton step: 0.06 instead of 108 billion at 48^3.
+    the operations of a Newton step: 0.06 instead of 108 billion at 48^3. It falls apart into clusters of spheres that
+    slipless contacts join, and in each cluster a step goes as far as its own contacts allow. So a cluster in which no
+    forces balance holds up no other; the contacts that end its step at nearly nothing are the overloaded ones.
 
     system : the n contacts, whose slips are differences of two unknowns.
+    order : (unknowns,), order in which the unknowns are eliminated.
     friction : (n,), friction limits.
     dual : (d, n), minus the forces to begin with; those of slipless contacts are within friction.
     slipping : (n,) mask of contacts that slip.
@@ -119,27 +131,60 @@ def balanced_inside(
     Raises NotPositiveDefinite if the matrix is singular to working precision. Letters: n contacts with up to d slip
     components.
     """
-    assert system.ends is not None
     own, fixed = np.flatnonzero(~slipping), system.torques(np.where(slipping, dual, 0.0))
-    ends = system.ends[:, :, own]
-    part = ContactSystem(system.unknowns, system.offset[:, own], system.felt[:, own], ends, place=system.place)
-    matrix = NewtonMatrix(part, order_by_place(part), engine=Engine.LAUNCH)  # many small fronts
-    limit, inside = friction[own], dual[:, own]
+    part, joined = _of_contacts(system, own)
+    number = np.cumsum(joined) - 1
+    matrix = NewtonMatrix(part, number[order[joined[order]]], engine=Engine.LAUNCH)  # many small fronts
+    limit, inside, load, held = friction[own], dual[:, own], -fixed[joined], heads[joined].astype(float)
+    cluster, factors, reach = _clusters(part), np.zeros(len(own)), np.zeros(len(own))
     for _ in range(MOST_INSIDE_STEPS):
         room = determinant((limit, inside))
         along = room / (room + 2 * inner(inside, inside)) * inside
         stiffness = isotropic(inside, room / 2) - along[:, None] * inside[None, :]
-        matrix.factorise(stiffness, heads.astype(float))
-        balanced = matrix.stretched(inside, partial(resisted, stiffness), -fixed)
-        free = np.zeros_like(own, dtype=bool)
-        reach = _reach(limit, inside, balanced, free, 1)[0]
-        if reach > 1:
-            found = dual.copy()
-            found[:, own] = balanced
-            fine = _inside(friction, found, slipping, system.torques(found)[:, None])[0]
-            return found if fine else None
-        inside = inside + SHARE_OF_WAY * reach * (balanced - inside)
-    return None
+        matrix.factorise(stiffness, held)
+        balanced = matrix.stretched(inside, partial(resisted, stiffness), load)
+        factors = _factors(limit, inside, balanced)
+        of_clusters = np.full(len(factors), np.inf)
+        np.minimum.at(of_clusters, cluster, factors)
+        reach = of_clusters[cluster]
+        inside = _towards(inside, balanced, np.where(reach > 1, 1.0, SHARE_OF_WAY * reach))
+        if ((reach > 1) | (reach < LEAST_REACH)).all():
+            break
+    found, overloaded = dual.copy(), np.zeros_like(slipping)
+    found[:, own] = inside
+    if _inside(friction, found, slipping, system.torques(found)[:, None])[0]:
+        return found, overloaded
+    overloaded[own] = (reach <= 1) & (factors < OVERLOADED_FACTOR * reach)
+    return None, overloaded
+
+
+def _of_contacts(system: ContactSystem, own: np.ndarray) -> tuple[ContactSystem, np.ndarray]:
+    """Return the system of some contacts alone, over the unknowns that they join; and the mask (unknowns,) of these
+    among all unknowns.
+
+    system : contacts whose slips are differences of two unknowns.
+    own : numbers of the contacts that are kept.
+    """
+    assert system.ends is not None
+    ends, joined = system.ends[:, :, own], np.zeros(system.unknowns + 1, dtype=bool)
+    joined[ends] = True
+    joined[-1] = False  # -1 stands for an imposed spin
+    number = np.where(joined, np.cumsum(joined) - 1, -1)
+    part = ContactSystem(int(joined.sum()), system.offset[:, own], system.felt[:, own], number[ends])
+    return part, joined[:-1]
+
+
+def _clusters(system: ContactSystem) -> np.ndarray:
+    """Return for each contact the number (n,) of its cluster: no contact joins unknowns of two clusters.
+
+    system : n contacts, each with an unknown, whose slips are differences of two unknowns.
+    """
+    assert system.ends is not None
+    ends = system.ends.reshape(-1, system.ends.shape[-1])
+    first = ends[np.argmax(ends >= 0, axis=0), np.arange(ends.shape[1])]
+    end, contact = np.nonzero(ends >= 0)
+    found: np.ndarray = pieces(system.unknowns, ends[end, contact], first[contact])[first]
+    return found
 
 
 def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:
@@ -153,10 +198,11 @@ def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:
 
 
 def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return here + share * (there - here), an array (..., samples); exactly `there` where the share is 1.
+    """Return here + share * (there - here), an array (..., k) for k samples, or contacts; exactly `there` where the
+    share is 1.
 
-    here, there : (..., samples), the begin and the end of the way.
-    share : (samples,), share of the way to go.
+    here, there : (..., k), the begin and the end of the way.
+    share : (k,), share of the way to go.
     """
     return np.where(share == 1, there, here + share * (there - here))
 
@@ -260,11 +306,21 @@ def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.n
 
     Letters: n contacts with up to d slip components.
     """
+    found = np.where(free, np.inf, _factors(friction, here, there))
+    result: np.ndarray = found.reshape(samples, -1).min(axis=1, initial=np.inf)
+    return result
+
+
+def _factors(friction: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Return for each contact the factor (n,) at which here + factor * (there - here) reaches its friction limit.
+
+    friction : (n,), friction limits.
+    here, there : (d, n), minus the forces at both ends of the way, with up to d components.
+    """
     change = there - here
     square, slope, room = inner(change, change), inner(here, change), determinant((friction, here))
-    found = room / np.maximum(slope + np.sqrt(np.maximum(slope**2 + square * room, 0.0)), TINY)
-    result: np.ndarray = np.where(free, np.inf, found).reshape(samples, -1).min(axis=1, initial=np.inf)
-    return result
+    found: np.ndarray = room / np.maximum(slope + np.sqrt(np.maximum(slope**2 + square * room, 0.0)), TINY)
+    return found
 
 
 def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torques: np.ndarray) -> np.ndarray:
