@@ -82,9 +82,7 @@ class Layout:
         places, extents = _places_with_branches(pattern.parent, updates, batches, branches)
         # Updates are counted from the far end of the memory, so they may lie where the columns of fronts that are
         # worked on later come to lie: memory has to hold, for each batch, the columns up to then and its updates.
-        lengths = np.array([len(of) for of in batches])
-        largest = np.maximum.reduceat(ends[np.concatenate(batches)], np.cumsum(lengths) - lengths)
-        used = np.maximum.accumulate(largest)
+        used = np.maximum.accumulate(_largest(ends, batches))
         end = int((used + whole(extents, unit)).max())
         self.update, self.size = end - places - updates, end + unit  # kernels read up to a vector more
         if self.size > tuning.MOST_FACTOR_NUMBERS:
@@ -178,6 +176,17 @@ def update_size(border: Integers, height: Integers) -> Integers:
     width = tuning.SHEET_COLUMNS
     before = border // width * width
     found: Integers = before * height - before * (before - width) // 2 + (border - before) * (height - before)
+    return found
+
+
+def _largest(values: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:
+    """Return the largest value (parts,) of each part.
+
+    values : (n,), any numbers.
+    parts : for each part the indices of its values, one or more.
+    """
+    lengths = np.array([len(part) for part in parts])
+    found: np.ndarray = np.maximum.reduceat(values[np.concatenate(parts)], np.cumsum(lengths) - lengths)
     return found
 
 
