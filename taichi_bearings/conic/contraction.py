@@ -112,16 +112,20 @@ class Contraction:
     contradicts : (samples,) mask, True where tied contacts join driven planes that turn differently, which cannot be.
     """
 
-    def __init__(self, whole: ContactSystem, order: np.ndarray, tied: np.ndarray, samples: int = 1) -> None:
+    def __init__(
+        self, whole: ContactSystem, order: np.ndarray, tied: np.ndarray, samples: int = 1, suits: bool = False
+    ) -> None:
         """Tie some contacts of a system: make the spins at the two ends of each equal.
 
         whole : the n contacts of all samples.
         order : (unknowns of a sample,), order in which the unknowns of one sample are eliminated.
         tied : (n,) mask of the contacts to tie.
         samples : number of samples, of equal size.
+        suits : True if the order was made for a system in which nearly the same contacts are tied (`order_of_spins`).
         """
         # `kept` : numbers in `whole` of the contacts that are left; `system` : these contacts over the new unknowns
-        self.whole, self._order = whole, order
+        self.whole, self._order, self._suits = whole, order, suits
+        self._found = dict[int, np.ndarray]()  # by sample, orders of its own
         self._label(whole, tied, samples)
         self.kept, self.system = self._system_left(whole, np.flatnonzero(~tied))
         self.owners = Owners(samples, self._owner, self.kept // max(len(tied) // samples, 1))
@@ -197,16 +201,29 @@ class Contraction:
         from its first. A new unknown stands for a set of spins that contacts tie together.
 
         In small samples a set is eliminated when the last of its spins would be. In large ones (OWN_ORDER_UNKNOWNS) the
-        sets, which extend across any plane, are dissected anew by their places.
+        sets, which extend across any plane, are dissected anew by their places, unless the given order suits them.
         """
         own = self.span(sample)
-        if self.whole.place is not None and own.stop - own.start >= OWN_ORDER_UNKNOWNS:
-            return self._dissected(own, self.whole.place)
+        if self.whole.place is not None and own.stop - own.start >= OWN_ORDER_UNKNOWNS and not self._suits:
+            if sample not in self._found:
+                self._found[sample] = self._dissected(own, self.whole.place)
+            return self._found[sample]
         number = np.split(self.number, self.owners.samples)[sample][self._order]
         number = number[number >= 0] - own.start
         last = np.empty(own.stop - own.start, dtype=np.int64)
         last[number] = np.arange(len(number))
         return np.argsort(last)
+
+    @property
+    def order_of_spins(self) -> np.ndarray | None:
+        """The order (unknowns before,) of the single spins of one sample in which sets of tied spins are eliminated,
+        those of a set one after the other; None in small samples, whose sets have no order of their own. It suits
+        systems in which a few more contacts are tied, or a few less."""
+        if self.unknowns < OWN_ORDER_UNKNOWNS:
+            return None
+        place = np.empty(self.unknowns + 1, dtype=np.int64)
+        place[self.order(0)], place[-1] = np.arange(self.unknowns), -1  # first the spins tied to a driven plane
+        return np.argsort(place[self.number], kind="stable")
 
     def _dissected(self, own: slice, place: np.ndarray) -> np.ndarray:
         """Return the unknowns of one sample, (unknowns of the sample,), counted from its first, in an order of nested

@@ -465,7 +465,8 @@ def _smooth_minimum_with_tied(
     slipping, at_limit, more_sticking, kept = none.copy(), none.copy(), none.copy(), tied.kept if tied else slice(None)
     slipping[kept], at_limit[kept], more_sticking[kept] = left, rest.at_limit, rest.sticking
     later[:, kept] = rest.point.dual
-    (found,) = _smooth_minima([iterate], [tied.expanded(rest.spins) if tied else rest.spins], [slipping], shared)
+    spins, order = (tied.expanded(rest.spins), tied.order_of_spins) if tied else (rest.spins, None)
+    (found,) = _smooth_minima([iterate], [spins], [slipping], shared, order)
     if found is not None and at_limit.any():  # as are those that Newton's method has brought to rest
         found = replace(found, at_limit=(at_limit | slipping) & ~found.slipping)
     return found, later, more_sticking
@@ -501,7 +502,11 @@ def _with_slipless_forces(
 
 
 def _smooth_minima(
-    iterates: Sequence[Iterate], spins: Sequence[Pair], masks: Sequence[np.ndarray | None], shared: Surroundings
+    iterates: Sequence[Iterate],
+    spins: Sequence[Pair],
+    masks: Sequence[np.ndarray | None],
+    shared: Surroundings,
+    order: np.ndarray | None = None,
 ) -> list[Resolved | None]:
     """Return for each sample the spins, slips and friction at which its power is least if only some contacts may slip
     and the spins across all others are made equal; None where Newton's method does not find them. Contacts that come to
@@ -511,13 +516,15 @@ def _smooth_minima(
     spins : for each sample (unknowns,) the spins to begin with, as sums of two doubles.
     masks : for each sample the mask (n,) of the contacts that may slip; None for a sample that is left out.
     shared : what all samples share.
+    order : (unknowns,), an order in which spins are eliminated where nearly the same contacts are tied; None for that
+        of the lattice.
     """
     found: list[Resolved | None] = [None] * len(iterates)
     slipping = [mask for mask in masks if mask is not None]
     numbers = [number for number, mask in enumerate(masks) if mask is not None]
     spins = [spins[number] for number in numbers]
     for _ in range(NEWTON_TRIALS if numbers else 0):
-        trial = _SmoothPower([iterates[number] for number in numbers], slipping, shared)
+        trial = _SmoothPower([iterates[number] for number in numbers], slipping, shared, order)
         at_rest = trial.descend((np.concatenate([s[0] for s in spins]), np.concatenate([s[1] for s in spins])))
         for number, resolved in zip(numbers, trial.resolved(), strict=True):
             found[number] = resolved
@@ -551,17 +558,25 @@ class _SmoothPower:
     balanced : (samples,) mask of the samples in which all torques balance: they have come to the minimum.
     """
 
-    def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], shared: Surroundings) -> None:
+    def __init__(
+        self,
+        iterates: Sequence[Iterate],
+        slipping: Sequence[np.ndarray],
+        shared: Surroundings,
+        order: np.ndarray | None = None,
+    ) -> None:
         """Tie all contacts that do not slip, which makes the spins across each of them equal, and analyse the matrix of
         second derivatives of the power by the unknowns that are left.
 
         iterates : for each sample a point of the central path, of which friction limits and viscosities are used.
         slipping : for each sample a mask (n,) of its n contacts: those that may slip. All others are tied.
         shared : what all samples share: system of contacts, order of elimination, Newton matrix.
+        order : (unknowns,), an order that suits the tied contacts; None for that of all samples.
         """
         # `tied.kept` : (kept,), indices of the contacts that are left, all samples one after the other
         self.iterates, self.samples, whole = iterates, len(iterates), shared.system.copies(len(iterates))
-        self.tied = Contraction(whole, shared.order, ~np.concatenate(slipping), self.samples)
+        suits, order = order is not None, shared.order if order is None else order
+        self.tied = Contraction(whole, order, ~np.concatenate(slipping), self.samples, suits)
         self.slipping = self.everywhere(np.ones(len(self.tied.kept), dtype=bool))
         parts = [self.tied.span(sample) for sample in range(self.samples)]
         self.matrix = NewtonMatrix(self.tied.system, self.tied.order, shared.matrix.memory, parts=parts)

@@ -292,9 +292,8 @@ def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, shape: tuple[in
         the columns of the terms, in rising order; a term that is subtracted has the bitwise complement of its column.
     shape : numbers of rows and columns.
     """
-    if (np.abs(sign) != 1).any():
-        return sparse.csr_array((sign, (row, column)), shape=shape)
-    order = np.lexsort((column, row))
-    begins = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=shape[0]))])
-    places = np.where(sign[order] > 0, column[order], ~column[order])
-    return begins.astype(np.int32), places.astype(np.int32)
+    found = sparse.csr_array((sign, (row, column)), shape=shape)
+    if (np.abs(found.data) != 1).any():
+        return found
+    found.sort_indices()
+    return found.indptr.astype(np.int32), np.where(found.data > 0, found.indices, ~found.indices).astype(np.int32)

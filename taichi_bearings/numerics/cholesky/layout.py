@@ -297,6 +297,9 @@ def _places_with_branches(
     branches : (n, 2), first front and end of each subtree whose fronts are worked on one after the other, while other
         branches of its batch are worked on as well. Only the update of its last front outlasts the batch.
     """
+    members = [of.tolist() for of in batches]
+    if not len(branches):
+        return _places(parent, size, members)[:2]
     lasting, inside, scratch = size.copy(), np.zeros_like(size), np.zeros(len(branches), dtype=np.int64)
     known = dict[bytes, tuple[np.ndarray, int]]()  # branches of a lattice are often alike
     for number, (first, end) in enumerate(branches.tolist()):
@@ -312,7 +315,6 @@ def _places_with_branches(
     of_branch = _branch_of(len(size), branches)
     of_batch = [np.unique(of_branch[members]) if of_branch[members[0]] >= 0 else branches[:0, 0] for members in batches]
     lengths = np.array([scratch[own].sum() for own in of_batch])
-    members = [of.tolist() for of in batches]
     places, extents, starts = _places(parent, lasting, members, lengths.tolist())
     for start, own in zip(starts.tolist(), of_batch, strict=True):
         for number, begin in zip(own.tolist(), (start + np.cumsum(scratch[own]) - scratch[own]).tolist(), strict=True):
@@ -361,6 +363,8 @@ def _places(
         starts.append(start)
         # give back the scratch memory and the updates of the children, and join free stretches that touch
         given = [stretch for stretch in [*waiting[number], (start, more[number])] if stretch[1]]
+        if not given:
+            continue
         stretches, free = sorted([*free, *given]), []
         for start, length in stretches:
             if free and sum(free[-1]) == start:
