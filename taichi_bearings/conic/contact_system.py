@@ -288,7 +288,9 @@ class ContactSystem:
         all second ones. Where each slip is a difference of two unknowns, its matrices couple no different spin
         components; those of a lattice fall apart into planes. Letters: n contacts with up to d slip components."""
         ends = None if self.ends is None else self.ends.reshape(2, 1, -1)
-        return ContactSystem(self.unknowns, self.offset.reshape(1, -1), self.felt.reshape(1, -1), ends, self.slips)
+        found = ContactSystem(self.unknowns, self.offset.reshape(1, -1), self.felt.reshape(1, -1), ends, self.slips)
+        vars(found).update(operator=self.operator, transposed=self.transposed)
+        return found
 
     def copies(self, count: int) -> "ContactSystem":
         """Return a system of `count` copies of the contacts, each over spins of its own: the samples become parts of

@@ -189,7 +189,9 @@ class Surroundings:
         """The matrix of springs at the contacts, each of which resists every slip component alike. Large lattices have
         one of its own: springs couple no different spin components, so that it falls apart into planes, and a
         factorisation takes a hundredth of the time."""
-        return NewtonMatrix(self.system.by_rows(), self.order) if self.has_quick_springs else self.matrix
+        if not self.has_quick_springs:
+            return self.matrix
+        return NewtonMatrix(self.system.by_rows(), self.order, self.matrix.memory)
 
     @property
     def has_quick_springs(self) -> bool:
@@ -216,6 +218,7 @@ def resolve(
         the caller makes a further trial later; then that is done only where minima may tie, as guesses rarely help
         there.
     """
+    shared.matrix.forget()  # the path is left, mostly for smaller matrices
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         # Steps 1 to 3: a guess, where minima do not tie; there it is hardly ever right.
         several = [may_have_several_minima(iterate.friction, np.zeros(0, dtype=bool)) for iterate in iterates]

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from enum import Enum
 from functools import lru_cache
+from weakref import WeakSet
 
 import numpy as np
 from scipy import sparse
@@ -66,28 +67,36 @@ class Memory:
 
     def __init__(self) -> None:
         """Begin with no memory."""
-        self._numbers, self.changes = np.zeros(0), 0
+        # `_users` : the factorisations that have taken the memory; they let go of it when it is freed
+        self._numbers, self._users, self.changes = np.zeros(0), WeakSet[CalledFactor](), 0
 
     def free(self) -> None:
         """Give the memory back to the operating system."""
+        is_large = len(self._numbers) > tuning.LARGE_FACTOR_NUMBERS
         self._numbers, self.changes = np.zeros(0), self.changes + 1
+        for user in self._users:
+            user.let_go()
+        if is_large:
+            give_back_freed()
 
-    def take(self, size: int, what: str) -> np.ndarray:
+    def take(self, user: "CalledFactor", size: int, what: str) -> np.ndarray:
         """Return an array of `size` doubles or more with arbitrary content. A factorisation that took it before must
         not use it any more.
 
+        user : the factorisation that takes it; its method `let_go` is called when the memory is freed.
         size : doubles that are needed.
         what : what needs the memory, named in the error.
 
         Raises MemoryError if the machine has too little.
         """
-        self.changes += 1
         if len(self._numbers) < size:
-            self._numbers = np.zeros(0)
+            self.free()
             if size > tuning.HUGE_FACTOR_NUMBERS:
                 give_back_freed()
             refuse_beyond(8 * size, what)
             self._numbers = aligned_zeros(size, LANES)
+        self._users.add(user)
+        self.changes += 1
         return self._numbers
 
 
@@ -327,7 +336,7 @@ class CalledFactor(Factor):
         if self._seen == self._memory.changes:
             return
         layout = self._layout
-        numbers = self._memory.take(layout.size, f"the factorisation of {self._size:,} unknowns")
+        numbers = self._memory.take(self, layout.size, f"the factorisation of {self._size:,} unknowns")
         self._seen = self._memory.changes
         if numbers is self._numbers:
             return
@@ -352,8 +361,11 @@ class CalledFactor(Factor):
 
     def forget(self) -> None:
         """Give the memory back to the system."""
-        self._numbers, self._work, self._halves = np.zeros(0), [], []
         self._memory.free()
+
+    def let_go(self) -> None:
+        """Forget the memory, which is being freed, and all calls that work in it."""
+        self._numbers, self._work, self._halves = np.zeros(0), [], []
 
     def substitute(self) -> None:
         """Replace the right-hand side in `solution` by the solution. Factors may share memory; this matrix must have

@@ -7,7 +7,6 @@ come first in their grove: a kernel works on each, front after front, and thread
 """
 
 from dataclasses import dataclass
-from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
@@ -15,8 +14,8 @@ import numpy as np
 from taichi_bearings.kernels.elimination import HEADER
 from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.fronts import Pattern
+from taichi_bearings.numerics.cholesky.places import branch_of, places_of_updates
 
-ENDLESS = 2**62  # length of the free memory behind all updates
 Integers = TypeVar("Integers", int, np.ndarray)
 
 
@@ -79,7 +78,7 @@ class Layout:
         updates = update_size(self.border, self.update_height)
         branches = _branches(pattern) if apart else np.zeros((0, 2), dtype=np.int64)
         batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1, branches)
-        places, extents = _places_with_branches(pattern.parent, updates, batches, branches)
+        places, extents = places_of_updates(pattern.parent, updates, batches, branches)
         # Updates are counted from the far end of the memory, so they may lie where the columns of fronts that are
         # worked on later come to lie: memory has to hold, for each batch, the columns up to then and its updates.
         used = np.maximum.accumulate(_largest(ends, batches))
@@ -97,7 +96,7 @@ class Layout:
         self.vector = int(rest[-1] + kept[-1])
         first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
         self.pivots = self.columns[front] + (np.arange(pattern.size) - first[front]) * (self.height[front] + 1)
-        self.called_pivots = self.pivots[_branch_of(len(self.own), branches)[front] < 0]
+        self.called_pivots = self.pivots[branch_of(len(self.own), branches)[front] < 0]
         start = np.searchsorted(pattern.column, np.append(first, pattern.size))
         table = np.stack(
             [
@@ -141,7 +140,7 @@ class Layout:
         columns = self.own + self.border
         least = np.maximum(1, tuning.ASSEMBLY_NUMBERS // np.maximum(columns, 1))  # columns of an item
         items, in_order, found, begin = [np.zeros((0, 3), dtype=np.int64)], [branches[:0]], [], 0
-        of_branch = _branch_of(len(columns), branches)
+        of_branch = branch_of(len(columns), branches)
         for fronts in batches:
             numbers = int((self.own * self.height + updates)[fronts].sum())
             if of_branch[fronts[0]] >= 0:
@@ -245,19 +244,6 @@ def _branches(pattern: Pattern) -> np.ndarray:
     return np.stack([roots + 1 - size[roots], roots + 1], axis=1)
 
 
-def _branch_of(fronts: int, branches: np.ndarray) -> np.ndarray:
-    """Return (fronts,) the index of the branch that each front is in, -1 for a front in no branch.
-
-    fronts : number of fronts, the dense blocks of a factorisation.
-    branches : (n, 2), index of the first front of each branch (a subtree of fronts with neighbouring indices), and of
-        the front after its last.
-    """
-    found = np.full(fronts, -1)
-    for number, (first, end) in enumerate(branches.tolist()):
-        found[first:end] = number
-    return found
-
-
 def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray) -> list[np.ndarray]:
     """Return the order in which fronts are eliminated, as a list of arrays of front numbers, children before parents.
     The fronts of one array do not depend on each other, or lie in branches; they are worked on at once.
@@ -272,7 +258,7 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray
     branches : (n, 2), first front of each branch and the front after its last: subtrees that one kernel call eliminates
         whole. Those within a small subtree form its first array.
     """
-    of_branch, lasting = _branch_of(len(size), branches), size.copy()
+    of_branch, lasting = branch_of(len(size), branches), size.copy()
     for first, end in branches.tolist():
         lasting[first : end - 1] = 0
     small, grove = (_sums_of_branches(pattern.parent, lasting) <= most).tolist(), list(range(len(size)))
@@ -283,94 +269,6 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray
     order = np.lexsort((level, of_front))
     ends = np.diff(of_front[order]) | np.diff(level[order])
     return np.split(order, np.flatnonzero(ends) + 1)
-
-
-def _places_with_branches(
-    parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray], branches: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; and
-    for each batch, (batches,), how many doubles from there on are in use while it is worked on.
-
-    parent : (fronts,) index of the front above each, or -1.
-    size : (fronts,) doubles of each update.
-    batches : for each batch the indices of its fronts, which are worked on at once; children come first.
-    branches : (n, 2), first front and end of each subtree whose fronts are worked on one after the other, while other
-        branches of its batch are worked on as well. Only the update of its last front outlasts the batch.
-    """
-    members = [of.tolist() for of in batches]
-    if not len(branches):
-        return _places(parent, size, members)[:2]
-    lasting, inside, scratch = size.copy(), np.zeros_like(size), np.zeros(len(branches), dtype=np.int64)
-    known = dict[bytes, tuple[np.ndarray, int]]()  # branches of a lattice are often alike
-    for number, (first, end) in enumerate(branches.tolist()):
-        lasting[first : end - 1] = 0
-        above, short = parent[first : end - 1] - first, size[first : end - 1]
-        above[above == end - 1 - first] = -1
-        alike = above.tobytes() + short.tobytes()
-        if alike not in known:
-            # updates that the last front takes stay until it does
-            places, within, _ = _places(above, short, np.arange(end - 1 - first)[:, None].tolist())
-            known[alike] = places, int(within.max(initial=0))
-        inside[first : end - 1], scratch[number] = known[alike]
-    of_branch = _branch_of(len(size), branches)
-    of_batch = [np.unique(of_branch[members]) if of_branch[members[0]] >= 0 else branches[:0, 0] for members in batches]
-    lengths = np.array([scratch[own].sum() for own in of_batch])
-    places, extents, starts = _places(parent, lasting, members, lengths.tolist())
-    for start, own in zip(starts.tolist(), of_batch, strict=True):
-        for number, begin in zip(own.tolist(), (start + np.cumsum(scratch[own]) - scratch[own]).tolist(), strict=True):
-            first, end = branches[number]
-            places[first : end - 1] = begin + inside[first : end - 1]
-    return places, extents
-
-
-def _places(
-    parent: np.ndarray, size: np.ndarray, batches: list[list[int]], scratch: list[int] | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; for
-    each batch, (batches,), how many doubles from there on are in use while it is worked on; and where each batch has
-    its scratch memory, (batches,).
-
-    The update of a front is the matrix that its elimination adds to that of the later unknowns it is coupled to. It
-    lies there until the front above has taken it. Memory is taken at the first free stretch that is long enough.
-
-    parent : (fronts,) index of the front above each, or -1.
-    size : (fronts,) doubles of each update.
-    batches : for each batch the indices of its fronts, which are worked on at once; children come first.
-    scratch : for each batch the doubles that it needs besides, while it is worked on; None for none.
-    """
-    above, sizes, more = parent.tolist(), size.tolist(), scratch or [0] * len(batches)
-    batch = [len(batches)] * (
-        len(sizes) + 1
-    )  # of each front; the last entry is that of no parent, which no batch takes
-    for number, members in enumerate(batches):
-        for n in members:
-            batch[n] = number
-    free = [(0, ENDLESS)]  # starts and lengths, never touching
-    waiting = [list[tuple[int, int]]() for _ in range(len(batches) + 1)]
-    places, starts, extents = [0] * len(sizes), list[int](), list[int]()
-    for number, members in enumerate(batches):
-        # take the first free stretch that holds all updates of the batch
-        length = sum([sizes[n] for n in members]) + more[number]
-        which = next(i for i, (_, stretch) in enumerate(free) if stretch >= length)
-        start, whole_length = free[which]
-        free[which : which + 1] = [(start + length, whole_length - length)] if whole_length > length else []
-        extents.append(max(free[-1][0], start + length))  # behind the last free stretch nothing is in use
-        for taker, some in groupby(members, lambda n: batch[above[n]]):
-            begin = start
-            for n in some:
-                places[n], start = start, start + sizes[n]
-            waiting[taker].append((begin, start - begin))
-        starts.append(start)
-        # give back the scratch memory and the updates of the children, and join free stretches that touch
-        given = [stretch for stretch in [*waiting[number], (start, more[number])] if stretch[1]]
-        if not given:
-            continue
-        stretches, free = sorted([*free, *given]), []
-        for start, length in stretches:
-            if free and sum(free[-1]) == start:
-                start, length = free[-1][0], free.pop()[1] + length
-            free.append((start, length))
-    return np.array(places, dtype=np.int64), np.array(extents), np.array(starts)
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:

@@ -6,19 +6,20 @@ import numpy as np
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky.dissection import Region, divide
-from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LEAF_UNKNOWNS
+from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LAUNCH_UNKNOWNS, LEAF_UNKNOWNS
 
-JOINED = 1.9  # measured: so much more of updates is alive, as fronts are joined and branches go side by side
+JOINED = 2.0  # measured: so much more of updates is alive, as fronts are joined and branches go side by side
 Tree = tuple[float, float, tuple[float, ...]]
-"""Memory that the elimination of a region of the lattice takes, in doubles: size of its factor; largest total size of
-the update matrices alive at one time; total size of the update matrices at each depth of the dissection, the region's
-own first. (An update matrix is what the elimination of some unknowns adds to the matrix of later ones.)"""
+"""Memory that the elimination of a region of the lattice takes, in doubles: size of its factor; the most that is in use
+at one time, of the factor and of update matrices together; total size of the update matrices at each depth of the
+dissection, the region's own first. (An update matrix is what the elimination of some unknowns adds to the matrix of
+later ones.)"""
 
 
 @lru_cache(maxsize=64)
 def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
-    """Predict the number of doubles in a factorisation of the free spins of a lattice, to some 15 percent (periodic
-    lattices: a factor of 1.6): its columns, and its updates (what fronts leave for later ones) at their most.
+    """Predict the number of doubles in a factorisation of the free spins of a lattice, to some 15 percent: its columns,
+    and its updates (what fronts leave for later ones) at their most.
 
     lattice : whose spheres rotate.
     spin_axes : axes of the spin components that are unknown.
@@ -26,10 +27,10 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
     def tree(region: Region) -> Tree:
-        """Return the memory that the elimination of a region takes, in doubles: (size of its factor, largest total size
-        of update matrices alive at one time, total size of update matrices at each depth of the dissection, the
-        region's own first). An update matrix is what eliminated unknowns add to the matrix of later ones. All regions
-        with boxes of the same shape and the same border share one computation.
+        """Return the memory that the elimination of a region takes, in doubles: (size of its factor, the most in use at
+        one time, total size of update matrices at each depth of the dissection, the region's own first). An update
+        matrix is what eliminated unknowns add to the matrix of later ones. All regions with boxes of the same shape and
+        the same border share one computation.
 
         region : by spin component, a box of spheres.
         """
@@ -42,10 +43,8 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return the memory that the elimination of a region takes, in doubles: (size of its factor, largest total size
-        of update matrices alive at one time, total size of update matrices at each depth of the dissection, the
-        region's own first). An update matrix is what eliminated unknowns add to the matrix of later ones. The two
-        halves of the region are eliminated first (`tree`), then the separator between them. Small ones are not divided.
+        """Return the memory that the elimination of a region takes, as :func:`tree` does. The two halves of the region
+        are eliminated first, then the separator between them. Small ones are not divided.
 
         region : by spin component, a box of spheres.
         border : number of unknowns outside that contacts couple to the region.
@@ -53,27 +52,30 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:
-            return inside * (inside + border), update, (update,)
+            return inside * (inside + border), inside * (inside + border) + update, (update,)
         below, separator, above = division
         parts, own = [tree(side) for side in (below, above) if side], unknowns(separator)
         if not own:  # what nothing couples falls apart
             update = sum(part[2][0] for part in parts)
         depths = max(len(part[2]) for part in parts)
         levels = [update, *(sum(part[2][n] for part in parts if n < len(part[2])) for n in range(depths))]
-        if sum(levels) <= GROVE_NUMBERS:  # small: eliminated depth by depth, so updates of two depths are alive
+        columns = sum(part[0] for part in parts) + own * (own + border)
+        if sum(levels) <= grove:  # small: eliminated depth by depth, so updates of two depths are alive
             most = max(above + below for above, below in zip(levels, [*levels[1:], 0.0], strict=True))
-        else:  # large: one half after the other; the update of the first is kept until the second is done
-            before = np.cumsum([0.0, *(part[2][0] for part in parts)])
-            most = max(*(wait + part[1] for wait, part in zip(before, parts, strict=False)), before[-1] + update)
-        return sum(part[0] for part in parts) + own * (own + border), most, tuple(levels)
+            return columns, columns + JOINED * most, tuple(levels)
+        # large: one half after the other; factor and update of the first are kept until the second is done
+        before = np.cumsum([0.0, *(part[0] + part[2][0] for part in parts)])
+        most = max(*(wait + part[1] for wait, part in zip(before, parts, strict=False)), columns + levels[1] + update)
+        return columns, most, tuple(levels)
 
     low = {c: tuple(int(a in lattice.periodic and a != c) for a in range(len(shape))) for c in spin_axes}
     whole = {
         c: (first, tuple(shape)) for c, first in low.items() if all(a < b for a, b in zip(first, shape, strict=True))
     }
-    last = len(spin_axes) * float(np.prod(shape)) - unknowns(whole)  # the planes where periodic axes are cut open
-    columns, updates, _ = tree(whole) if whole else (0.0, 0.0, ())
-    return columns + last**2 + JOINED * updates
+    size = len(spin_axes) * float(np.prod(shape))
+    last = size - unknowns(whole)  # the planes where periodic axes are cut open
+    grove = GROVE_NUMBERS if size >= LAUNCH_UNKNOWNS else -1  # smaller matrices are eliminated front by front
+    return (tree(whole)[1] if whole else 0.0) + last**2
 
 
 def _border(region: Region, lattice: Lattice) -> float:
