@@ -292,7 +292,7 @@ def _of_a_sample(
     summary : summary of the run. The other arguments are the sample's columns in the order of OF_A_SAMPLE; None where a
         number is not finite or not known.
     power, gap : its power, energy/time, and its relative gap.
-    proof : "proven", None, or words that say why the lower bound is not proven.
+    proof : "proven" or None, or words that say for which spins alone the lower bound is proven.
     slipping, slipless : numbers of contacts in these states.
     others : numbers of contacts: tied, undecided, with unproven state, and all.
     """
@@ -300,7 +300,7 @@ def _of_a_sample(
     proven = "its potential proven" if "potential" in summary else "proven"
     within = "exactly" if power == gap == 0 else f"within {'not finite' if gap is None else format(gap, '.1e')}"
     if proof not in (None, "proven"):
-        proven, within = f"{within},", proof
+        proven, within = within, f"of the least {'potential' if 'potential' in summary else 'power'}, {proof}"
     named = other_contacts(*doubtful)
     kinds = "".join(f", {words.replace(' ', ' is ' if words.startswith('1 ') else ' are ')}" for words in named)
     states = f"{unproven:,} states not proven" if unproven else "all states proven"

@@ -50,17 +50,20 @@ def describe(report: dict[str, Any], times: str = "") -> str:
     shape = "x".join(map(str, report["shape"])) if report["shape"] else f"packing of {report['spheres']:,} spheres,"
     origin = "those of the seed" if report["coefficients"] == "drawn" else "as the file gives them"
     lines = [f"{shape} {report['law']}, {ends(report)}; coefficients {origin}"]
-    keys = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
+    keys = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because", "proof")
     seeds = listed(report["seed"])
     columns = [listed(report[name]) for name in keys]
     names = [f"seed {seed}" if report["coefficients"] == "drawn" else f"sample {n}" for n, seed in enumerate(seeds)]
     rows = list(zip(names, *columns, strict=True))
-    for sample, power, bound, gap, states, unique, reason in rows[:10]:
+    for sample, power, bound, gap, states, unique, reason, proof in rows[:10]:
         if power is None:
             why = f", because {reason}" if reason else ""
             lines.append(f"  {sample}: neither a power nor a contact state can be proven{why}")
             continue
-        lines.append(f"  {sample}: {bound!r} <= least {law.minimises} <= {power!r}, a relative gap of {gap:.1e}")
+        if proof == "proven":
+            lines.append(f"  {sample}: {bound!r} <= least {law.minimises} <= {power!r}, a relative gap of {gap:.1e}")
+        else:
+            lines.append(f"  {sample}: least {law.minimises} <= {power!r}; its lower bound {bound!r} is {proof}")
         proven = [f"{states['slipping']:,} slip and {states['slipless']:,} do not at any minimum"]
         if states["tied"]:
             proven.append(f"{states['tied']:,} tied: they slip at some minima and not at others")
@@ -69,11 +72,6 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         elif unique:
             proven.append("no other slips have the least power")
         lines.append(f"    contacts: {'; '.join(proven)}")
-    lines += [
-        f"  the lower bound is {proof}"
-        for proof in dict.fromkeys(listed(report["proof"]))
-        if proof not in (None, "proven")
-    ]
     if len(rows) > 10:
         lines.append(f"  ... and {len(rows) - 10} more samples")
     if isinstance(report["gap"], float):

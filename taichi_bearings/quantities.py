@@ -234,12 +234,14 @@ SAMPLES = _named(
                  "dissipation potential, which is least in the stationary state under this law; lower_bound and gap "
                  "belong to it, not to the power",
                  lambda a: None if a.solution.scene.law.minimises == "power" else a.solution.objective),
-        Quantity("lower_bound", "energy/time", "proven lower bound on the least power, or on the least potential",
+        Quantity("lower_bound", "energy/time", "proven lower bound on the least power, or on the least potential; in "
+                 "packings only among the spins that `proof` names",
                  lambda a: a.solution.lower_bound, r"P_\mathrm{low}"),
         Quantity("gap", "1", "(power - lower_bound) / power, or with the potential instead of the power; 0 where"
                  " a state without any slip is proven to exist",
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
-        Quantity("status", "1", "how the solve ended: certified (the gap is within the tolerance); stationary (a"
+        Quantity("status", "1", "how the solve ended: certified (the gap is within the tolerance); restricted (it is,"
+                 " but the lower bound is proven only among the spins that `proof` names); stationary (a"
                  " dynamics came to rest); finished (it reached its duration); stalled (the method got no closer);"
                  " step-limit, time-limit, interrupted, not-finite (numbers overflowed); in scans also failed",
                  lambda a: [status.value for status in a.ended]),
@@ -315,7 +317,8 @@ SAMPLES = _named(
 SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of every packing
 FINDINGS = _named(
     [
-        Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
+        Quantity("proof", "1", "for which spins the lower bound of a packing holds: `proven` for all of them, else in"
+                 " words"),
         Quantity("driven_power", "energy/time",
                  "power dissipated by contacts between two driven spheres, not part of the power"),
         Quantity("slipless_motions", "1", "number of independent motions without slip that the free spheres have"

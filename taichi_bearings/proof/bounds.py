@@ -25,14 +25,16 @@ import numpy as np
 
 from taichi_bearings.proof.enclosure import UP, Enclosure, joined, row_sum
 from taichi_bearings.proof.judged_network import JudgedNetwork
-from taichi_bearings.proof.springs import Springs, natural, rolling
+from taichi_bearings.proof.springs import Springs, rolling
+from taichi_bearings.scene.solution import PROVEN
 
 FASTEST_COMPARED = 1e6  # surface speed over the fastest imposed one, up to which a restricted bound is proven
-PAID = 1e-10  # share of the potential that a bound proven of all spins may cost; else a restricted one is given
-LEAST_POWER = 1e-3  # share of the natural potential; springs are made for no smaller one
+# Shares of the potential: what a bound proven of all spins may cost, else a restricted one is given; and what leftover
+# torques may cost before they are balanced further.
+PAID, HARDLY_PAID = 1e-9, 1e-13
 DOUBLE_ERROR = 1e-12  # relative error, amply, of a quotient found in plain doubles
 BOUNDS_OF_SAMPLES = ("upper", "lower", "excess", "worst", "proof", "largest_torque", "price")  # fields (R,) of bounds
-PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} times the fastest imposed"
+WITHIN = f"proven only among surface speeds up to {FASTEST_COMPARED:.0e} times the fastest imposed"
 
 
 @dataclass(frozen=True)
@@ -176,19 +178,32 @@ def _held_by_springs(
     3. mask (n, 3) of the spin components on which springs act, None without springs;
     4. (R,), the words that say for which spins the bound is proven;
     5. (R,), what the lower bound loses by the torques of rounding."""
-    count, springs = network.count, Springs.of(network, np.maximum(upper, LEAST_POWER * natural(network)))
+    count, springs = network.count, Springs.of(network, upper)
     if springs is None and count > 1:
         return None
     friction, torques, unknown = network.own_friction, network.own_torques, None
     fastest, reach = FASTEST_COMPARED * float(network.box.max(initial=0.0)), np.full(count, np.inf)
+
+    def sum_of(torques: list[Enclosure]) -> np.ndarray:
+        """Return for each of R samples the sum (R,) of the sizes of all torques that are left over."""
+        every = [np.where(network.reached, part.most, 0.0).reshape(count, -1).sum(axis=1) for part in torques]
+        found: np.ndarray = np.sum(every, axis=0) * UP
+        return found
+
+    def cost(torques: list[Enclosure]) -> np.ndarray:
+        """Return for each of R samples the power (R,) that these torques may cost at any spins of some minimum."""
+        with np.errstate(invalid="ignore"):
+            found: np.ndarray = reach * sum_of(torques)
+        return np.where(np.isnan(found), np.inf, found)
+
     if springs is not None:
-        friction, torques = springs.balanced()
         reach, unknown = springs.reach, springs.number >= 0
-    every = [np.where(network.reached, part.most, 0.0).reshape(count, -1).sum(axis=1) for part in torques]
-    rest = np.sum(every, axis=0) * UP
-    with np.errstate(invalid="ignore"):
-        known = (reach <= fastest) | (reach * rest <= PAID * upper)
-    paid = Enclosure.exact(rest * np.where(known, reach, fastest))
+        friction, torques = springs.balanced(lambda torques: cost(torques) > HARDLY_PAID * upper)
+        open_ = (reach > fastest) & (cost(torques) > PAID * upper)
+        if open_.any():
+            reach = np.where(open_, np.minimum(reach, springs.even_reach), reach)
+    known = (reach <= fastest) | (cost(torques) <= PAID * upper)
+    paid = Enclosure.exact(np.where(known, cost(torques), sum_of(torques) * fastest))
     return friction, torques, unknown, np.where(known, PROVEN, WITHIN), paid
 
 

@@ -14,14 +14,14 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.proof.bounds import PROVEN, Bounds
+from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosed import judged_network
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.slipless_state import exists_without_slip
 from taichi_bearings.proof.states import STILL, States, proven_states
 from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.law import Law
-from taichi_bearings.scene.solution import SLIPLESS
+from taichi_bearings.scene.solution import PROVEN, SLIPLESS
 
 
 @dataclass(frozen=True)

@@ -43,11 +43,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_bearings.proof.bounds import PROVEN, Bounds
+from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import signs
 from taichi_bearings.proof.slipless_state import imposed_exactly
+from taichi_bearings.scene.solution import PROVEN
 
 # Largest change of a force over the sum of r over its part: 1 along the tree, 1/2 around a loop with an odd number.
 SHARE_AROUND = 1.5

@@ -18,6 +18,8 @@ What is done
        |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D.
    An elimination proves sigma^2. As all minima have the same potential, this holds at each of them, once spheres that
    can turn freely (below) are turned so that the component held at 0 is 0, which changes no slip and no work of r.
+3. Where frictions differ by many decades, so do these q, and rounding may hide sigma. Then it is tried with q = 1:
+   |y*| is at most Phi / w and at most (2 Phi / eta)^1/2 at each contact, so its norm is known as well.
 
 Motions without any slip would make sigma 0. Two kinds are removed first:
 * Spheres whose contacts all have one direction can turn about it without slip. The largest component of this direction
@@ -31,6 +33,7 @@ of the fastest imposed one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +48,9 @@ from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.rounded_elimination import EPS, REGION_UNKNOWNS, Elimination, Samples
 
 # How the springs are solved for; the torques that are left over are computed anew, so nothing depends on it.
-ROUNDS, SHIFT = 2, -1e-13  # number of solves; minus what is added to the diagonal, so that pivots stay positive
+ROUNDS, MOST_SOLVES = 2, 30  # number of solves, and the most where contrasts make each solve inexact
+SHIFT = -1e-13  # minus what is added to the diagonal, so that pivots stay positive
+LEAST_POWER = 1e-3  # share of the natural potential; springs are made for no smaller one
 # Force over mu F_n, or over the largest force, below which a contact is tried as one that rolls; a wrong choice fails.
 UNSTRESSED = 1e-6
 
@@ -69,45 +74,57 @@ class Springs:
 
     network : the packing.
     weight : (E,), the stiffness q of each spring.
+    fastest : (E,), bound on the slip of each contact at every minimum; 0 for contacts that cannot dissipate.
     number : (N, 3), the index of each spin component among n unknowns; -1 for those that are none.
     form : the quadratic form x^T K^T q K x of the changes x of unknowns, with K the matrix (3 E, n) of slips; unknowns
         are scaled so that it has a diagonal of 1."""
 
     network: JudgedNetwork
     weight: np.ndarray
+    fastest: np.ndarray
     number: np.ndarray
     form: Form
 
     @classmethod
-    def of(cls, network: JudgedNetwork, potential: np.ndarray) -> Springs | None:
+    def of(cls, network: JudgedNetwork, upper: np.ndarray) -> Springs | None:
         """Return springs with stiffnesses q such that at every minimum the sum of q |slip|^2 over the contacts of a
         sample is at most 1. Return None if some unknown spin component changes no slip.
 
-        potential : (R,), for each of R samples a number that the potential of minima does not exceed, in units of the
-            network."""
+        upper : (R,), for each of R samples a number above 0 that the potential of minima does not exceed, in units of
+            the network. Springs are made for no less than LEAST_POWER of the natural potential."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
         least = np.where(holding > 0, holding, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
-        least, most = network.on_contacts(least), network.on_contacts(potential)
+        least, above = network.on_contacts(least), network.on_contacts(upper)
+        most = network.on_contacts(np.maximum(upper, LEAST_POWER * natural(network)))
         with np.errstate(all="ignore"):
             weight = np.maximum(np.where(least < np.inf, holding * (least / most) / most, 0.0), slope / most / 2)
+            fastest = np.where(network.counts, np.minimum(above / holding, np.sqrt(2 * above / slope)), 0.0)
         number = np.full((len(network.free), 3), -1)
         there = network.reached[:, None] & ~turning_freely(network)
         number[there] = np.arange(there.sum())
         form = weighed(network, slip_rows(network, number), np.sqrt(np.tile(weight, 3)), number)
-        return None if form is None else cls(network, weight, number, form)
+        return None if form is None else cls(network, weight, fastest, number, form)
 
-    def balanced(self) -> tuple[list[Enclosure], list[Enclosure]]:
+    def balanced(self, goes_on: Callable[[list[Enclosure]], np.ndarray]) -> tuple[list[Enclosure], list[Enclosure]]:
         """Return the stored friction with forces of the springs added that balance all torques but for rounding, 3
         components, enclosures (E,); and the torques over radius that are still left over on the N spheres, 3
-        components, enclosures (N,)."""
+        components, enclosures (N,).
+
+        goes_on : function of these torques that returns the mask (R,) of the samples in which they are too large. It
+            is asked after ROUNDS solves, and again after each further one, as long as these at least halve the torques.
+        """
         network, factor = self.network, self.form.elimination.factorised_samples(SHIFT)
         torques, there, fine = network.own_torques, self.number >= 0, network.own_friction
-        if factor.failed.all():
-            return fine, torques
-        taken, failed = np.zeros_like(network.graph.friction), factor.failed[self.form.elimination.samples.of]
-        for _ in range(ROUNDS):
-            left = np.where(failed, 0.0, np.stack([part.value for part in torques], axis=1)[there])
-            root = np.sqrt(np.tile(self.weight, 3))
+        ended, before, samples = factor.failed.copy(), np.full(network.count, np.inf), self.form.elimination.samples
+        taken, root = np.zeros_like(network.graph.friction), np.sqrt(np.tile(self.weight, 3))
+        for number in range(MOST_SOLVES):
+            left = np.stack([part.value for part in torques], axis=1)[there]
+            size = samples.norms(left)
+            if number >= ROUNDS:
+                ended |= ~goes_on(torques) | (size > before / 2)
+            if ended.all():
+                break
+            left, before = np.where(ended[samples.of], 0.0, left), size
             taken += (root * (self.form.rows @ factor.solve(left * self.form.scale))).reshape(3, -1).T
             fine = [Enclosure.exact(f.high, -x) for f, x in zip(network.own_friction, taken.T, strict=True)]
             torques = network.torques(moments(fine, network.graph.normal))
@@ -117,12 +134,31 @@ class Springs:
     def reach(self) -> np.ndarray:
         """Upper bound (R,), for each of R samples, on the size of every component of free spins (times radius) at some
         minimum; infinite if the springs are not proven to resist all motions of the unknowns."""
-        slips, largest = self.network.slips(self.network.imposed), self.form.elimination.samples.largest
-        squares = sum((self.weight * part.most**2).reshape(self.network.count, -1).sum(axis=1) for part in slips)
+        return self._reach(self.form, self.weight, np.ones(self.network.count))
+
+    @property
+    def even_reach(self) -> np.ndarray:
+        """The bound (R,) of :attr:`reach`, proven by springs that are all equally stiff. It may be finite where those
+        of :attr:`reach` differ by so many decades that rounding hides how firmly they resist."""
+        even, by_sample = self.network.counts.astype(float), self.fastest.reshape(self.network.count, -1)
+        form = weighed(self.network, slip_rows(self.network, self.number), np.tile(even, 3), self.number)
+        assert form is not None  # no column is 0, as none of `form` is
         with np.errstate(all="ignore"):
-            floor = self.form.floor()
-            found = largest(self.form.scale) * (1 + np.sqrt(squares)) / np.sqrt(floor) * UP**2
-        return np.where(floor > 0, found, np.inf)
+            return self._reach(form, even, np.sqrt((by_sample**2).sum(axis=1)))
+
+    def _reach(self, form: Form, weight: np.ndarray, most: np.ndarray) -> np.ndarray:
+        """Return an upper bound (R,), for each of R samples, on the size of every component of free spins (times
+        radius) at some minimum; infinite if springs are not proven to resist all motions of the unknowns.
+
+        form : the quadratic form of changes of the unknowns, made with these springs.
+        weight : (E,), stiffness q of the spring at each contact.
+        most : (R,), bound on the root of the sum of q |slip|^2 at every minimum."""
+        slips, largest = self.network.slips(self.network.imposed), form.elimination.samples.largest
+        squares = sum((weight * part.most**2).reshape(self.network.count, -1).sum(axis=1) for part in slips)
+        with np.errstate(all="ignore"):
+            floor = form.floor()
+            found = largest(form.scale) * (most + np.sqrt(squares)) / np.sqrt(floor) * UP**2
+        return np.where((floor > 0) & (found >= 0), found, np.inf)
 
 
 def weighed(

@@ -47,7 +47,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.proof.bounds import PROVEN, Bounds
+from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum
 from taichi_bearings.proof.enclosure import UP
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
@@ -56,7 +56,7 @@ from taichi_bearings.proof.minima_by_cuts import states_by_cuts
 from taichi_bearings.proof.resting import at_rest
 from taichi_bearings.proof.springs import numbered, slip_rows, weighed
 from taichi_bearings.proof.tied_minima import MISSED_LIMIT, tied_states
-from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
+from taichi_bearings.scene.solution import PROVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 PROVEN_AT_ONCE = 200_000  # most spheres of samples that are proven together
 # What is tried as resting, and by which form minima are enclosed. A wrong choice only makes a proof fail.

@@ -18,6 +18,7 @@ from taichi_bearings.proof.contact_state import (
 from taichi_bearings.runs.own_law_torque import SHARP
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene.solution import PROVEN
 from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
@@ -80,16 +81,18 @@ def _strength_unknown(solution: Solution, settings: RunSettings) -> Iterator[str
 
 
 def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence for each sample of a packing whose lower bound on the least power is not proven, or only in
-    part, with the reason.
+    """Yield a sentence for each sample of a packing whose lower bound on the least power is not proven of all spins.
 
     solution : the answer to all samples.
     settings : not used.
     """
     several, said = solution.scene.replicas > 1, solution.findings.get("proof", ())
     for seed, proof in zip(solution.scene.seeds, said, strict=False):
-        if proof != "proven":
-            yield f"what is proven of the least power{f' of seed {seed}' * several}: {proof}"
+        if proof != PROVEN:
+            yield (
+                f"the lower bound{f' of seed {seed}' * several} is {proof}: some spheres can roll but for the rounding "
+                "of their normals, and much faster spins may dissipate less"
+            )
 
 
 def _contacts_found_and_idle(solution: Solution, settings: RunSettings) -> Iterator[str]:

@@ -24,7 +24,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.writing import draw_figures, publish
 from taichi_bearings.scene import Bearing, Snapshots, Solution, Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers.stopping import is_certified
+from taichi_bearings.solvers.stopping import told
 from taichi_bearings.words import counted, html_table, listed
 
 if TYPE_CHECKING:
@@ -143,13 +143,15 @@ class Result:
         """How each sample ended, as a list of members of the enumeration `Status`; the attribute `status` has the same
         in words.
 
-        A sample is certified if its own gap is within the tolerance, however the run ended. The exception is a dynamics
-        that ended before the simulated time that was asked for.
+        A sample is certified if its own gap is within the tolerance, however the run ended; restricted, if its lower
+        bound is not proven of all spins. The exception is a dynamics that ended before the simulated time that was
+        asked for.
         """
         own, asked = self.solution.own.get("status", [self.solution.status] * len(self)), self.asked
+        restricted, has_duration = self.solution.is_restricted.tolist(), asked.duration is not None
         return [
-            Status.CERTIFIED if is_certified(status, gap, asked.tolerance, asked.duration is not None) else status
-            for status, gap in zip(own, self.solution.gap, strict=True)
+            told(status, gap, is_restricted, asked.tolerance, has_duration)
+            for status, gap, is_restricted in zip(own, self.solution.gap, restricted, strict=True)
         ]
 
     @cached_property

@@ -142,7 +142,7 @@ def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[st
     # Friction alone decides whether the top yields: bounds on its least power are the bounds on the torque.
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
     if scene.law.holds:
-        low, high = friction.lower_bound, friction.power * SURELY
+        low, high = friction.bound_of_all_spins, friction.power * SURELY
     yields, held = np.abs(torque) > high, np.abs(torque) <= low
     # The torque is held (0), or the factor is still unknown (NaN).
     amplitude = np.where(held, 0.0, np.nan)
@@ -181,8 +181,8 @@ def _findings_above_driven_bottom(scene: Bearing, torque: float, solve: Solve) -
     top, bottom = scene.sides
     step = HELD_TURN * bottom / abs(top)
     still, moving = (solve(scene.with_top(strength)) for strength in (0.0, step if torque >= 0 else -step))
-    high = np.nextafter((moving.objective * SURELY - still.lower_bound) / step, np.inf)
-    low = (moving.lower_bound - still.objective * SURELY) / step
+    high = np.nextafter((moving.objective * SURELY - still.bound_of_all_spins) / step, np.inf)
+    low = (moving.bound_of_all_spins - still.objective * SURELY) / step
     unknown = np.full(scene.replicas, np.nan)
     yields = abs(torque) > high
     return {"yields": yields, "yield_torque": high, "yield_torque_lower_bound": low, "amplitude": unknown}

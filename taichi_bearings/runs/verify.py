@@ -146,8 +146,8 @@ class NewProof:
         """
         stored, scene, new = self.run.solution, self.run.solution.scene, self.judgement
         ended = np.array(stored.own["status"])
-        # Solution.status says CERTIFIED again where the new gap is within the tolerance
-        ended[ended == Status.CERTIFIED] = Status.STALLED
+        # `Result.ended` says CERTIFIED or RESTRICTED again where the new gap is within the tolerance
+        ended[(ended == Status.CERTIFIED) | (ended == Status.RESTRICTED)] = Status.STALLED
         proven = stored.proven & are_proven(stored.state, self.known)
         # the power of contacts between driven spheres is stored beside the rest
         said = {"proof": new.proof, "driven_power": new.driven_power}
@@ -186,14 +186,12 @@ class NewProof:
         inside_discs : True if all forces are within the friction limit.
         states_proven : numbers of contacts by kind.
         minimum_is_unique : True, False or None.
-        unproven_because, proof : words.
+        unproven_because : words.
+        proof : "proven" if the lower bound holds for all spins, else words that say for which; None without a proof.
         """
         several = self.run.solution.scene.replicas > 1
         found = self._nothing if self.judgement_or_none is None else self._of_samples
-        proof = (
-            None if self.judgement_or_none is None else " ".join(dict.fromkeys(self.judgement.proof.tolist())) or None
-        )
-        return {name: list(v) if several else v[0] for name, v in found.items()} | {"proof": proof}
+        return {name: list(v) if several else v[0] for name, v in found.items()}
 
     @property
     def _of_samples(self) -> Json:
@@ -217,6 +215,7 @@ class NewProof:
             ],
             "minimum_is_unique": [s.unique if may_be_one else None for s in new.states],
             "unproven_because": [s.reason for s in new.states],
+            "proof": new.proof.tolist(),
         }
 
     @property
@@ -224,7 +223,7 @@ class NewProof:
         """Entries of the report if no proof can be tried: nothing is proven of any sample."""
         acts = (self.run.solution.state != DRIVEN).sum(axis=1).tolist()
         open_ = dict.fromkeys(("power", "upper_bound", "lower_bound", "gap", "largest_balance_residual"))
-        return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique")} | {
+        return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique", "proof")} | {
             "balanced": [False] * len(acts),
             "inside_discs": [False] * len(acts),
             "states_proven": [dict.fromkeys(PROVEN_STATES, 0) | {"unproven": number} for number in acts],
@@ -238,7 +237,7 @@ class NewProof:
         stored, attributes = self.run.solution, self.run.attributes
         if self.judgement_or_none is None:
             certain = stored.states_proven.any() or (stored.lower_bound > 0).any()
-            if certain or Status.CERTIFIED in stored.own["status"]:
+            if certain or {Status.CERTIFIED, Status.RESTRICTED} & set(stored.own["status"]):
                 yield f"{NOT_PROVABLE}: what is said of it is not proven"
             return
         yield from self._contacts()

@@ -19,6 +19,7 @@ from taichi_bearings.read_only import read_only
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene.bearing import Bearing
 
+PROVEN = "proven"  # the finding `proof` of a sample whose lower bound holds for all spins
 CROSSED_BOUND = 1e-11  # rounding may put a lower bound above the power by this, relative to the power
 
 
@@ -36,6 +37,7 @@ class Status(Enum):
     """How a run ended. Only CERTIFIED claims that the minimum was found, within the tolerance."""
 
     CERTIFIED = "certified"  # the proven gap is within the tolerance
+    RESTRICTED = "restricted"  # the gap is, but its lower bound is proven only among spins that are not too fast
     STATIONARY = "stationary"  # a dynamics has come to rest: power, slips and torques no longer change
     FINISHED = "finished"  # a dynamics has gone on for the simulated time that was asked for
     STALLED = "stalled"  # the method can get no closer in this precision
@@ -306,6 +308,18 @@ class Solution:
         """(samples R, states S), how many contacts of each sample are in each of the states, in the order of
         `ContactState`."""
         return counts_of_states(self.state)
+
+    @property
+    def is_restricted(self) -> np.ndarray:
+        """(samples R,) mask of the samples whose lower bound is not proven of all spins; the finding `proof` says of
+        which. Only packings of spheres have such samples."""
+        return np.asarray(self.findings.get("proof", np.full(len(self.power), PROVEN)) != PROVEN)
+
+    @property
+    def bound_of_all_spins(self) -> np.ndarray:
+        """(samples R,) lower bound on the least objective, energy/time: 0 in samples whose bound is not proven of all
+        spins."""
+        return np.where(self.is_restricted, 0.0, self.lower_bound)
 
     @property
     def unproven(self) -> np.ndarray:

@@ -97,19 +97,28 @@ class StopRule:
         return None
 
 
-def is_certified(status: Status, gap: float, tolerance: float, has_duration: bool) -> bool:
-    """Return True if an answer is certified: its proven gap is within the tolerance, however its run ended.
+def told(status: Status, gap: float, is_restricted: bool, tolerance: float, has_duration: bool) -> Status:
+    """Return the status of an answer, or of one of its samples, from the status with which its loop ended: CERTIFIED if
+    the proven gap is within the tolerance, however the run ended.
 
-    A dynamics that a limit or an interrupt has ended before the simulated time that was asked for is not certified,
-    whatever its gap.
+    If the lower bound is not proven of all spins, the answer is RESTRICTED in place of CERTIFIED, or it keeps the
+    status of a dynamics that has come to rest or has reached the simulated time that was asked for. A dynamics that a
+    limit or an interrupt has ended before that time keeps its status, whatever its gap.
 
     status : status with which the loop ended.
-    gap : the largest proven gap of the samples.
+    gap : the largest gap of the samples.
+    is_restricted : True if the lower bound of a sample is not proven of all spins.
     tolerance : the gap that was asked for.
     has_duration : True if a simulated time was asked for.
     """
     cut_short = has_duration and status in (Status.STEP_LIMIT, Status.TIME_LIMIT, Status.INTERRUPTED)
-    return bool(gap <= tolerance) and not cut_short
+    if not gap <= tolerance or cut_short:
+        return status
+    if not is_restricted:
+        return Status.CERTIFIED
+    if status in (Status.STATIONARY, Status.FINISHED):
+        return status
+    return Status.FINISHED if has_duration else Status.RESTRICTED
 
 
 def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool) -> Status:
@@ -124,8 +133,7 @@ def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool)
     stop : the rule with the tolerance.
     is_dynamics : True if the method is a dynamics.
     """
-    if is_certified(status, float(np.max(found.gap)), stop.tolerance, stop.duration < float("inf")):
-        return Status.CERTIFIED
-    if status is not Status.CERTIFIED:
-        return status
+    gap, is_restricted = float(np.max(found.gap)), bool(found.is_restricted.any())
+    if gap <= stop.tolerance or status is not Status.CERTIFIED:
+        return told(status, gap, is_restricted, stop.tolerance, stop.duration < float("inf"))
     return Status.STATIONARY if is_dynamics and bool((found.lower_bound == 0).any()) else Status.STALLED

@@ -291,13 +291,6 @@ def test_spheres_that_can_only_roll_prove_that_they_do():
     assert found.power > 0
 
 
-def test_motions_that_rounding_hides_restrict_the_bound():
-    packing = next(p for p in map(drawn, range(200)) if "times the fastest" in tb.solve(p).proof)
-    found = tb.solve(packing)
-    assert found.status == "certified"
-    assert found.lower_bound > 0
-
-
 def forge(name, change):
     def forgery(file):
         if name.startswith("@"):

@@ -15,20 +15,37 @@ from tests.scenes import make_scene
 CUT_SHORT = (Status.STEP_LIMIT, Status.TIME_LIMIT, Status.INTERRUPTED)
 
 
+def answer(**values):
+    """What two samples prove; by default of all spins."""
+    return SimpleNamespace(**{name: np.array(of) for name, of in ({"is_restricted": [False] * 2} | values).items()})
+
+
 @pytest.mark.parametrize("status", list(Status))
 @pytest.mark.parametrize("duration", [np.inf, 3.0])
 def test_what_is_proven_is_certified_unless_it_is_cut_short(status, duration):
-    proven = SimpleNamespace(gap=np.array([0.0, 1e-9]), lower_bound=np.array([0.0, 1.0]))
+    proven = answer(gap=[0.0, 1e-9], lower_bound=[0.0, 1.0])
     stays = duration == 3.0 and status in CUT_SHORT
     found = ended_as(status, proven, StopRule(tolerance=1e-8, duration=duration), is_dynamics=duration == 3.0)
     assert found is (status if stays else Status.CERTIFIED)
 
 
 @pytest.mark.parametrize("status", list(Status))
+@pytest.mark.parametrize("duration", [np.inf, 3.0])
+def test_what_is_proven_of_slow_spins_alone_is_restricted_unless_a_motion_reached_its_end(status, duration):
+    proven = answer(gap=[0.0, 1e-9], lower_bound=[0.0, 1.0], is_restricted=[False, True])
+    found = ended_as(status, proven, StopRule(tolerance=1e-8, duration=duration), is_dynamics=duration == 3.0)
+    if status in (Status.STATIONARY, Status.FINISHED) or (duration == 3.0 and status in CUT_SHORT):
+        assert found is status
+    else:
+        assert found is (Status.FINISHED if duration == 3.0 else Status.RESTRICTED)
+    assert not Status.RESTRICTED.reached
+
+
+@pytest.mark.parametrize("status", list(Status))
 @pytest.mark.parametrize(("least", "is_dynamics"), [(0.0, True), (0.0, False), (1.0, True)])
 def test_what_is_not_proven_is_not_certified(status, least, is_dynamics):
     """A sample that is off is enough; a motion whose least power is 0 has come to rest."""
-    open_ = SimpleNamespace(gap=np.array([0.0, 1e-7]), lower_bound=np.array([1.0, least]))
+    open_ = answer(gap=[0.0, 1e-7], lower_bound=[1.0, least], is_restricted=[True, False])
     expected = status
     if status is Status.CERTIFIED:
         expected = Status.STATIONARY if is_dynamics and least == 0 else Status.STALLED
