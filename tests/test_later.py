@@ -60,3 +60,19 @@ def test_a_command_does_without_them(tmp_path):
     loaded = set(output(code).stderr.split())
     assert {"scipy.sparse.csgraph", "h5py"} <= loaded
     assert not {"dill", "numpy.f2py", "numpy.testing", "numpy.polynomial", "unittest", "http.client", "ssl"} & loaded
+
+
+DESCRIBED = """
+{before}
+import taichi_bearings.plots.style
+from matplotlib.figure import Figure
+figure = Figure()
+figure.set(facecolor="red", figwidth=3)
+print("facecolor" in (Figure.set.__doc__ or ""), *figure.get_facecolor(), figure.get_figwidth())
+"""
+
+
+@pytest.mark.parametrize("in_command", [True, False])
+def test_commands_leave_out_what_matplotlib_tells_of_settings_and_programs_of_users_do_not(in_command):
+    before = "from taichi_bearings.later import postpone; postpone()" if in_command else ""
+    assert output(DESCRIBED.format(before=before)).stdout == f"{not in_command} 1.0 0.0 0.0 1.0 3.0\n"

@@ -177,6 +177,7 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
         axes.set_ylim(0.5, 2 * histogram.count.max())
     else:
         axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
+    style.fix_minor_ticks(axes)
     whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
     threshold = f"; slip threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
     outside = f"({_unbinned_in_words(histogram)}{threshold})"

@@ -10,11 +10,14 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import colormaps, rc_context, rcParamsDefault
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
+from matplotlib.lines import Line2D
+from matplotlib.markers import TICKDOWN, TICKLEFT
+from matplotlib.ticker import LogFormatter, NullLocator
 
 from taichi_bearings.plain_files import replace_file
 from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on
@@ -180,6 +183,26 @@ def label_in_plain_text(*axes: Axis) -> None:
         axis.set_minor_formatter(PlainLogFormatter(minor_thresholds=(1, 0.4)))
 
 
+def fix_minor_ticks(axes: Any) -> None:
+    """Draw minor ticks without labels where they stand now, all of an axis as one line of markers: matplotlib makes
+    five objects of each tick, which takes half of the time in which a small figure is drawn.
+
+    axes : axes of matplotlib, with their final limits.
+    """
+    for axis, name, marker in ((axes.xaxis, "xtick", TICKDOWN), (axes.yaxis, "ytick", TICKLEFT)):
+        low, high = axis.get_view_interval()
+        places = np.array([place for place in axis.get_minorticklocs() if low <= place <= high])
+        if any(axis.get_minor_formatter().format_ticks(places)):
+            continue
+        axis.set_minor_locator(NullLocator())
+        look: dict[str, Any] = {"markersize": RC[f"{name}.minor.size"], "markeredgewidth": RC[f"{name}.minor.width"]}
+        at, transform = [places, np.zeros(len(places))], axes.get_xaxis_transform("tick1")
+        if name == "ytick":
+            at, transform = at[::-1], axes.get_yaxis_transform("tick1")
+        look |= {"color": "black", "linestyle": "", "marker": marker, "transform": transform, "clip_on": False}
+        axes.add_artist(Line2D(*at, **look))
+
+
 def shades(number: int) -> list[Any]:
     """Return `number` colours for curves that have an order, from dark to light.
 
@@ -200,7 +223,8 @@ def _file_content(figure: Figure, kind: str) -> bytes:
     """
     drawn = io.BytesIO()
     if kind == "png":
-        FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
+        # draws once, savefig twice; more compression takes twice the time for a sixth of the bytes
+        FigureCanvasAgg(figure).print_png(drawn, pil_kwargs={"compress_level": 3})
     else:
         figure.savefig(drawn, format=kind)
     return drawn.getvalue()

@@ -229,7 +229,7 @@ class Pulls:
         total, sizes, terms = (np.bincount(of, v, size) for v in (values, np.abs(values), np.ones_like(values)))
         # A sum in doubles is off by less than its terms times EPS times the sum of their sizes, so that most labels
         # need no exact sum.
-        found = np.abs(total) <= terms * EPS * sizes
+        found: np.ndarray = np.abs(total) <= terms * EPS * sizes
         for label in np.flatnonzero(found & (terms > 0)).tolist():
             found[label] = math.fsum(values[of == label].tolist()) == 0.0
         return found
