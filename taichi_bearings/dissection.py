@@ -41,7 +41,8 @@ _keeping = Lock()
 def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int, whole: int = 0) -> list[Part]:
     """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
 
-    graph : (nodes, nodes), symmetric; an entry joins two nodes.
+    graph : (nodes, nodes), symmetric; an entry joins two nodes. One triangle of it is enough if its entries are stored
+        with the larger node of each pair in `indices`.
     place : (coordinates, nodes), where the nodes lie.
     leaf : largest number of nodes of a region that is not divided.
     whole : largest number of nodes of a connected piece of the graph that is not divided, if that is more than `leaf`.
