@@ -147,6 +147,20 @@ def test_an_indefinite_matrix_is_refused(engine):
         matrix.factorise(-random_stiffness(system, np.random.default_rng(0)))
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_one_negative_pivot_is_refused_wherever_it_is(monkeypatch, threads):
+    """In branches and in fronts above them, also where nothing is coupled to the unknown any more."""
+    narrow_panels(monkeypatch, threads)
+    matrix, stiffness, right = random_system((4, 5, 6))
+    matrix.factorise(stiffness)
+    expected, order = matrix.solve(right), matrix._choleskys[0].pattern.order
+    for unknown in [*order[::7].tolist(), order[-1]]:
+        with pytest.raises(NotPositiveDefinite):
+            matrix.factorise(stiffness, np.where(np.arange(len(order)) == unknown, -1e9, 0.0))
+    matrix.factorise(stiffness)
+    assert (matrix.solve(right) == expected).all()
+
+
 def random_system(shape=(6, 7, 8), leaf=20, memory=None):
     scene = make_scene(shape)
     system = system_of(scene)

@@ -327,8 +327,10 @@ class CalledFactor(Factor):
             if not work.eliminate():
                 return np.zeros(1, dtype=bool)
         called = self._layout.called_pivots
-        self._numbers[called] = 1 / self._numbers[called]  # as kernels leave them, and substitutions want them
-        return np.array([np.isfinite(self._numbers[self._layout.pivots]).all()])
+        inverse = 1 / self._numbers[called]
+        self._numbers[called] = inverse  # as kernels leave them, and substitutions want them
+        # what is not finite in a branch makes a pivot of each front above it so
+        return np.array([np.isfinite(inverse).all() and np.isfinite(self._numbers[self._layout.last_pivots]).all()])
 
     def _take_memory(self) -> None:
         """Take the shared memory, unless this factor still holds it, and prepare in it all calls of elimination and

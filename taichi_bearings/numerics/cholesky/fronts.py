@@ -298,7 +298,8 @@ def _numbers(members: np.ndarray, begins: np.ndarray, most: int, which: np.ndarr
         return np.zeros(0, dtype=np.int64)
     lists = sparse.csr_matrix((np.arange(len(members)), members, begins), shape=(len(begins) - 1, most))
     lists.has_canonical_format = True
-    return np.asarray(lists[which, wanted])[0]
+    found: np.ndarray = np.asarray(lists[which, wanted])[0]
+    return found
 
 
 def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_array:

@@ -54,6 +54,7 @@ class Layout:
     diagonal : (fronts,) where the first diagonal entry of the update is.
     pivots : (unknowns,) where the diagonal entries are.
     called_pivots : those of them that calls of LAPACK compute, in no branch.
+    last_pivots : those of them in fronts without a parent.
     tables : int32, flat, for kernels: a header with where each table begins; 14 integers of each front; where each
         entry of the matrix goes; where each row of an update goes in the front above, and each number of a solution;
         work items; and the branches of each stage.
@@ -97,6 +98,7 @@ class Layout:
         first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
         self.pivots = self.columns[front] + (np.arange(pattern.size) - first[front]) * (self.height[front] + 1)
         self.called_pivots = self.pivots[branch_of(len(self.own), branches)[front] < 0]
+        self.last_pivots = self.pivots[pattern.parent[front] < 0]
         start = np.searchsorted(pattern.column, np.append(first, pattern.size))
         table = np.stack(
             [
