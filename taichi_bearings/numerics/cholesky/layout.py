@@ -7,6 +7,7 @@ come first in their grove: a kernel works on each, front after front, and thread
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -97,8 +98,8 @@ class Layout:
         self.vector = int(rest[-1] + kept[-1])
         first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
         self.pivots = self.columns[front] + (np.arange(pattern.size) - first[front]) * (self.height[front] + 1)
-        self.called_pivots = self.pivots[branch_of(len(self.own), branches)[front] < 0]
-        self.last_pivots = self.pivots[pattern.parent[front] < 0]
+        above = branch_of(len(self.own), branches), pattern.parent
+        self.called_pivots, self.last_pivots = (self.pivots[of[front] < 0] for of in above)
         start = np.searchsorted(pattern.column, np.append(first, pattern.size))
         table = np.stack(
             [
@@ -117,8 +118,7 @@ class Layout:
         if apart:
             stages = _stages(pattern, self.own * self.height)
             items, branches, self.batches = self._shared_work(batches, updates, branches, sum(map(len, stages)))
-        ends_at = np.cumsum([len(stage) for stage in stages]).tolist()
-        self.stages = list(zip([0, *ends_at[:-1]], ends_at, strict=True)) if apart else []
+        self.stages = list(pairwise(np.cumsum([0, *map(len, stages)]).tolist()))
         parts = [table, place, rows, _runs(rows, self.border), slots, items, *stages, branches]
         ends_at = np.cumsum([part.size for part in parts[:6]])
         header = np.array([len(self.own), *(HEADER + ends_at), tuning.SHEET_COLUMNS, 1])
