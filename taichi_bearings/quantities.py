@@ -264,16 +264,15 @@ SAMPLES = _named(
         Quantity("contacts", "1", "number of contacts, without absent ones and those between driven spheres: the sum of"
                  " slipping, slipless, tied and undecided",
                  lambda a: _contacts(a.solution), r"N_\mathrm{contacts}"),
-        Quantity("slipping", "1", "number of contacts that slip in every state of least power (of a dynamics: at its"
-                 " end)",
+        Quantity("slipping", "1", "number of slipping contacts; proven ones slip in every state of least power",
                  lambda a: a.solution.counts[:, ContactState.SLIPPING], r"N_\mathrm{slipping}"),
-        Quantity("slipless", "1", "number of contacts that slip in no state of least power (of a dynamics: not at its"
-                 " end)",
+        Quantity("slipless", "1", "number of contacts that do not slip; proven ones slip in no state of least power",
                  lambda a: a.solution.counts[:, ContactState.SLIPLESS], r"N_\mathrm{slipless}"),
-        Quantity("tied", "1", "number of contacts proven to slip in some states of least power and not in others",
+        Quantity("tied", "1", "number of contacts that are proven to slip in some states of least power and not in"
+                 " others",
                  lambda a: a.solution.counts[:, ContactState.TIED]),
-        Quantity("undecided", "1", "number of undecided contacts, for which there is no proof whether they slip, and"
-                 " slip and force contradict each other",
+        Quantity("undecided", "1", "number of contacts without a proof of whether they slip, whose slip and force"
+                 " contradict each other",
                  lambda a: a.solution.counts[:, ContactState.UNDECIDED]),
         Quantity("states_proven", "1", "whether it is proven of every contact that it slips, does not slip or is tied",
                  lambda a: a.solution.states_proven),
@@ -292,9 +291,9 @@ SAMPLES = _named(
         Quantity("largest_balance_residual", "force*length", "largest component of the net torque on a free"
                  " sphere, 0 where all torques balance; for packings divided by the radius of the sphere",
                  lambda a: a.solution.largest_balance_residual),
-        Quantity("spin_top", "1/time", "imposed spin of the top plane",
+        Quantity("spin_top", "1/time", "imposed spin of the top plane, the largest where it varies",
                  _fact("spin_top"), r"\omega_T"),
-        Quantity("spin_bottom", "1/time", "imposed spin of the bottom plane",
+        Quantity("spin_bottom", "1/time", "imposed spin of the bottom plane, the largest where it varies",
                  _fact("spin_bottom"), r"\omega_B"),
         Quantity("normal_force", "force", "normal force at every contact",
                  _fact("normal_force"), "F_n"),
@@ -303,7 +302,7 @@ SAMPLES = _named(
         Quantity("power_normalised", "1", "power / (normal_force * radius * |spin_top|)",
                  _normalised, r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1",
-                 "whether all minima have the same slips: true or false if proven, null if neither is",
+                 "whether all states of least power have the same slips; true or false only if that is proven",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time that the dynamics has reached", _at_end("time")),
         Quantity("duration", "time", "simulated time at which the dynamics was asked to end",
@@ -358,8 +357,9 @@ STRUCTURE = {
                  " cut",
                  lambda s: s.interface and s.interface.unique),
         Quantity("next_cut_over_cut", "1", "power of the second weakest interface between spheres that turn with the"
-                 " bottom and with the top, both without islands, divided by power_minimum_cut",
-                 lambda s: s.interface and _ratio(s.interface.next_power, s.interface.power),
+                 " bottom and with the top, both without islands, over that of the minimum cut; of the potentials, if"
+                 " that is what is least",
+                 lambda s: s.interface and s.interface.next_over,
                  r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
         Quantity("cut_contacts", "1", "number of contacts that the minimum cut crosses",
                  lambda s: s.interface and s.interface.contacts.sum(), r"N_\mathrm{cut}"),
@@ -400,13 +400,10 @@ STRUCTURE = {
     "rigid domains": [
         Quantity("domains", "1", "number of rigid domains, sets of spheres that turn as one",
                  lambda s: s.rigid_domains.number, r"N_\mathrm{domains}"),
-        Quantity("domains_locked_to", "1", "for each driven plane, the number of rigid domains (spheres that turn as"
-                 " one) that turn with it; mixed: with different planes in different spin components; partly: with one"
-                 " in some components only; neither: with none",
+        Quantity("domains_locked_to", "1", "number of rigid domains that turn with each driven plane; mixed: with"
+                 " different planes in different spin components; partly: with one in some components only",
                  lambda s: s.rigid_domains.domains_of_kind()),
-        Quantity("free_spheres_locked_to", "1", "for each driven plane, the number of free spheres whose rigid domain"
-                 " turns with it; mixed: with different planes in different spin components; partly: with one in some"
-                 " components only; neither: with none",
+        Quantity("free_spheres_locked_to", "1", "number of free spheres in these rigid domains",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
         Quantity("largest_intermediate_domain", "1",
                  "number of spheres of the largest rigid domain that does not turn with one driven plane in all spin"
@@ -445,7 +442,7 @@ STRUCTURE = {
     ],
     "forces": [
         Quantity("self_stress_states", "1", "number of independent sets of forces on slipless contacts that balance"
-                 " without driving; 0 if the forces of slipless contacts are unique",
+                 " without driving; 0 if the forces are unique",
                  lambda s: s.self_stress),
         Quantity("driving_torque", "force*length", "torque that the top passes to the bottom, for each spin component",
                  lambda s: s.torque_flow.total.tolist()),

@@ -251,9 +251,10 @@ class SliplessNetwork:
     @property
     def path_planes(self) -> Any:
         """For each sideways axis (x, in 3D also y) the number of different lattice positions along it that the shortest
-        slipless path from bottom to top visits, as a list; None for a packing.
+        slipless path from bottom to top visits, as a list; not-a-number without such a path, None for a packing.
         """
-        return [len(np.unique(places)) for places in self.shortest_path.T[:-1]] or None
+        counted = [len(np.unique(places)) for places in self.shortest_path.T[:-1]] or None
+        return counted if counted is None or len(self.path) else np.nan
 
     def winding(self, axis: int) -> np.ndarray:
         """Return a mask of the spheres in connected pieces that have a closed path of slipless contacts around a

@@ -94,8 +94,8 @@ class Interface:
     between : mask of the same shape: spheres that may be on the other side of another interface that is equally light,
         or so nearly that rounding hides the difference. If there are none, every other interface is proven heavier.
     lower_bound : energy/time, proven, of lattices alone: no two rigid domains have a smaller objective.
-    next_power : objective, energy/time, of the lightest other interface of which both domains are in one piece; NaN if
-        it is not known, as in 3D and in packings.
+    next_over : objective of the lightest other interface of which both domains are in one piece, divided by that of
+        this one; NaN if it is not known, as in 3D and in packings.
     spins : spins of packings alone: radius * spin of the two rigid domains, (N, components C), length/time.
     """
 
@@ -104,7 +104,7 @@ class Interface:
     above: np.ndarray
     between: np.ndarray
     lower_bound: float = np.nan
-    next_power: float = np.nan
+    next_over: float = np.nan
     spins: np.ndarray | None = None
 
     @property
@@ -206,19 +206,19 @@ def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
     contacts = (low != high) & (weight[0] > 0) & (scene.jump > 0)  # without a jump nothing slips
     power = unit * float(cut.weight[0])
     if scene.law.minimises != "power":
-        power = float(scene.law.power(scene.material, _interface_slips(scene)[None])[0, contacts].sum())
+        power = float(scene.law.power(scene.material, _interface_slips(scene))[0, contacts].sum())
     return Interface(
         power,
         contacts,
         cut.above[0],
         cut.between[0],
         unit * float(cut.lower_bound[0]) * (1 - WEIGHT_ROUNDING),
-        unit * float(cut.next_weight[0]),
+        float(cut.next_weight[0] / cut.weight[0]) if cut.weight[0] > 0 else np.nan,
     )
 
 
 def _interface_slips(scene: Scene) -> np.ndarray:
-    """Return the slip (contacts E,), length/time, that each contact of a lattice has if one of its spheres rolls with
+    """Return the slip (1, contacts E), length/time, that each contact of a lattice has if one of its spheres rolls with
     the bottom and the other with the top.
 
     scene : the lattice, with what is imposed on its planes.
@@ -228,7 +228,7 @@ def _interface_slips(scene: Scene) -> np.ndarray:
     """
     axes = scene.minimum_spin_axes
     jump = scene.top_spin(axes).reshape(len(axes), -1)[:, scene.lattice.column]
-    return scene.lattice.radius * vector_length(np.where(scene.lattice.tangential_mask(axes), jump, 0.0))
+    return scene.lattice.radius * vector_length(np.where(scene.lattice.tangential_mask(axes), jump, 0.0))[None]
 
 
 def cut_of(scene: Scene) -> MinimumCut:
@@ -247,9 +247,10 @@ def cut_rounding(scene: Scene) -> float:
 
     scene : the lattice, with its law.
 
-    It is 0 for discs with a law of one coefficient, as the weight then is the coefficient.
+    It is 0 for discs with friction or viscosity alone, as the weight then is the coefficient.
     """
-    return 0.0 if scene.lattice.dimension == 2 and len(scene.law.quantities) == 1 else WEIGHT_ROUNDING
+    is_coefficient = scene.lattice.dimension == 2 and scene.law.is_sum and len(scene.law.quantities) == 1
+    return 0.0 if is_coefficient else WEIGHT_ROUNDING
 
 
 def _cut_speed(scene: Scene) -> float:
@@ -274,8 +275,11 @@ def cut_weights(scene: Scene) -> np.ndarray:
     Such a contact slips by r |J x n|, with r the radius, n its axis, and J the difference of the two imposed states at
     its place. J is taken without the component along the height, which can change from bottom to top layer by layer
     without any slip. The objective of a viscous contact grows with the square of its slip; with friction and viscosity
-    it is the sum of both parts. :func:`cut_rounding` bounds the rounding errors.
+    it is the sum of both parts; that of a law of one's own may depend on it in any way. :func:`cut_rounding` bounds the
+    rounding errors.
     """
+    if not scene.law.is_sum:
+        return scene.law.objective(scene.material, _interface_slips(scene)) / cut_unit(scene)
     unit = _cut_speed(scene)
     units = (1.0, scene.lattice.radius * unit / scene.normal_force)
     coefficients = tuple(unit * values for unit, values in zip(units, scene.named_coefficients.values(), strict=False))

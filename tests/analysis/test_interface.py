@@ -1,5 +1,8 @@
 """The interface of two rigid domains as contacts: hand-made surfaces, its power, and what slips at a minimum."""
 
+from itertools import product
+
+import networkx as nx
 import numpy as np
 import pytest
 
@@ -7,9 +10,11 @@ from taichi_bearings.analysis.structure import find_interface
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.law import LAWS, Quantity
 from taichi_bearings.solvers import PlanarCut
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from tests.own_laws import Bounded, PowerLaw
 from tests.scenes import SIMPLE_LAWS, make_scene
 
 
@@ -79,7 +84,7 @@ def test_equal_coefficients_tie():
         assert found.contacts.sum() == np.prod(shape[:-1])
         assert found.between[..., 1:-1].all()
     flat = find_interface(make_scene((4, 5), distribution="constant:0.3"))
-    assert flat.next_power == pytest.approx(flat.power, rel=1e-15)
+    assert flat.next_over == pytest.approx(1.0, rel=1e-15)
 
 
 def test_planar_minima_slip_at_the_interface_alone():
@@ -91,4 +96,64 @@ def test_planar_minima_slip_at_the_interface_alone():
         assert np.array_equal(slipping, found.contacts)
         assert solution.power[replica] == pytest.approx(found.power, rel=1e-13)
         ratio = solution.findings["next_cut_over_minimum"][replica]
-        assert found.next_power == pytest.approx(ratio * found.power, rel=1e-13)
+        assert found.next_over == pytest.approx(ratio, rel=1e-13)
+
+
+OWN_LAWS = {
+    "bounded": Bounded("bounded", (Quantity("damping", "force*time/length"),), minimises="potential"),
+    "cubic": PowerLaw("cubic", (Quantity("damping", "force*time^3/length^3"),), share=4.0),
+}
+
+
+@pytest.fixture
+def own_laws(monkeypatch):
+    for name, law in OWN_LAWS.items():
+        monkeypatch.setitem(LAWS, name, law)
+
+
+def surfaces(shape):
+    """Every division of the free spheres into those that turn with the bottom and those that turn with the top."""
+    *sides, height = shape
+    for bits in product((False, True), repeat=int(np.prod(sides)) * (height - 2)):
+        above = np.zeros(shape, dtype=bool)
+        above[..., -1], above[..., 1:-1] = True, np.reshape(bits, (*sides, height - 2))
+        yield above
+
+
+def in_one_piece(above):
+    """True if the spheres above and those below are one piece each."""
+    grid = nx.grid_graph(above.shape[::-1])
+    return all(nx.is_connected(grid.subgraph(map(tuple, np.argwhere(side).tolist()))) for side in (above, ~above))
+
+
+@pytest.mark.parametrize("law", [*LAWS, *OWN_LAWS])
+def test_lightest_and_second_lightest_surface_of_discs_are_those_of_all_that_there_are(law, own_laws):
+    scene = make_scene((3, 4), law, spin_top=1.3, spin_bottom=-0.4, normal_force=3.0, radius=0.7)
+    slip, weights, powers = np.full(scene.coefficient.shape, 0.7 * 1.7), [], []
+    objective, power = scene.law.objective(scene.material, slip)[0], scene.law.power(scene.material, slip)[0]
+    for above in filter(in_one_piece, surfaces((3, 4))):
+        low, high = above.ravel()[scene.lattice.ends]
+        weights.append(objective[low != high].sum())
+        powers.append(power[low != high].sum())
+    first, second = np.argsort(weights)[:2]
+    found = find_interface(scene)
+    assert found.power == pytest.approx(powers[first], rel=1e-13)
+    assert found.lower_bound == pytest.approx(weights[first], rel=1e-13)
+    assert found.next_over == pytest.approx(weights[second] / weights[first], rel=1e-13)
+
+
+@pytest.mark.parametrize("law", [*LAWS, *OWN_LAWS])
+def test_the_surface_of_spheres_whose_imposed_spins_grow_is_the_lightest_of_all(law, own_laws):
+    driving = {"top": (0.3, -0.2, 0.1, 2.0), "bottom": (0.0, 0.1, 0.0, 0.5)}
+    scene = make_scene((2, 3, 4), law, normal_force=3.0, radius=0.7, **driving)
+    x, y = np.indices((2, 3, 4))[:2] * 2 * 0.7
+    jump = np.stack([0.3 + 1.5 * x, -0.3 + 1.5 * y])  # without its component along the height
+    axis, low = scene.lattice.axis, scene.lattice.ends[0]
+    lateral = jump.reshape(2, -1)[:, low]
+    slip = 0.7 * np.where(axis == 0, abs(lateral[1]), np.where(axis == 1, abs(lateral[0]), np.hypot(*lateral)))
+    objective = scene.law.objective(scene.material, slip[None])[0]
+    sides = [above.ravel()[scene.lattice.ends] for above in surfaces((2, 3, 4))]
+    least = min(objective[low != high].sum() for low, high in sides)
+    found = find_interface(scene)
+    assert found.lower_bound == pytest.approx(least, rel=1e-12)
+    assert objective[found.contacts].sum() == pytest.approx(least, rel=1e-12)

@@ -813,7 +813,7 @@ def path_planes(lab):
     graph = lab.joined(lab.slipless, range(len(lab.driven)))
     assert all(graph.has_edge(a, b) for a, b in pairwise(path))
     assert bool(path) == lab.spans
-    return [len({int(lab.place[n, axis]) for n in path}) for axis in range(len(lab.shape) - 1)]
+    return [len({int(lab.place[n, axis]) for n in path}) for axis in range(len(lab.shape) - 1)] if path else np.nan
 
 
 def of_pairs(formula):
