@@ -6,7 +6,7 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import answer, json_option, out_options, run_argument, title_option
 from taichi_bearings_cli.progress import Display, in_lines
-from taichi_bearings_cli.report import lines_of, solved
+from taichi_bearings_cli.report import columns_of, solved
 
 REPORTED = ("power", "slipless", "slipping", "tied", "undecided", "minimum_is_unique")
 """Columns with which the report begins."""
@@ -82,7 +82,7 @@ def describe(report: dict[str, Any], times: str) -> str:
             "fact in how many samples it is true"
         )
     for title, rows in {"contacts": [COLUMNS[name] for name in REPORTED], **STRUCTURE}.items():
-        found = lines_of(rows, report)
+        found = columns_of(rows, report)
         if title == "bottlenecks" and not any(listed(report["spans"])):
             found = ["none: slipless contacts do not join bottom and top"]
         lines += [title, *(f"  {line}" for line in found)] if found else []

@@ -1,6 +1,7 @@
 """Shows on a terminal how far a command is. If the output goes into a pipe, nothing is shown."""
 
 import os
+import re
 import shutil
 import stat
 import sys
@@ -15,12 +16,13 @@ from taichi_bearings_cli import STARTED
 from taichi_bearings import progress
 from taichi_bearings.progress import TerminalLine, duration
 
+COLUMN_GAP = re.compile(r"(?<=\S) {2,}(?=\S)")
 Display = partial(progress.Display, STARTED)  # its times begin with the process
 
 
 def in_lines(text: str, err: bool = False) -> str:
-    """Return a report for printing: for a terminal long lines are broken between words, with the next lines indented;
-    else it is unchanged.
+    """Return a report for printing: for a terminal long lines are broken between words, with the next lines below the
+    last column or indented; else it is unchanged.
 
     text : the report.
     err : True if it is printed on stderr.
@@ -30,9 +32,19 @@ def in_lines(text: str, err: bool = False) -> str:
         return text
     look: Any = {"break_long_words": False, "break_on_hyphens": False, "replace_whitespace": False}
     width = shutil.get_terminal_size().columns
-    indents = [" " * (len(line) - len(line.lstrip()) + 4) for line in text.splitlines()]
-    lines = zip(text.splitlines(), indents, strict=True)
+    lines = ((line, " " * _indent(line, width)) for line in text.splitlines())
     return "\n".join(textwrap.fill(line, width, subsequent_indent=indent, **look) for line, indent in lines)
+
+
+def _indent(line: str, width: int) -> int:
+    """Return by how many letters the continuation of a long line is indented: as far as its last column, which two
+    spaces part from the others, if that leaves a third of the width; else four more than the line.
+
+    line : the line.
+    width : letters in a line of the terminal.
+    """
+    column = max((gap.end() for gap in COLUMN_GAP.finditer(line)), default=width)
+    return column if column <= 2 * width // 3 else len(line) - len(line.lstrip()) + 4
 
 
 HEARTBEAT = 30.0  # seconds between two lines in a log file

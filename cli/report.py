@@ -3,11 +3,14 @@
 A report is the object of `--json`. With several samples, most of its values are lists with one entry for each sample.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from taichi_bearings.quantities import Quantity
 from taichi_bearings.words import driving_words, listed, sized
+
+WIDEST_VALUE = 30
+"""Letters of the column of values at most; longer values push the words behind them to the right."""
 
 
 def solved(report: Mapping[str, Any]) -> str:
@@ -24,47 +27,99 @@ def ends(report: Mapping[str, Any]) -> str:
 
 
 def lines_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
-    """Return a line of text for each of some quantities that a report has. For several samples a line has mean, least
-    and largest value, or how many samples something is true of.
+    """Return a line of text for each of some quantities that a report has: what it is, and its value. For several
+    samples a line has mean, least and largest value, or how many samples something is true of.
 
     rows : quantities, each with a name and a text.
     report : object of `--json`, of one sample or of several.
     """
-    several = isinstance(report.get("seed"), list)
-    found = ((row.text, report[row.name]) for row in rows if row.name in report)
-    return [line for text, value in found for line in (_of_several if several else _of_one)(text, value)]
+    return [f"{row.text}: {value}{_unit(row)}" for row, value in _values_of(rows, report)]
 
 
-def _of_several(text: str, value: Any) -> list[str]:
-    """Return a line on a quantity of several samples, in a list; an empty list if their values are lists or tables.
+def columns_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
+    """Return the lines of :func:`lines_of` in three columns: name in `--json`, value, and what the quantity is, with
+    its unit. The lines of a table follow its name.
 
-    text : what the quantity is.
+    rows : quantities, each with a name and a text.
+    report : object of `--json`, of one sample or of several.
+    """
+    rows = list(rows)
+    found = list(_values_of(rows, report))
+    names = max((len(row.name) for row, _ in found), default=0)
+    widths = [len(value) for _, value in found if len(value) <= WIDEST_VALUE]
+    lines = [f"{row.name:<{names}}  {value:>{max(widths, default=0)}}  {row.text}{_unit(row)}" for row, value in found]
+    tables = () if _is_of_several(report) else (row for row in rows if _is_table(report.get(row.name)))
+    return lines + [line for row in tables for line in (f"{row.name}  {row.text}", *_table(report[row.name]))]
+
+
+def _unit(row: Quantity) -> str:
+    """Return the unit of a quantity in brackets, after a space; an empty text for a pure number.
+
+    row : the quantity.
+    """
+    return "" if row.unit in ("1", "contacts") else f" [{row.unit}]"
+
+
+def _values_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> Iterator[tuple[Quantity, str]]:
+    """Yield the quantities that have a value in a report, each with its value as a text; tables are left out.
+
+    rows : quantities.
+    report : object of `--json`, of one sample or of several.
+    """
+    of = _of_several if _is_of_several(report) else _of_one
+    found = ((row, of(report[row.name])) for row in rows if row.name in report)
+    return ((row, value) for row, value in found if value)
+
+
+def _is_of_several(report: Mapping[str, Any]) -> bool:
+    """Return True if a report is on several samples, so that most of its values are lists with one entry for each.
+
+    report : object of `--json`.
+    """
+    return isinstance(report.get("seed"), list)
+
+
+def _of_several(value: Any) -> str:
+    """Return a quantity of several samples as a text: mean, least and largest value, the value itself if only one
+    sample has it, or how many times it is true; an empty text if the values are lists or tables.
+
     value : for each sample its value, or None.
     """
     found = listed(value)
     values = [one for one in found if one is not None]
     if not values or isinstance(values[0], (dict, list)):
-        return []
+        return ""
     if isinstance(values[0], bool):
-        return [f"{text}: {sum(values)} of {len(found)}"]
-    some = f", of {len(values)} of {len(found)} samples" if len(values) < len(found) else ""
-    spread = ", ".join(_shown(number) for number in (sum(values) / len(values), min(values), max(values)))
-    return [f"{text}: {spread}{some}"]
+        return f"{sum(values)} of {len(found)}"
+    some = f" in {len(values)} of {len(found)}" if len(values) < len(found) else ""
+    shown = (sum(values) / len(values), min(values), max(values)) if len(values) > 1 else values
+    return ", ".join(map(_shown, shown)) + some
 
 
-def _of_one(text: str, value: Any) -> list[str]:
-    """Return a list of lines on a quantity of one sample: one line, several for a table, none if there is no value.
+def _of_one(value: Any) -> str:
+    """Return a quantity of one sample as a text, an empty one for a table or if there is no value.
 
-    text : what the quantity is.
     value : a number, a list, or a table (a list of dictionaries).
     """
-    if value is None or value == []:
-        return []
-    if isinstance(value, list) and isinstance(value[0], dict):
-        rows = [list(value[0]), *([_shown(entry) for entry in row.values()] for row in value)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return [f"{text}:", *("  ".join(map(str.rjust, row, widths)) for row in rows)]
-    return [f"{text}: {_shown(value, digits=10)}"]
+    return "" if value is None or value == [] or _is_table(value) else _shown(value, digits=10)
+
+
+def _is_table(value: Any) -> bool:
+    """Return True if a value is a table: a list of dictionaries with the same keys.
+
+    value : value in a report on one sample.
+    """
+    return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
+
+
+def _table(value: list[dict[str, Any]]) -> list[str]:
+    """Return the lines of a table, the first with the names of its columns.
+
+    value : a dictionary for each line.
+    """
+    rows = [list(value[0]), *([_shown(entry) for entry in row.values()] for row in value)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(str.rjust, row, widths)) for row in rows]
 
 
 def _shown(value: Any, digits: int = 6) -> str:

@@ -260,7 +260,9 @@ def describe(summary: dict[str, Any], times: str) -> str:
     """
     drawn, is_packing, seeds = summary["coefficients"] is None, summary["shape"] is None, listed(summary["seed"])
     lines = [f"{solved(summary)}: {ends(summary)}"]
-    lines += [] if drawn else [f"  coefficients from {summary['coefficients']}"]
+    around = " and ".join(summary.get("periodic", ())) if not is_packing else ""
+    shapes = f"; the shapes of its arrays make {around} periodic" if around else ""
+    lines += [] if drawn else [f"  coefficients from {summary['coefficients']}{shapes}"]
     kind, names = ("seed", seeds) if drawn else ("sample", range(len(seeds)))
     numbers = (found if isinstance(found := summary.get(key), list) else [found] * len(seeds) for key in OF_A_SAMPLE)
     for number, (name, *found) in enumerate(zip(names, *numbers, strict=True)):
@@ -269,11 +271,10 @@ def describe(summary: dict[str, Any], times: str) -> str:
             break
         label = "" if len(seeds) == 1 and (is_packing or not drawn) else f"{kind} {name}: "
         lines.append(f"  {label}{_of_a_sample(summary, *found)}")
-    lines += (
-        [f"  of {len(seeds)} samples the mean, least and largest value, or in how many it is true:"]
-        if len(seeds) > 1
-        else []
-    )
+    if "yields" in summary:
+        lines.append("  P and the slipping contacts are those of a top that turns with its imposed spin")
+    if len(seeds) > 1:
+        lines.append(f"  of {len(seeds)} samples the mean, least and largest value, or in how many it is true:")
     lines += [f"  {line}" for line in lines_of(map(COLUMNS.__getitem__, LAST_COLUMNS), summary)]
     device = f" on {summary['arch']}, {summary['precision']}" if "arch" in summary else ""
     lines += [

@@ -1,6 +1,8 @@
 """`bearings analyse` as scripts use it."""
 
 import json
+import re
+import sys
 
 import pytest
 
@@ -29,10 +31,27 @@ def test_json_is_one_object_with_the_promised_keys(solved):
     assert done.stderr == ""  # quiet in a pipe
 
 
+def test_a_line_has_name_value_meaning_and_unit(solved):
+    done = bearings("analyse", solved, "--no-figures")
+    report = json.loads(bearings("analyse", solved, "--no-figures", "--json").stdout)
+    rows = [re.split(r" {2,}", line.strip(), maxsplit=2) for line in done.stdout.splitlines() if line[:2] == "  "]
+    shown = {row[0]: row[1:] for row in rows if len(row) == 3}
+    assert shown["power_minimum_cut"][0] == f"{report['power_minimum_cut']:.10g}"
+    assert shown["power_minimum_cut"][1].startswith("power of the minimum cut")
+    assert shown["power_minimum_cut"][1].endswith(" [energy/time]")
+    assert shown["spans"] == ["yes" if report["spans"] else "no", "whether slipless contacts join bottom and top"]
+    assert shown["slipping"][0] == f"{report['slipping']:,}"
+    lines = done.stdout.splitlines()
+    first, last = (next(n for n, line in enumerate(lines) if line.startswith(title)) for title in ("minimum", "slipl"))
+    starts = {re.match(r"  \S+ +\S+  ", line).end() for line in lines[first + 1 : last]}
+    assert len(starts) == 1  # the meanings stand below each other
+
+
 def test_several_samples_are_summed_up(tmp_path):
     assert bearings("run", "--shape", "6,6", "--replicas", 5, "--out", tmp_path / "run").returncode == 0
     done = bearings("analyse", tmp_path / "run", "--no-figures")
-    assert "whether exactly the contacts of the minimum cut slip: 5 of 5" in done.stdout
+    assert "  5 of 5  whether exactly the contacts of the minimum cut slip\n" in done.stdout
+    assert "planes_crossed" not in done.stdout  # no path joins bottom and top
     report = json.loads(bearings("analyse", tmp_path / "run", "--no-figures", "--json").stdout)
     assert report["slipping_contacts_are_the_cut"] == [True] * 5
 
@@ -61,3 +80,15 @@ def test_a_run_that_did_not_reach_the_minimum_is_said_to(replicas, tmp_path):
 )
 def test_bad_input_is_one_sentence_and_exit_code_2(solved, words, complaint):
     assert complaint in refused("analyse", *(word.format(run=solved) for word in words))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are of Unix")
+def test_on_a_terminal_a_meaning_goes_on_below_itself(solved):
+    from tests.cli.terminal import on_terminal
+
+    session = on_terminal("analyse", solved, "--no-figures", columns=100, report=True)
+    lines = session.raw.decode().replace("\r", "").split("\n")
+    first = next(n for n, line in enumerate(lines) if line.startswith("  power_minimum_cut "))
+    start = lines[first].index("power of the minimum cut")
+    assert len(lines[first]) <= 100
+    assert lines[first + 1].index(lines[first + 1].strip()) == start

@@ -109,6 +109,10 @@ def test_missing_arrays_are_named(refused, tmp_path):
 def test_coefficients_bring_their_shape_and_stand_in_the_report_instead_of_the_seed(refused, tmp_path):
     np.savez(tmp_path / "one.npz", **draw(4, 6))
     np.savez(tmp_path / "two.npz", **draw(4, 6, samples=(2,)))
+    around = draw(4, 6)
+    np.savez(tmp_path / "around.npz", x=np.concatenate([around["x"], around["x"][:1]]), y=around["y"])
+    said = bearings("run", "--coefficients", "around.npz", "--figures", "none", "--out", "c", cwd=tmp_path).stdout
+    assert "coefficients from around.npz; the shapes of its arrays make x periodic\n  P = " in said
     words = ("run", "--coefficients", "one.npz", "--seed", "7", "--figures", "none")
     done = bearings(*words, "--out", "a", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -217,3 +221,10 @@ if sys.platform != "win32":
         said = interrupted(*words, "--out", tmp_path / "r", method=("cundall_strack", "CundallStrackMethod"))
         assert f"`bearings run --resume {tmp_path / 'r'}` goes on from the last checkpoint" in said
         assert bearings("run", "--resume", tmp_path / "r").returncode == 0
+
+
+def test_a_run_under_a_torque_says_what_its_power_belongs_to(tmp_path):
+    words = ("run", "--shape", "4,5", "--figures", "none")
+    said = "P and the slipping contacts are those of a top that turns with its imposed spin"
+    assert said in bearings(*words, "--torque", "1", "--out", "a", cwd=tmp_path).stdout
+    assert said not in bearings(*words, "--out", "b", cwd=tmp_path).stdout
