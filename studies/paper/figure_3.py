@@ -102,7 +102,7 @@ def draw_plane_cuts(shown: Structure) -> Figure:
         name_cut(axes, axis, index, after=f": {held if len(path) else 'no path joins bottom and top'}")
     if len(path):
         figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
-    draw_speed_bar(figure, figure.axes, *imposed, **(BELOW if len(cuts) < 2 else {}))
+    draw_speed_bar(figure, figure.axes, shown.scene, **(BELOW if len(cuts) < 2 else {}))
     return figure
 
 

@@ -20,6 +20,7 @@ from matplotlib.patches import Rectangle
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.page import AXES, BELOW, VIEW, Page, View
 from taichi_bearings.plots.style import label_in_plain_text, larger_spin, new_figure
+from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.network import Network
 
 if TYPE_CHECKING:
@@ -246,16 +247,14 @@ def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarra
     return speed
 
 
-def draw_speed_bar(
-    figure: Figure, axes: Axes | list[Axes], spin_top: float, spin_bottom: float, **look: object
-) -> None:
+def draw_speed_bar(figure: Figure, axes: Axes | list[Axes], scene: Bearing, **look: object) -> None:
     """Draw the colour bar for spheres coloured by |spin| over the larger of the two imposed spins.
 
     figure, axes : where it is drawn.
-    spin_top, spin_bottom : the imposed spins, 1/time.
+    scene : what was solved.
     look : arguments of matplotlib's colorbar.
     """
-    label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
+    label = rf"$|\omega|\,/\,{larger_spin(scene)}$"
     colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
 
 

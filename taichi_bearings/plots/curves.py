@@ -43,7 +43,8 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
         raise InputError(
-            f"the history of the run, by method {answer.method}, has only {steps}; its figure needs 2 or more"
+            f"the history of the run, by method {answer.method}, has only {steps}, its answer; its figure needs 2 or "
+            "more, which a dynamics, gradient-descent or operator-splitting makes"
         )
     course, scene = courses[0], courses[0].scene
     width = page.inches("single")
@@ -179,9 +180,10 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
         axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
     style.fix_minor_ticks(axes)
     whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
-    threshold = f"; slip threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
-    outside = f"({_unbinned_in_words(histogram)}{threshold})"
-    style.put_title(figure, f"{histogram.slipping:,} slipping contacts{whose}{outside}", page)
+    threshold = histogram.slip_threshold
+    limit = f"\nslipless below a slip of {threshold:.1e} (length / time)" if threshold > 0 else ""
+    outside = f"({_unbinned_in_words(histogram)})"
+    style.put_title(figure, f"{histogram.slipping:,} slipping contacts{whose}{outside}{limit}", page)
     return figure
 
 

@@ -60,7 +60,7 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     else:
         imposed = of_lattice(system).imposed
         speed = bearing.speed_of(spin, *imposed)
-        label = rf"$|\omega|\,/\,{larger_spin(*imposed)}$"
+        label = rf"$|\omega|\,/\,{larger_spin(system)}$"
     colour = colormaps[SPIN_COLOURS](speed)
     if speed.ndim == 3:
         figure = _draw_block(structure.network.lattice, colour, drawn, page)

@@ -66,6 +66,7 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
         bearing.name_cut(axes, *plane, f"({letter}) ")
     _draw_values(values, domains)
     values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) rotation: key to the colours")
+    put_title(figure, describe(structure.scene), page)
     return figure
 
 
@@ -209,12 +210,13 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
         else:
             _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
     if not flat or len(path):
-        bearing.draw_speed_bar(figure, each, spin_top, spin_bottom, **({"shrink": 0.6} | (BELOW if below else {})))
+        bearing.draw_speed_bar(figure, each, structure.scene, **({"shrink": 0.6} | (BELOW if below else {})))
     if some and not network.spans:
-        colours: dict[str, Any] = {**REACHED_COLOURS, "neither": GREY}
-        marks = [Line2D([], [], color=colour, label=end) for end, colour in colours.items()]
+        colours: dict[str, Any] = {**REACHED_COLOURS, "neither": to_rgba(GREY)}
+        drawn_in = {tuple(colour) for colour in contact_colours(network)}
+        marks = [Line2D([], [], color=c, label=end) for end, c in colours.items() if tuple(c) in drawn_in]
         figure.legend(handles=marks, title="joined to", loc="outside lower center", ncols=3)
-    put_title(figure, words, page)
+    put_title(figure, f"{describe(structure.scene)}\n{words}", page)
     return figure
 
 

@@ -150,15 +150,18 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u207
 
 
 class PlainLogFormatter(LogFormatter):
-    """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics."""
+    """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics: powers of
+    ten as such; numbers in full if the axis has no more than two powers, so that others are labelled too.
+    """
 
     def __call__(self, value: float, position: int | None = None) -> str:
         """Return the label of a value, "" for ticks without one; matplotlib calls this with the number of the tick."""
         if not super().__call__(value, position):
             return ""
         exponent = math.log10(value)
-        is_decade = abs(exponent - round(exponent)) < 1e-6
-        return f"10{str(round(exponent)).translate(SUPERSCRIPTS)}" if is_decade else f"{value:g}"
+        low, high = sorted(math.log10(end) for end in self.axis.get_view_interval())
+        in_full = math.floor(high) - math.ceil(low) < 2 or abs(exponent - round(exponent)) > 1e-6
+        return short(value) if in_full else f"10{str(round(exponent)).translate(SUPERSCRIPTS)}"
 
 
 def short(value: float) -> str:
@@ -251,9 +254,6 @@ def save(figure: Figure, path: Path) -> None:
     replace_file(path, _file_content(figure, path.suffix[1:]))
 
 
-SPEED_OF = {True: r"\omega_T", False: r"\omega_B"}  # symbol of the spin of the top (True) and of the bottom
-
-
 def _printed_unit(unit: str) -> str:
     """Return a unit as figures print it; nothing for pure numbers.
 
@@ -287,12 +287,25 @@ def mathematics(value: float, digits: int = 6) -> str:
     return mantissa + (rf"\times10^{{{int(exponent)}}}" if power else "")
 
 
-def larger_spin(spin_top: float, spin_bottom: float) -> str:
-    """Return the symbol of the larger one of two imposed spins, for labels.
+def _symbol(scene: Bearing, of_top: bool) -> str:
+    """Return the symbol of the imposed spin of a plane of a lattice, for labels; that of the largest one if the spins
+    of the plane grow with the position.
 
-    spin_top, spin_bottom : the spins, 1/time.
+    scene : what was solved.
+    of_top : True for the top, False for the bottom.
     """
-    return SPEED_OF[abs(spin_top) >= abs(spin_bottom)]
+    top_grows, bottom_grows = of_lattice(scene).driving.grows
+    letter, largest = "T" if of_top else "B", r",\mathrm{max}" * (top_grows if of_top else bottom_grows)
+    return rf"\omega_{{{letter}{largest}}}" if largest else rf"\omega_{letter}"
+
+
+def larger_spin(scene: Bearing) -> str:
+    """Return the symbol of the larger one of the two imposed spins of a lattice, for labels.
+
+    scene : what was solved.
+    """
+    spin_top, spin_bottom = of_lattice(scene).imposed
+    return _symbol(scene, abs(spin_top) >= abs(spin_bottom))
 
 
 def driving(scene: Bearing) -> tuple[float, str]:
@@ -302,7 +315,7 @@ def driving(scene: Bearing) -> tuple[float, str]:
     scene : what was solved.
     """
     natural = scene.natural_spin
-    return (1.0, "") if natural is None else (natural, SPEED_OF[bool(scene.sides[0])])
+    return (1.0, "") if natural is None else (natural, _symbol(scene, bool(scene.sides[0])))
 
 
 def power_unit(scene: Bearing) -> tuple[float, str]:

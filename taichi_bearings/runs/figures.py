@@ -111,10 +111,10 @@ def draw_snapshot(
     at, nearest = _nearest_snapshot(structure.answer, time)
     moment = moment_of(structure, structure.snapshots[nearest], slip_threshold)
     threshold = moment.threshold or 0.0
-    title, note = f"{describe(moment.scene)}, $t = {mathematics(at)}$", ""
+    title, note = f"{describe(moment.scene)}, $t = {mathematics(at, 4)}$", ""
     if moment.scene.natural_spin is not None:
         unit, symbol = driving(moment.scene)
-        title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$"
+        title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at, 4)}$"
         fastest = moment.fastest
         share = rf" = {mathematics(threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""
         note = f"black: slip above ${mathematics(threshold, 2)}{share}$"

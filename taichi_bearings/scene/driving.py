@@ -458,6 +458,12 @@ class Planes(Driving):
         return cls(lattice, *states, exactly(np.exp2(np.floor(np.log2([largest or 1.0])))))
 
     @property
+    def grows(self) -> tuple[bool, bool]:
+        """True if the imposed spins of the top grow with the position, and the same of the bottom."""
+        low, more = self.bottom.rate[0][0], self.difference.rate[0][0]
+        return bool(low + more), bool(low)
+
+    @property
     def shape(self) -> tuple[int, ...]:
         """Shape *N of arrays over the spheres: numbers of spheres along the axes of the lattice, the height last."""
         return self.lattice.shape

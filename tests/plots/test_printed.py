@@ -16,7 +16,8 @@ from taichi_bearings.analysis.histogram import count_powers, pool
 from taichi_bearings.errors import InputError
 from taichi_bearings.plots.curves import Curve, Look, draw_overlay, draw_scan
 from taichi_bearings.plots.page import Page, View, read_plane, read_view, read_width
-from taichi_bearings.plots.style import column_label, mathematics, save
+from taichi_bearings.plots.spins import draw_spins
+from taichi_bearings.plots.style import column_label, label_in_plain_text, mathematics, new_figure, save
 from taichi_bearings.runs.figures import FIGURE_KINDS, draw_figure
 from taichi_bearings.scene import Solution
 
@@ -199,3 +200,44 @@ def test_ticks_have_few_digits_and_sizes_are_whole_numbers():
     x = np.array([10.0])
     figure = draw_scan([Curve("", x, x, x, x)], Look("L", "P"))
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["10"]
+
+
+@pytest.mark.parametrize(
+    ("limits", "labels"),
+    [
+        ((0.5, 8.0), ["0.6", "1", "2", "3", "4", "6"]),
+        ((0.02, 20.0), ["10⁻¹", "10⁰", "10¹"]),
+        ((2e-7, 4e-6), ["2·10⁻⁷", "3·10⁻⁷", "4·10⁻⁷", "6·10⁻⁷", "10⁻⁶", "2·10⁻⁶", "3·10⁻⁶", "4·10⁻⁶"]),
+        ((8.0, 150.0), ["10", "100"]),
+    ],
+    ids=str,
+)
+def test_a_logarithmic_axis_has_powers_of_ten_or_numbers_in_full_but_not_both(limits, labels):
+    figure = new_figure()
+    axes = figure.add_subplot()
+    axes.set(yscale="log", ylim=limits)
+    label_in_plain_text(axes.yaxis)
+    figure.draw_without_rendering()
+    ticks = [*axes.yaxis.get_major_ticks(), *axes.yaxis.get_minor_ticks()]
+    shown = {tick.get_loc(): tick.label1.get_text() for tick in ticks if limits[0] <= tick.get_loc() <= limits[1]}
+    assert [label for _, label in sorted(shown.items()) if label] == labels
+
+
+@pytest.mark.parametrize(
+    ("driving", "symbol"),
+    [
+        ({}, r"\omega_T$"),
+        ({"spin_top": 0.5, "spin_bottom": -2.0}, r"\omega_B$"),
+        ({"top": (1.0, 0.0, 0.0, 0.3)}, r"\omega_{T,\mathrm{max}}$"),
+        ({"top": (1.0, 0.0, 0.0, 0.3), "bottom": (0.0, 9.0, 0.0, 0.3)}, r"\omega_{B,\mathrm{max}}$"),
+        ({"top": (1.0, 0.0, 0.0), "bottom": (0.0, 0.1, 0.0, 0.1)}, r"\omega_T$"),
+    ],
+    ids=str,
+)
+def test_the_unit_of_spins_is_named_after_the_plane_that_has_it(driving, symbol):
+    structure = tb.analyse(tb.solve(tb.Scene.random((3, 3, 3), seed=1, **driving), threads=1)).structure
+    figure = draw_spins(structure)
+    assert figure.axes[-1].get_ylabel().endswith(rf"|\omega|\,/\,{symbol}")
+    speed = np.linalg.norm(structure.spin[..., 0 if "_B" in symbol or "{B" in symbol else -1, :], axis=-1)
+    assert speed.max() == pytest.approx(max(map(abs, structure.scene.imposed)))
+    assert (speed.max() > speed.min() * 1.01) == ("max" in symbol)

@@ -147,9 +147,12 @@ def test_without_a_path_the_figures_say_so_and_the_pieces_have_colours():
     figure = draw_network(case.structure)
     assert "no path from bottom to top" in figure.get_suptitle()
     (legend,) = figure.legends
-    named = dict(zip(("bottom", "top", "neither"), legend.get_lines(), strict=True))
+    named = dict(zip(("bottom", "top"), legend.get_lines(), strict=True))
     assert [text.get_text() for text in legend.get_texts()] == list(named)
     assert all(np.allclose(named[end].get_color(), colour) for end, colour in REACHED_COLOURS.items())
+    between = draw_network(Case((3, 8), levels=(0.5,)).structure).legends[0]
+    assert [text.get_text() for text in between.get_texts()] == ["neither"]
+    assert between.get_lines()[0].get_color() == to_rgba(GREY)
     assert len(figure.axes) == 3  # the spheres, the contacts, a colour bar
     assert "no path" in titles(draw_plane_cuts(case.structure))
     height = case.network.contact[:, 2]
