@@ -34,6 +34,12 @@ from taichi_bearings_cli.progress import Display
     help="Draw one histogram for each value of this column of a scan, or setting of a run, into one figure.",
 )
 @click.option(
+    "--where",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Use only samples whose column of a scan, or setting of a run, has this value. May be repeated.",
+)
+@click.option(
     "--format", "ending", type=Choice(["png", "pdf", "svg"]), default="png", show_default=True,
     help="File format of the figure.",
 )  # fmt: skip
@@ -54,6 +60,7 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     Examples:
       bearings histogram outputs/a outputs/b --bins-per-decade 10 --format pdf --width single
       bearings histogram outputs/my-scan --by distribution --normalise mean
+      bearings histogram outputs/my-scan --by shape --where distribution=uniform:0.1,1.0
     """
     from taichi_bearings.plots.page import Page, read_width
     from taichi_bearings.scans.histogram import histogram
@@ -69,6 +76,8 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
         left_out = ", ".join([f"{part['slipless']:,} slipless", *other_contacts(part["tied"], part["undecided"])])
         slipping, samples = part["slipping"], part["census"]
         lines.append(f"{group}: {slipping:,} slipping contacts; contacts left out: {left_out}; from {samples}")
+    if report["pooled_over"]:
+        lines.append(f"pooled over all values of {', '.join(report['pooled_over'])}; --by or --where tells them apart")
     if report["slipping"]:
         units = "" if normalise == "none" else f" in units of {report['units']}"
         smallest, largest = report["smallest_power"], report["largest_power"]

@@ -41,7 +41,9 @@ def writing(what: object, inside: bool = False) -> Iterator[None]:
         yield
     except OSError as error:
         named = (error.filename2 or error.filename or what) if inside else what
-        raise WriteError(f"{named} cannot be written: {error.strerror or error}") from None
+        stands = isinstance(error, FileExistsError) and error.filename
+        reason = f"{error.filename} is no folder" if stands else error.strerror or error
+        raise WriteError(f"{named} cannot be written: {reason}") from None
 
 
 def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:

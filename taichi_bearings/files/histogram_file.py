@@ -1,6 +1,6 @@
 """Writes distributions of the power per contact as CSV and HDF5."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,13 @@ OF_BINS = {  # columns of a bin beside its edges
 }
 
 
-def write_table(path: Path, histograms: Histograms, by: str | None = None) -> None:
+def write_table(path: Path, histograms: Histograms, by: str | None = None, where: Sequence[str] = ()) -> None:
     """Write histograms of the power of contacts as CSV, with the columns power_low, power_high and count.
 
     path : path of the file.
     histograms : by the value of the parameter in which they differ; {None: histogram} for a single one.
     by : name of that parameter, the last column; None for a single histogram.
+    where : conditions by which the samples were chosen, which the header names.
 
     The header says how many contacts are in no bin. Where several samples are pooled, the columns standard_error,
     density and density_error follow. Several histograms stand below each other.
@@ -40,8 +41,11 @@ def write_table(path: Path, histograms: Histograms, by: str | None = None) -> No
         samples = f"samples {found.samples} of {found.census.asked}{why}"
         notes.append(f"{part}slip_threshold {found.slip_threshold!r}, {samples}")
     units = next(iter(histograms.values())).units
-    if units != ENERGY_PER_TIME:
+    if units == ENERGY_PER_TIME:
+        notes[-1] += f"; power in {units}"
+    else:
         notes.append(f"power in units of {units}")
+    notes += [f"where {condition}" for condition in where]
     names = [*OF_BINS] if any(found.samples > 1 for found in histograms.values()) else ["count"]
     rows = []
     for value, found in histograms.items():
@@ -50,7 +54,7 @@ def write_table(path: Path, histograms: Histograms, by: str | None = None) -> No
     write_csv(path, ["power_low", "power_high", *names, *([] if by is None else [by])], rows, notes)
 
 
-def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> None:
+def write_arrays(path: Path, histograms: Histograms, by: str | None = None, where: Sequence[str] = ()) -> None:
     """Write histograms of the power of contacts as HDF5: data sets edges, count, standard_error, density and
     density_error; the rest as attributes.
 
@@ -58,6 +62,7 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
     histograms : by the value of the parameter in which they differ; {None: histogram} for a single one.
     by : name of that parameter; None for a single histogram. With a name all data sets but the edges have a leading
         axis, and the data set `value` has the value of each histogram.
+    where : conditions by which the samples were chosen, an attribute if there are any.
     """
     parts = list(histograms.values())
 
@@ -77,6 +82,8 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
             file.attrs[name] = stacked(name)
         file.attrs["asked"] = [part.census.asked for part in parts] if by else parts[0].census.asked
         file.attrs["left_out"] = [part.census.reasons for part in parts] if by else parts[0].census.reasons
+        if where:
+            file.attrs["where"] = list(where)
         if by is not None:
             texts = any(not isinstance(value, (int, float)) for value in histograms)
             values = ["" if v is None else str(v) for v in histograms] if texts else list(histograms)

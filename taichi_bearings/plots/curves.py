@@ -158,12 +158,13 @@ MATHEMATICS = {  # symbols of the units of histograms
 
 
 @style.in_our_style
-def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
+def draw_histogram(histogram: PowerHistogram, page: Page = PAGE, where: Sequence[str] = ()) -> Figure:
     """Draw the number of slipping contacts against their power, both logarithmic, with standard errors. Empty bins are
     left out.
 
     histogram : what is drawn.
     page : size and resolution of the figure.
+    where : conditions by which the samples were chosen, for the title.
     """
     figure = style.plain_figure(page.inches("single"), 2.2, page.dpi)
     axes = figure.add_subplot()
@@ -183,18 +184,22 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
     threshold = histogram.slip_threshold
     limit = f"\nslipless below a slip of {threshold:.1e} (length / time)" if threshold > 0 else ""
     outside = f"({_unbinned_in_words(histogram)})"
-    style.put_title(figure, f"{histogram.slipping:,} slipping contacts{whose}{outside}{limit}", page)
+    words = f"{histogram.slipping:,} slipping contacts{whose}{outside}{limit}"
+    style.put_title(figure, "\n".join([*map(as_text, where), words]), page)
     return figure
 
 
 @style.in_our_style
-def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Page = PAGE) -> Figure:
+def draw_overlay(
+    histograms: Mapping[object, PowerHistogram], by: str, page: Page = PAGE, where: Sequence[str] = ()
+) -> Figure:
     """Draw the share of slipping contacts per decade of their power, one curve for each histogram, with bands of one
     standard error.
 
     histograms : what is drawn, by the value of a parameter.
     by : name of the parameter.
     page : size and resolution of the figure.
+    where : conditions by which the samples were chosen, for the title.
     """
     rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
     width = page.inches("double") if page.width is not None or len(histograms) > 8 else 5.0
@@ -210,6 +215,8 @@ def draw_overlay(histograms: Mapping[object, PowerHistogram], by: str, page: Pag
         low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale
         axes.fill_between(centre, low, density + error, color=colour, alpha=0.2, linewidth=0)
     figure.legend(title=as_text(by), loc="outside lower center", ncols=1 if len(histograms) < 9 else 2)
+    if where:
+        style.put_title(figure, "\n".join(map(as_text, where)), page)
     return figure
 
 

@@ -153,8 +153,8 @@ class RunSettings:
         None,
         BEARING_STATE,
         "Motion of the top plane, instead of spin_top and direction: AX,AY,AZ;C gives a sphere at the position r, a "
-        "vector from the first sphere, the spin vector A + C r, with opposite signs for neighbours. A is in 1/time, "
-        "the number C in 1/(time*length). In 2D A alone, one number.",
+        "vector from the first sphere of the lattice, the spin vector A + C r, with opposite signs for neighbours. A "
+        "is in 1/time, the number C in 1/(time*length). In 2D A alone, one number.",
         unit="1/time",
     )
     bottom: tuple[float, ...] | None = option(

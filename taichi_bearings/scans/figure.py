@@ -29,6 +29,7 @@ from taichi_bearings.plots.style import ENDINGS, column_label, save
 from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.runs.settings import parse_toml, settings_table
+from taichi_bearings.scans.conditions import meeting, named
 from taichi_bearings.scans.plan import written
 from taichi_bearings.scans.stored_scans import (
     CENSUS_COLUMNS,
@@ -43,8 +44,6 @@ SIZE = "L"  # name of the height of the lattice as a column
 REASON = "left out"  # column with the reason why a sample is in no point; empty for samples that are in one
 MOST_CURVES = 24
 NAMED_BY_VALUE = ("shape", "law", "distribution")  # settings whose values need no name in a title
-LONGEST_NUMBER = 8  # letters of a number from which on it is rounded to six digits
-LISTS_OF_NUMBERS = ("direction", "top", "bottom")  # settings that are lists of numbers, but no numbers of spheres
 DRAWN_COLUMNS = ("plot_x", "plot_y", "plot_low", "plot_high")
 Point = Json
 """All samples of equal parameters, as one row of the table beside the figure.
@@ -142,29 +141,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
                     f"`bearings scan {scan.path.parent} --analyse` adds it, and solves each sample anew for that"
                 )
             raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}")
-    chosen = np.ones(scan.samples, dtype=bool)
-    for condition in request.where:  # KEY=VALUE, a text or a number to the last bit
-        key, equals, value = condition.partition("=")
-        if not equals or key not in table:
-            raise InputError(
-                f"--where {condition!r} cannot be used; it must be KEY=VALUE with a KEY of {', '.join(table)}"
-                f"{meant(key, table)}"
-            )
-        values = table[key]
-        if values.dtype == object or values.dtype == bool:
-            found = np.array([value.lower() in (str(v).lower(), named(key, v).lower()) for v in values.tolist()])
-        else:
-            try:
-                found = values == float(value)
-            except ValueError:
-                raise InputError(
-                    f"--where {condition!r} cannot be used; the column {key} holds numbers, so VALUE must be one"
-                ) from None
-        if not found.any():
-            known = [named(key, v) for (v,) in groups(table, [key])]
-            some = ", ".join(known[:20]) + " ..." * (len(known) > 20)
-            raise InputError(f"--where {condition!r} selects no sample; {key} is one of {some}{meant(value, known)}")
-        chosen &= found
+    chosen = meeting(request.where, table)
     return {name: values[chosen] for name, values in (table | {REASON: _reasons(scan, table, request)}).items()}
 
 
@@ -327,23 +304,6 @@ def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: 
             words = named(key, values[0])
             found.append(name + (words.replace("coulomb", "Coulomb") if key == "law" else words))
     return found
-
-
-def named(key: str, value: object) -> str:
-    """Return a value of a column as figures and options name it.
-
-    key : name of the column.
-    value : text or number in the column. Vectors, which tables write with x between their numbers, get commas, and a
-        semicolon before the rate C of a bearing state.
-
-    >>> named("direction", "1x1x0"), named("top", "1x1x0x0.2"), named("shape", "4x4"), named("damping", 3162.27766)
-    ('1,1,0', '1,1,0;0.2', '4x4', '3162.28')
-    """
-    if key in LISTS_OF_NUMBERS and isinstance(value, str):
-        numbers = value.split("x")
-        return ",".join(numbers[:3]) + "".join(f";{rate}" for rate in numbers[3:])
-    text = str(value)
-    return f"{value:g}" if isinstance(value, float) and len(text) > LONGEST_NUMBER else text
 
 
 def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:

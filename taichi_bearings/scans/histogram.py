@@ -35,6 +35,7 @@ from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_directory import default_run_path, writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.settings import RunSettings, parse_toml
+from taichi_bearings.scans.conditions import meeting
 from taichi_bearings.scans.stored_scans import disorder_of, is_scan, numbered, open_scan
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
@@ -57,6 +58,7 @@ class Source:
         and the unit of power of each sample, (S,).
     disorder : function that returns a name for each sample, (S,); the names of two samples are equal if their lattice
         and its coefficients are.
+    scanned : names of the settings that the scan varies; a run varies none.
     is_scan : True for a scan, which stores powers by bins alone.
     """
 
@@ -67,6 +69,7 @@ class Source:
     counts: Callable[[int, np.ndarray], SampleCounts]
     disorder: Callable[[], list[Any]]
     is_scan: bool
+    scanned: tuple[str, ...] = ()
 
     @property
     def samples(self) -> np.ndarray:
@@ -127,7 +130,8 @@ def _source_of_scan(scan: StoredScan) -> Source:
 
     fine = scan.histograms.of(own)
     contacts = fine.contacts.sum(axis=1)
-    return Source(scan.path, scan.reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
+    counts = partial(rebinned, fine)
+    return Source(scan.path, scan.reasons, column, contacts, counts, disorder, is_scan=True, scanned=scan.scanned)
 
 
 def _source_of_run(run: Result) -> Source:
@@ -174,7 +178,11 @@ def _source_of_run(run: Result) -> Source:
 
 
 def pooled(
-    sources: Sequence[Source], bins_per_decade: int = 5, normalise: str = "none", by: str | None = None
+    sources: Sequence[Source],
+    bins_per_decade: int = 5,
+    normalise: str = "none",
+    by: str | None = None,
+    where: Sequence[str] = (),
 ) -> dict[Any, PowerHistogram]:
     """Return histograms of the power of contacts, all in the same bins: one for each value of a column, by this value;
     without a column one of all samples, by the key None.
@@ -185,19 +193,21 @@ def pooled(
         number of such bins.
     normalise : unit of power: "none", or "mean" for the mean power of a contact of the sample.
     by : name of the column whose values tell the histograms apart, or None.
+    where : conditions KEY=VALUE on columns, which the samples that are pooled meet.
     """
     if any(source.is_scan for source in sources) and BINS_PER_DECADE % bins_per_decade:
         raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
-    if not any(len(source.samples) for source in sources):
-        census = Census.of(reason for source in sources for reason in source.reasons)
-        raise InputError(f"no sample has a result: {census.reasons}")
-    laws = sorted({str(law) for source in sources for law in source.column("law")})
+    reasons = np.concatenate([source.reasons for source in sources])
+    chosen = np.flatnonzero(_meeting(sources, where))
+    solved = chosen[reasons[chosen] == ""]
+    if not len(solved):
+        raise InputError(f"no sample has a result: {Census.of(reasons[chosen].tolist()).reasons}")
+    laws = sorted(set(map(str, _whole(sources, "law")[solved])))
     if len(laws) > 1 and by != "law":
         raise InputError(f"the runs have different laws ({', '.join(laws)}); pool runs of one law, or add --by law")
     counts = joined_counts([source.counts(bins_per_decade, source.unit(normalise)) for source in sources])
     threshold = np.concatenate([source.numbers("slip_threshold") for source in sources])
     disorder = numbered(name for source in sources for name in source.disorder())
-    reasons = np.concatenate([source.reasons for source in sources])
     place = np.cumsum(reasons == "") - 1  # of those with a result among themselves
 
     def of(rows: np.ndarray) -> PowerHistogram:
@@ -210,25 +220,41 @@ def pooled(
         return pool(counts.of(own), coarsest, POWER_UNITS[normalise], disorder[own], census.left_out)
 
     if by is None:
-        return {None: of(np.arange(len(reasons)))}
-    values = {by: np.concatenate([source.whole_column(by) for source in sources])}
-    parts = groups(values, [by])
+        return {None: of(chosen)}
+    parts = groups({by: _whole(sources, by)[chosen]}, [by])
     if len(parts) > MOST_GROUPS:
         raise InputError(
             f"--by is {by!r}, which has {len(parts)} values; one figure can hold at most {MOST_GROUPS} histograms"
         )
-    return {value: of(rows) for (value,), rows in parts.items()}
+    return {value: of(chosen[rows]) for (value,), rows in parts.items()}
+
+
+def _whole(sources: Sequence[Source], name: str) -> np.ndarray:
+    """Return a column of all samples that were asked for, (samples,), by its name.
+
+    sources : runs and scans.
+    name : name of the column.
+    """
+    return np.concatenate([source.whole_column(name) for source in sources])
+
+
+def _meeting(sources: Sequence[Source], where: Sequence[str]) -> np.ndarray:
+    """Return a mask (samples,) of those samples, of all that were asked for, that meet some conditions.
+
+    sources : runs and scans.
+    where : conditions KEY=VALUE.
+    """
+    keys = [condition.partition("=")[0] for condition in where]
+    return meeting(where, {key: _whole(sources, key) for key in keys or ["law"]})
 
 
 def histogram(
     paths: Sequence[Path],
     out: Path | None = None,
     force: bool = False,
-    bins_per_decade: int = 5,
-    normalise: str = "none",
-    by: str | None = None,
     page: Page = PAGE,
     ending: str = "png",
+    **pooling: Any,
 ) -> Json:
     """Pool the histograms of runs and scans, and write power_histogram.csv, .h5 and a figure. Return the report that
     `--json` prints.
@@ -236,14 +262,13 @@ def histogram(
     paths : run directories and scans.
     out : folder; None for a new one.
     force : True to replace files that stand there.
-    bins_per_decade : bins for each factor of 10 of the power; for scans it must divide 20.
-    normalise : unit of power: "none", or "mean" for the mean power of a contact of the sample.
-    by : name of the column whose values tell the histograms apart, or None.
     page : how the figure is printed.
     ending : "png", "pdf" or "svg".
+    pooling : arguments of :func:`pooled` by name: `bins_per_decade`, `normalise`, `by` and `where`.
 
     Raises InputError or FileError before anything is written.
     """
+    by, where = pooling.get("by"), tuple(pooling.get("where", ()))
     sources = [read_source(path) for path in each(paths, "reading")]
     if len({source.path.resolve() for source in sources}) < len(sources):
         raise InputError(f"the same run is named twice among {', '.join(map(str, paths))}")
@@ -251,18 +276,32 @@ def histogram(
     table, arrays, figure = (folder / f"power_histogram.{kind}" for kind in ("csv", "h5", ending))
     refuse_standing((table, arrays, figure), force)
     with stage("counting"):
-        found = pooled(sources, bins_per_decade, normalise, by)
+        found = pooled(sources, **pooling)
     with writable_folder(folder):
         with stage("drawing"):
             from taichi_bearings.plots.curves import draw_histogram, draw_overlay  # loads matplotlib
             from taichi_bearings.plots.style import save
 
-            drawn = draw_overlay(found, by, page) if by else draw_histogram(found[None], page)
+            drawn = draw_overlay(found, by, page, where) if by else draw_histogram(found[None], page, where)
         with stage("writing"), awaited():  # all three or none
-            write_table(table, found, by)
-            write_arrays(arrays, found, by)
+            write_table(table, found, by, where)
+            write_arrays(arrays, found, by, where)
             save(drawn, figure)
-    return _report(found, by) | {"files": [str(path) for path in (table, arrays, figure)]}
+    over = pooled_over(sources, by, where)
+    return _report(found, by) | {"pooled_over": over, "files": [str(path) for path in (table, arrays, figure)]}
+
+
+def pooled_over(sources: Sequence[Source], by: str | None, where: Sequence[str] = ()) -> list[str]:
+    """Return the names of the settings, other than seeds, that differ between samples of one histogram.
+
+    sources : runs and scans whose samples are pooled.
+    by : name of the column whose values tell the histograms apart, or None.
+    where : conditions KEY=VALUE which the samples meet.
+    """
+    fixed = {"seed", by, *(condition.partition("=")[0] for condition in where)}
+    names = dict.fromkeys(name for source in sources for name in source.scanned if name not in fixed)
+    chosen = _meeting(sources, where)
+    return [name for name in names if len(set(_whole(sources, name)[chosen].tolist())) > 1]
 
 
 def _report(histograms: Histograms, by: str | None) -> Json:

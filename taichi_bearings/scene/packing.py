@@ -752,6 +752,11 @@ class Packing(Bearing):
         try:
             found = read_arrays(path, NEEDED, OPTIONAL)
         except FileError as error:
+            if "is a text file" in str(error):
+                raise FileError(
+                    f"{path} is a text file, but its name does not end in .csv; a table of centres is a .csv file "
+                    "whose first line names its columns, such as x,y,z,radius"
+                ) from None
             if "lacks" not in str(error) or path.suffix == ".npz":
                 raise
             group = [f"packing/{name}" for name in (*NEEDED, *OPTIONAL)]

@@ -170,6 +170,13 @@ def test_tables_are_solved_from_the_command_line(tmp_path):
     assert "only a packing that is a table" in refused("run", "--shape", "3,3", "--touching", "0.01", cwd=tmp_path)
 
 
+def test_a_table_of_another_name_is_told_what_it_must_be(tmp_path):
+    (tmp_path / "spheres.txt").write_text(SPHERES.replace(",", " "))
+    said = refused("run", "--packing", "spheres.txt", cwd=tmp_path)
+    assert "spheres.txt is a text file, but its name does not end in .csv; a table of centres is a .csv file" in said
+    assert "whose first line names its columns, such as x,y,z,radius" in said
+
+
 def test_spheres_that_touch_nothing_are_told(caplog):
     center = [[0.0, 0], [1, 0], [0, 1], [9, 0.5], [9, 3]]
     tb.Packing.from_centers(center, driven=[0, -1, 1, -1, -1])

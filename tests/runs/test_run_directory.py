@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+import taichi_bearings as tb
 from taichi_bearings import plain_files
 from taichi_bearings.errors import FileError
 from taichi_bearings.runs.run_directory import completed, in_use
@@ -125,3 +126,9 @@ def test_files_that_cannot_go_together_do_not_go_at_all(tmp_path):
         complete()
     assert names(tmp_path / "a") == ["run.h5"]
     assert (tmp_path / "a" / "run.h5").read_text() == "old"
+
+
+def test_a_file_where_a_folder_is_wanted_is_named(tmp_path):
+    (tmp_path / "notes").write_text("mine")
+    with pytest.raises(FileError, match=r"notes/a cannot be written: \S*notes is no folder$"):
+        tb.solve(tb.Scene.random((3, 4), seed=1), threads=1).save(tmp_path / "notes" / "a")

@@ -147,3 +147,29 @@ def test_the_histogram_of_a_run_directory_has_the_three_columns_of_the_contract(
     texts = [(tmp_path / name / "power_histogram.csv").read_text() for name in ("r", "h")]
     assert texts[0] == texts[1]
     assert texts[0].splitlines()[2] == "power_low,power_high,count"
+
+
+def test_conditions_choose_the_samples_that_are_pooled(scan, tmp_path):
+    source = read_source(scan.path)
+    whole, parts = pooled([source])[None], pooled([source], by="spin_bottom")
+    for value, part in parts.items():
+        (found,) = pooled([source], where=(f"spin_bottom={value}",)).values()
+        assert (found.slipping, found.slipless) == (part.slipping, part.slipless)
+        assert found.census == part.census
+    both = pooled([source], by="spin_bottom", where=("shape=8x8",))
+    one = pooled([source], where=("spin_bottom=0.1", "shape=8x8"))[None]
+    assert one.slipping == both[0.1].slipping < parts[0.1].slipping < whole.slipping
+    for condition, sentence in (
+        ("shape", "KEY=VALUE"), ("shape=9x9", "one of 4x4, 8x8, 16x16"), ("shap=4x4", "did you mean 'shape'"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=sentence):
+            pooled([source], where=(condition,))
+    report = histogram([scan.path], tmp_path / "h", where=("shape=8x8",))
+    assert report["slipping"] == sum(part.slipping for part in both.values())
+    assert report["pooled_over"] == ["spin_bottom"]
+    assert histogram([scan.path], tmp_path / "i", by="spin_bottom")["pooled_over"] == ["shape"]
+    header = [line for line in (tmp_path / "h" / "power_histogram.csv").read_text().splitlines() if line[0] == "#"]
+    assert header[1].endswith("; power in energy/time")
+    assert header[2:] == ["# where shape=8x8"]
+    with h5py.File(tmp_path / "h" / "power_histogram.h5") as file:
+        assert file.attrs["where"].tolist() == ["shape=8x8"]
