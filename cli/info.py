@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 from taichi_bearings_cli.options import FILE_PATH, answer, json_option
+from taichi_bearings_cli.progress import in_lines
 
 LABELS = {
     "device_names": "GPUs",
@@ -31,8 +32,13 @@ LABELS = {
 
 @click.command()
 @click.argument("packing", required=False, type=FILE_PATH)
+@click.option(
+    "--quantities",
+    is_flag=True,
+    help="List the numbers that files, reports and columns of scans have: name, unit and meaning of each.",
+)
 @json_option
-def command(packing: Path | None, as_json: bool) -> None:
+def command(packing: Path | None, quantities: bool, as_json: bool) -> None:
     """Show versions, devices, precision and cache; or what the file PACKING holds, before anything is solved.
 
     Of a packing it shows its connected parts, odd loops, and how many motions without any slip it has, which tells
@@ -42,7 +48,14 @@ def command(packing: Path | None, as_json: bool) -> None:
     Examples:
       bearings info --json
       bearings info packing.npz
+      bearings info --quantities
     """
+    if quantities:
+        if packing is not None:
+            raise click.UsageError("--quantities lists the same for every file; leave out PACKING")
+        listed = _quantities()
+        answer(listed, as_json, lambda: in_lines(_in_sections(listed)))
+        return
     from taichi_bearings import __version__, compiler, runtime
     from taichi_bearings.runs.writing import versions
 
@@ -72,6 +85,39 @@ def command(packing: Path | None, as_json: bool) -> None:
     widest = max(map(len, labels.values()))
     lines = [f"{labels[key]:{widest}}  {_value_in_words(value)}" for key, value in report.items()]
     answer(report, as_json, lambda: "\n".join(lines))
+
+
+def _quantities() -> dict[str, dict[str, dict[str, str]]]:
+    """Return the quantities that files and reports have: by section and name their unit ("1" for pure numbers) and
+    meaning.
+    """
+    from taichi_bearings.quantities import ANALYSED, CHECK_ROWS, CONTACTS, FINDINGS, OF_SCANS, SAMPLES, SPHERES
+
+    sections = {
+        "spheres": SPHERES,
+        "contacts": CONTACTS,
+        "history": CHECK_ROWS,
+        "summary of a run": SAMPLES | FINDINGS,
+        "analysis": ANALYSED,
+        "columns that only scans have": OF_SCANS,
+    }
+    return {
+        title: {name: {"unit": row.unit, "meaning": row.text} for name, row in rows.items()}
+        for title, rows in sections.items()
+    }
+
+
+def _in_sections(quantities: dict[str, dict[str, dict[str, str]]]) -> str:
+    """Return a text with a line for each quantity: name, unit and meaning in columns.
+
+    quantities : unit and meaning of each, by section and name.
+    """
+    lines = []
+    for title, rows in quantities.items():
+        names, units = max(map(len, rows)), max(len(row["unit"]) for row in rows.values())
+        lines += ["", title] if lines else [title]
+        lines += [f"  {name:<{names}}  {row['unit']:<{units}}  {row['meaning']}" for name, row in rows.items()]
+    return "\n".join(lines)
 
 
 def _value_in_words(value: Any) -> str:

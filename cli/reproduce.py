@@ -21,7 +21,7 @@ from taichi_bearings_cli.progress import Display
     "--samples", type=click.IntRange(1, 100_000), default=None,
     help="Number of samples for each statistical claim. [default: 200, with --quick 20]",
 )  # fmt: skip
-@click.option("--quick", is_flag=True, help="Quick version of about five minutes: fewer samples, sizes and iterations.")
+@click.option("--quick", is_flag=True, help="Quick version of about four minutes: fewer samples, sizes and iterations.")
 @title_option
 @out_options("Folder for the files. [default: outputs/<time>-reproduce-<id>]")
 @json_option
@@ -63,7 +63,7 @@ def command(
     anew after each figure. The same command with the same --out goes on with the figures that are missing,
     and adds others. A claim is confirmed, refined (it holds with a condition or a correction), refuted, or has too few
     samples for a verdict; of each the report has the sample size, the uncertainty, what it rests on, and what was
-    chosen after looking. All of it takes half an hour on two cores, with --quick five minutes.
+    chosen after looking. All of it takes about 20 minutes on two cores, with --quick four minutes.
 
     \b
     Exit codes: 0 no claim is refuted, 1 one is, 2 bad input, 130 interrupted (figures that are done are kept).

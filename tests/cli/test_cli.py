@@ -348,3 +348,25 @@ def test_the_help_says_which_laws_a_method_refuses():
     for name, row in METHODS.items():
         laws = [law.name for law in LAWS.values() if row.solves(law)]
         assert (f"{name}: law {' or '.join(laws)}" in shown) == (len(laws) < len(LAWS)), name
+
+
+def test_every_number_of_a_summary_and_an_analysis_is_listed_with_unit_and_meaning(finished_run):
+    folder, summary = finished_run
+    listed = json.loads(bearings("info", "--quantities", "--json").stdout)
+    known = {name: row for rows in listed.values() for name, row in rows.items()}
+    beside = {
+        "run",
+        "settings",
+        "versions",
+        "arch",
+        "precision",
+        "threads",
+        "coefficients",
+    }  # of the run, not the answer
+    assert set(summary) - beside <= set(known)
+    analysed = json.loads(bearings("analyse", folder, "--no-figures", "--json").stdout)
+    assert set(analysed) - {"files", "run", "threshold", "states"} <= set(known)
+    assert known["yield_torque"] == {"unit": "force*length", "meaning": "torque above which the top is proven to move"}
+    shown = bearings("info", "--quantities").stdout
+    assert re.search(r"^  smallest_slipping_slip +length/time +smallest slip speed of a contact", shown, re.MULTILINE)
+    assert "leave out PACKING" in refused("info", "--quantities", "some.npz")
