@@ -1,5 +1,6 @@
 """The command `bearings benchmark`."""
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,17 @@ from click.core import ParameterSource
 from taichi_bearings_cli.options import Choice, answer, json_option, out_options
 from taichi_bearings_cli.progress import Display
 
-PARTS = {"throughput": "kernels", "peers": "methods,scans,dynamics", "accuracy": "methods", "speed": None}
+PARTS = {
+    "throughput": "kernels", "peers": "methods,scans,dynamics", "accuracy": "methods", "growth": "growth",
+    "speed": None,
+}  # fmt: skip
 """What can be measured, and the parts that it consists of; None for those that --parts names."""
-USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "peers", "time_limit"), "methods")
-"""Options that belong to one part alone, and that part."""
+USED_BY = (
+    {"precision": ("kernels",), "largest": ("growth",)}
+    | dict.fromkeys(("law", "methods", "time_limit"), ("methods",))
+    | dict.fromkeys(("seed", "peers"), ("methods", "growth"))
+)
+"""Options that belong to some parts alone, and those parts."""
 
 
 @click.command()
@@ -28,7 +36,11 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
     help="Only for the part `methods`: contact law, coulomb, viscous or coulomb-viscous; may be repeated.",
 )
 @click.option(
-    "--seed", default="0", show_default=True, metavar="N", help="Only for the part `methods`: seed of the samples."
+    "--seed",
+    default="0",
+    show_default=True,
+    metavar="N",
+    help="Only for the parts `methods` and `growth`: seed of the samples.",
 )
 @click.option(
     "--methods",
@@ -39,7 +51,7 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
     "--peers/--no-peers",
     default=True,
     show_default=True,
-    help="Only for the part `methods`: run the solvers Clarabel and SCS too, if they are installed.",
+    help="Only for the parts `methods` and `growth`: run other solvers too (Clarabel, SCS), if they are installed.",
 )
 @click.option(
     "--time-limit",
@@ -50,6 +62,12 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
     "--precision",
     metavar="f64|f32",
     help="Only for the part `kernels`: double (f64) or single (f32) precision. [default: both, with --quick f64]",
+)
+@click.option(
+    "--largest",
+    metavar="N",
+    help="Only for the part `growth`: spheres along an edge of the largest cube; up to 64 in a quarter of an hour. "
+    "[default: 32, with --quick 24, with --full 64]",
 )
 @click.option(
     "--shape",
@@ -81,19 +99,22 @@ def command(
     speed       all that is measured, beside other programs; the others are parts of it
     throughput  kernels: sweeps, time steps and splitting iterations beside NumPy and plain C
     peers       methods, scans and dynamics beside Clarabel, SCS, LAMMPS and YADE
+    growth      times and memory of a proven minimum against the size of the cube, beside Clarabel: power laws with
+                their exponents, and what bounds them
     accuracy    methods: run time against error, every method and two general conic solvers on the same scenes, by
                 the same certificate; without --shape 10x10, 32x32, 10x10x10 and 16x16x16 Coulomb, 32x32 and 10x10x10
                 viscous
 
     Times are medians of rounds that time everything once, wall and processor, without compilation. Writes report.md, a
-    CSV for each part (of methods one row a checkpoint), and figures of kernels and methods. Programs that are not
-    installed, and lattices that do not fit into memory, are left out and named. Exit code 1 if two runs contradict each
-    other: one proves more than the other's power.
+    CSV for each part (of methods one row a checkpoint), and figures of kernels, methods and growth. Programs that are
+    not installed, and lattices that do not fit into memory, are left out and named. Exit code 1 if two runs contradict
+    each other: one proves more than the other's power.
 
     \b
     Examples:
       bearings benchmark speed --quick
       bearings benchmark speed --parts kernels,scans --shape 64,64,64 --threads 1,2
+      bearings benchmark growth --largest 64
       bearings benchmark accuracy --shape 24,24,24 --methods gradient-descent --no-peers
     """
     from taichi_bearings_studies.benchmarks.harness import TEXT, machine, measure, text, write
@@ -110,10 +131,7 @@ def command(
             f"--parts belongs to `bearings benchmark speed`, not to `bearings benchmark {what}`; leave it out"
         )
     benchmarks = {name: BENCHMARKS[name] for name in chosen("parts", PARTS[what] or parts, BENCHMARKS)}
-    for name, part in USED_BY.items():
-        if part not in benchmarks and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            option = name.replace("_", "-")
-            raise InputError(f"--{option} belongs to the part {part}, which is not measured here; leave --{option} out")
+    _refuse_of_other_parts(context, benchmarks, asked)
     plan, here = planned(**asked), machine()
     folder = out or default_run_path("benchmark")
     others = [f"{name}.{ending}" for name in benchmarks for ending in ("csv", "png")]
@@ -124,3 +142,23 @@ def command(
     words = [text(benchmarks, report, here), *map(str, written)]
     answer(described(report, here, written), as_json, lambda: "\n".join(words))
     context.exit(130 if report.interrupted else 1 if report.faults or not report.rows else 0)
+
+
+def _refuse_of_other_parts(context: click.Context, benchmarks: Collection[str], asked: Mapping[str, Any]) -> None:
+    """Raise InputError for options that belong only to parts that are not measured, or that exclude each other.
+
+    context : of click, which knows the options that were given.
+    benchmarks : names of the parts that are measured.
+    asked : values of the options by name.
+    """
+    from taichi_bearings.errors import InputError
+
+    for name, used in USED_BY.items():
+        if not {*used} & {*benchmarks} and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            option, one = name.replace("_", "-"), len(used) == 1
+            raise InputError(
+                f"--{option} belongs to the part{'s' * (not one)} {' and '.join(used)}, which {'is' if one else 'are'} "
+                f"not measured here; leave --{option} out"
+            )
+    if asked["largest"] and asked["shape"]:
+        raise InputError("--largest and --shape both choose lattices; give one of them")

@@ -1,12 +1,17 @@
-"""Measures how time and memory of a proven minimum grow with a cubic lattice, beside Clarabel.
+"""Measures how time and memory of a proven minimum grow with a cubic lattice, beside Clarabel, and what bounds them.
 
 Each lattice is solved in a process of its own, so that its memory can be told. Ours includes the proof
 of all contact states. Clarabel solves to the same tolerance and proves nothing; building its matrices is not counted.
 The power laws are fitted to processor times, the time of all threads, which other programs on the machine lengthen
-least. A quick solve is repeated, and the median counts, so that no compilation is measured.
+least. A quick solve is repeated, and the median counts, so that no compilation is measured. What bounds both are the
+factorisations of the interior point: the share of time that they take is measured, and operations and memory of the
+largest one are counted.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from math import prod
 from typing import Any, NamedTuple
@@ -18,6 +23,8 @@ from taichi_bearings import runtime
 from taichi_bearings.api import solve
 from taichi_bearings.errors import InputError
 from taichi_bearings.memory import bytes_by_linux
+from taichi_bearings.numerics.cholesky.factor import Factor
+from taichi_bearings.numerics.cholesky.fronts import Pattern
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, in_our_style, label_in_plain_text, new_figure
 from taichi_bearings.runs.cost import refuse_too_large
 from taichi_bearings.runs.lattice_run import build_scene
@@ -33,10 +40,14 @@ OF_PROCESS = "/proc/self/status"  # what Linux tells of this process
 OURS, THEIRS = "this program, states proven", "clarabel, no proof"
 TOLERANCE = 1e-8  # relative gap asked of both
 BRIEF, ROUNDS = 10.0, 3  # a solve that takes fewer seconds of the processor is made once more, and then so often
-MOST_OF_PEERS = 20_000  # for more spheres Clarabel takes minutes and gigabytes, and is left out
+MOST_OF_PEERS = 40_000  # for more spheres Clarabel takes many minutes and gigabytes, and is left out
 FROM = 4_000  # spheres from which on a power law is fitted: below, the cost of calls counts
 FEWEST = 3  # lattices, so that a fit can be judged
 COLUMNS = {"seconds_processor": "processor time", "memory": "memory"}  # of a row, and their name
+BOUNDS = {
+    "operations": "operations",
+    "factor": "memory of the factor",
+}  # columns of the largest factorisation, and their name
 
 
 def measure(side: int, program: str, seed: int, threads: int) -> Measurements:
@@ -61,14 +72,80 @@ def measure(side: int, program: str, seed: int, threads: int) -> Measurements:
         once = partial(_solved_by_us, scene, threads)
     answers = list[Row]()
     before, call = bytes_by_linux(OF_PROCESS, "VmRSS"), lambda _: answers.append(once())
-    found = [clocked(call)]
-    if found[0][1] < BRIEF:  # the first one has compiled
-        found = [clocked(call) for _ in range(ROUNDS)]
+    with watched() as factorising:
+        found = [clocked(call)]
+        if found[0][1] < BRIEF:  # the first one has compiled
+            factorising.seconds = 0.0
+            found = [clocked(call) for _ in range(ROUNDS)]
     times = Times(*np.array(found).T)
     yield {
         "what": program, "shape": shape, "spheres": prod(shape), "threads": threads, **times.row,
         "memory": (bytes_by_linux(OF_PROCESS, "VmHWM") - before) / 1e9, **answers[-1],
+        **factorising.row(sum(seconds for _, seconds in found)),
     }  # fmt: skip
+
+
+@dataclass
+class Factorising:
+    """The factorisations of a process.
+
+    seconds : processor time that they have taken.
+    operations, entries : operations of the largest one, and entries of its factor; 0 before the first.
+    """
+
+    seconds: float = 0.0
+    operations: float = 0.0
+    entries: int = 0
+
+    def row(self, seconds: float) -> Row:
+        """Return columns of a row: the share of processor time that factorisations take, and the operations and the
+        memory, GB, of the largest one; none if there was no factorisation.
+
+        seconds : processor time in all.
+        """
+        if not self.operations:
+            return {}
+        return {"factorising": self.seconds / seconds, "operations": self.operations, "factor": 8e-9 * self.entries}
+
+
+@contextmanager
+def watched() -> Iterator[Factorising]:
+    """Context in which the factorisations of this program, in this process, are counted and timed."""
+    found, kinds = Factorising(), Factor.__subclasses__()
+    before = [(kind, kind.__init__, kind.factorise) for kind in kinds]
+
+    def counting(begin: Callable[..., None]) -> Callable[..., None]:
+        """Return what prepares a factor, and also notes the largest one, in place of what prepares it (`begin`)."""
+
+        def begun(factor: Factor, pattern: Any, *others: Any) -> None:
+            """Prepare a factor of a matrix with this pattern; the other arguments are passed on."""
+            if isinstance(pattern, Pattern) and pattern.operations > found.operations:
+                found.operations, found.entries = pattern.operations, pattern.factor_entries
+            begin(factor, pattern, *others)
+
+        return begun
+
+    def timing(factorise: Callable[[Any], np.ndarray]) -> Callable[[Any], np.ndarray]:
+        """Return what factorises, and also takes the time, in place of what factorises."""
+
+        def factorised(factor: Factor) -> np.ndarray:
+            """Factorise, and return for which matrices that succeeds."""
+            at = time.process_time()
+            regular = factorise(factor)
+            found.seconds += time.process_time() - at
+            return regular
+
+        return factorised
+
+    for kind, begin, factorise in before:
+        setattr(kind, "__init__", counting(begin))  # noqa: B010
+        setattr(kind, "factorise", timing(factorise))  # noqa: B010
+    try:
+        yield found
+    finally:
+        for kind, begin, factorise in before:
+            setattr(kind, "__init__", begin)  # noqa: B010
+            setattr(kind, "factorise", factorise)  # noqa: B010
 
 
 def _solved_by_us(scene: Scene, threads: int) -> Row:
@@ -127,32 +204,50 @@ def fitted(x: Sequence[float], y: Sequence[float]) -> PowerLaw:
 
 
 def fits(rows: Sequence[Row]) -> dict[tuple[str, str], PowerLaw]:
-    """Return the power laws in the number of spheres N, by program and column of COLUMNS.
+    """Return the power laws in the number of spheres N, by program and column of COLUMNS or BOUNDS.
 
-    rows : measurements, dictionaries with the keys `what` (the program), `spheres`, and processor time and memory (keys
-        of COLUMNS).
+    rows : measurements, dictionaries with the keys `what` (the program), `spheres`, processor time and memory (keys of
+        COLUMNS), and, if they are known, operations and memory of a factorisation (keys of BOUNDS).
 
     Only lattices of FROM spheres or more count; with fewer than FEWEST of them there is no fit.
     """
     found = {}
     for what in dict.fromkeys(row["what"] for row in rows):
         large = [row for row in rows if row["what"] == what and row["spheres"] >= FROM]
-        for key in COLUMNS if len(large) >= FEWEST else ():
-            found[what, key] = fitted([row["spheres"] for row in large], [row[key] for row in large])
+        for key in [*COLUMNS, *BOUNDS] if len(large) >= FEWEST else ():
+            if all(key in row for row in large):
+                found[what, key] = fitted([row["spheres"] for row in large], [row[key] for row in large])
     return found
 
 
 def words(rows: Sequence[Row]) -> list[str]:
-    """Return one sentence for each power law that `fits` finds, with its exponent and standard error.
+    """Return one sentence for each power law that `fits` finds, with its exponent and standard error, and one on what
+    bounds time and memory of the largest lattice.
 
     rows : measurements, each with the program (`what`), the number of `spheres`, processor time and memory (the keys of
         COLUMNS).
     """
-    return [
+    found = fits(rows)
+    said = [
         f"{what}: from {FROM} spheres on {COLUMNS[key]} grows as N^{law.exponent:.2f}, with N the number of spheres"
         f" (standard error {law.error:.2f})"
-        for (what, key), law in fits(rows).items()
+        for (what, key), law in found.items()
+        if key in COLUMNS
     ]
+    counted = [row for row in rows if "factorising" in row]
+    if counted:
+        last = max(counted, key=lambda row: row["spheres"])
+        laws = [
+            f"{name} as N^{found[last['what'], key].exponent:.2f}"
+            for key, name in BOUNDS.items()
+            if (last["what"], key) in found
+        ]
+        said.append(
+            f"{last['what']}: with {last['spheres']} spheres factorisations take {last['factorising']:.0%} of the "
+            f"processor time, and the factor {last['factor']:.2g} of {last['memory']:.2g} GB"
+            + (f"; they bound larger lattices, as they grow fastest: {', '.join(laws)}" if laws else "")
+        )
+    return said
 
 
 @in_our_style

@@ -277,14 +277,16 @@ def machine() -> dict[str, Any]:
 
 
 def text(chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> str:
-    """Return the report as a text: the machine, a table for each benchmark, then what was left out and what is
-    missing.
+    """Return the report as a text: the machine, a table and a figure for each benchmark, then what was left out and
+    what is missing.
 
     chosen : benchmarks by name.
     here : the machine, as :func:`machine` returns it.
     """
     parts = [f"{here['processor']}, {here['threads']}; load {here['load']}"]
-    parts += [f"### {name}\n{chosen[name].title}.\n\n{_table(rows)}" for name, rows in report.rows.items()]
+    for name, rows in report.rows.items():
+        parts.append(f"### {name}\n{chosen[name].title}.\n\n{_table(rows)}")
+        parts += [f"![{chosen[name].title}]({name}.png)"] if chosen[name].figure else []
     notes = [*report.faults, *report.notes, *(f"Without {name}: {why}" for name, why in report.missing.items())]
     return "\n\n".join([*parts, "\n".join(f"* {note}" for note in notes)] if notes else parts) + "\n"
 
@@ -294,7 +296,8 @@ COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "components": ("components", str), "precision": ("precision", str), "threads": ("threads", str),
     "seconds": ("time", duration), "quickest": ("quickest", duration), "slowest": ("slowest", duration),
     "seconds_processor": ("processor", duration), "contact_updates": ("contacts/s", scaled),
-    "memory": ("memory", "{:.2g} GB".format),
+    "memory": ("memory", "{:.2g} GB".format), "factorising": ("factorising", "{:.0%}".format),
+    "operations": ("operations", "{:.2g}".format), "factor": ("factor", "{:.2g} GB".format),
     "proven": ("proven", "{:.0%}".format), **{f"{gap:.0e}": (f"to {gap:.0e}", duration) for gap in TARGETS},
     "proven_gap": ("gap", "{:.1e}".format), "true_error": ("error <=", "{:.1e}".format),
     "reference_gap": ("known to", "{:.1e}".format), "after": ("after", duration), "status": ("ended", str),

@@ -10,7 +10,7 @@ from typing import Any
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
-from taichi_bearings.options import chosen
+from taichi_bearings.options import COUNT, chosen
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers import METHODS
 
@@ -109,7 +109,7 @@ BENCHMARKS = {
         missing=lambda: {name: why for name, why in find_peers()[1].items() if name == "clarabel"},
     ),
     "growth": Benchmark(
-        "Time and memory of a proven minimum against the size of the cube, beside Clarabel",
+        "Times and memory of a proven minimum against the size of the cube, beside Clarabel",
         _growth,
         missing=lambda: {name: why for name, why in find_peers()[1].items() if name == "clarabel"},
         findings=growth.words,
@@ -125,6 +125,7 @@ def planned(
     law: Sequence[str] = (),
     threads: str | None = None,
     precision: str | None = None,
+    largest: str | None = None,
     **of_methods: Any,
 ) -> Plan:
     """Return a plan of what the options of the command ask for. Raises InputError for a bad value.
@@ -133,9 +134,13 @@ def planned(
     shape, law : texts of lattices and names of laws that replace the usual ones; empty to keep these.
     threads : numbers of threads, separated by commas; None for the usual ones.
     precision : "f64" or "f32"; None for the usual ones.
+    largest : spheres along an edge of the largest cube of `growth`; None for the usual one.
     of_methods : `seed`, `methods`, `peers` and `time_limit` of the benchmark of methods; None for the defaults.
     """
     plan = PLANS[budget or "usual"]
+    if largest is not None:
+        side = COUNT.named("largest", largest)
+        plan = replace(plan, grown=tuple(sorted({*(one for one in FULL.grown if one < side), side})))
     if precision is not None:
         plan = replace(plan, precisions=(RunSettings(precision=precision).precision,))
     laws = [RunSettings(law=name).law for name in law]

@@ -11,6 +11,8 @@ from taichi_bearings_studies.benchmarks import growth
 from taichi_bearings_studies.benchmarks.harness import measure, text
 from taichi_bearings_studies.benchmarks.table import BENCHMARKS, planned
 
+from taichi_bearings.errors import InputError
+
 
 def rows(sizes, exponent, noise=0.0):
     """Rows of one program whose processor time is 2e-5 N^exponent, but for a relative noise."""
@@ -39,20 +41,37 @@ def test_small_lattices_do_not_count_and_few_are_not_fitted():
     assert any("N^2.00" in words for words in growth.words(bent))
 
 
+def test_what_bounds_a_minimum_is_told_of_the_largest_lattice():
+    counted = [
+        row | {"factorising": 0.6, "operations": 2e-4 * row["spheres"] ** 2, "factor": 5e-5 * row["spheres"]}
+        for row in rows([4096, 8000, 13824], 1.8)
+    ]
+    *_, said = growth.words(counted)
+    assert "with 13824 spheres factorisations take 60% of the processor time, and the factor 0.69 of 1.4 GB" in said
+    assert "operations as N^2.00, memory of the factor as N^1.00" in said
+
+
 def test_a_lattice_is_measured_with_all_contacts_proven(needs_f64, taichi_runtime):
     (row,) = growth.measure(4, growth.OURS, seed=0, threads=1)
     assert row["spheres"] == 64
     assert row["proven"] == 1
     assert 0 <= row["proven_gap"] < growth.TOLERANCE
     assert row["rounds"] == growth.ROUNDS
+    assert 0 < row["factorising"] < 1
+    assert row["operations"] > 4 * 4 * 2 * 2  # unknowns: two spins of each free sphere
+    assert 8e-9 * row["spheres"] < row["factor"] < 8e-9 * (2 * row["spheres"]) ** 2
     if sys.platform.startswith("linux"):
         assert 0 <= row["memory"] < resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
-    (left_out,) = growth.measure(28, growth.THEIRS, seed=0, threads=1)
+    (left_out,) = growth.measure(40, growth.THEIRS, seed=0, threads=1)
     assert "left out" in left_out
 
 
 def test_growth_is_planned_for_the_cubes_asked_for_and_reported_with_its_exponent():
     assert planned("quick", shape=["4,5,6", "6,6,6", "7,7"]).grown == (6,)
+    assert planned(None, largest="18").grown == (8, 12, 16, 18)
+    assert planned(None, largest="64").grown[-3:] == (40, 48, 64)
+    with pytest.raises(InputError, match="largest is 'no'"):
+        planned(None, largest="no")
     made = rows([4096, 8000, 13824], 1.8)
     one = replace(BENCHMARKS["growth"], tasks=lambda plan: [("made", lambda: made)], missing=dict)
     report = measure({"growth": one}, planned("quick"))

@@ -26,3 +26,11 @@ def test_throughput_is_one_object_and_the_files_are_there(tmp_path):
     assert report["files"] == [str(tmp_path / "a" / name) for name in ("report.md", "kernels.csv", "kernels.png")]
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["kernels.csv", "kernels.png", "report.md"]
     assert "already exists" in refused("benchmark", "speed", "--out", tmp_path / "a")
+
+
+def test_options_of_parts_that_are_not_measured_are_refused():
+    assert "--largest belongs to the part growth, which is not" in refused("benchmark", "accuracy", "--largest", "8")
+    said = refused("benchmark", "throughput", "--seed", "1")
+    assert "--seed belongs to the parts methods and growth, which are not measured here" in said
+    both = refused("benchmark", "growth", "--largest", "8", "--shape", "4,4,4")
+    assert "--largest and --shape both choose lattices" in both
