@@ -116,7 +116,7 @@ def main() -> None:
     except KeyboardInterrupt:
         code = _interrupted(INTERRUPTED)
     except Exception:
-        if not leaving.heard():
+        if not leaving.has_raised():
             raise
         code = _interrupted(INTERRUPTED)  # a library has made something else of it
     interrupts.ignore_signals()

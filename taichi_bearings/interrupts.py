@@ -203,10 +203,12 @@ def interrupt(_: int, frame: FrameType | None) -> None:
     if _keeper is not None and _keeper.reached:
         _keeper.note()
         if time.monotonic() - _keeper.first > IMPATIENCE:
+            leaving.note_raised()
             raise KeyboardInterrupt
     elif is_loading(frame):
         again_soon()
     else:
+        leaving.note_raised()
         raise KeyboardInterrupt
 
 
@@ -293,6 +295,9 @@ class Interrupt:
             if self.heard or not seconds > 0:
                 raise GivenUp
             yield
+        except KeyboardInterrupt:
+            leaving.forget_raised()
+            raise
         finally:
             self._at_once = False
             timer.cancel()
@@ -319,6 +324,7 @@ class Interrupt:
             self.heard, self._first = True, time.monotonic()
             _note()
         elif time.monotonic() - self._first > IMPATIENCE:
+            leaving.note_raised()
             raise KeyboardInterrupt
 
         def is_wanted() -> bool:
@@ -330,6 +336,7 @@ class Interrupt:
         if self._at_once and is_loading(frame):
             again_soon(is_wanted)
         elif self._at_once:
+            leaving.note_raised()
             raise GivenUp
 
 

@@ -28,6 +28,7 @@ _temporary = set[str]()
 _helpers = set[int]()  # processes that this one has started beside those that multiprocessing lists
 _sentences = [NOTHING_KEPT]
 _heard = threading.Event()
+_raised = False  # True while an exception that a signal has raised is on its way, perhaps as another one
 _own_signals = 0  # signals that this process has sent to itself and that have not come yet
 _watched = False
 _last_word = threading.Lock()  # whoever holds it ends the process
@@ -141,6 +142,24 @@ def note_heard() -> None:
 def forget_heard() -> None:
     """Note that the signal that came has been answered: what goes wrong from now on has another cause."""
     _heard.clear()
+    forget_raised()
+
+
+def has_raised() -> bool:
+    """Return True if a signal has raised an exception: an error that comes now may be what a library made of it."""
+    return _raised
+
+
+def note_raised() -> None:
+    """Note, in the handler of a signal, that it raises an exception."""
+    global _raised
+    _raised = True
+
+
+def forget_raised() -> None:
+    """Note that the exception which a signal has raised has come where it is caught, as it was raised."""
+    global _raised
+    _raised = False
 
 
 def disregard_next() -> None:

@@ -192,10 +192,12 @@ class Result:
         the coefficients and the directory of the run; for lattices also `arch`, `precision` and `threads`. If there are
         several samples, numbers in which they may differ are lists.
         """
-        where = {"coefficients": None, "run": None if self.path is None else str(self.path)}
+        where = {
+            "coefficients": self.asked.coefficients,
+            "run": None if self.path is None else str(self.path),
+        }
         if self.scene.network.lattice is not None:
             where |= {name: getattr(self.solution.running, name) for name in ("arch", "precision", "threads")}
-            where["coefficients"] = self.asked.coefficients
         return self.numbers | self.asked.driving | where
 
     @property

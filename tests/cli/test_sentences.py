@@ -120,6 +120,9 @@ def test_coefficients_bring_their_shape_and_stand_in_the_report_instead_of_the_s
     assert "coefficients from one.npz\n  P = " in done.stdout
     assert "seed" not in done.stdout + bearings("verify", "a", cwd=tmp_path).stdout
     assert "coefficients given" in bearings("list", ".", cwd=tmp_path).stdout
+    done = bearings(*words, "--driven", "walls", "--out", "walls", cwd=tmp_path)
+    assert "coefficients from one.npz\n  P = " in done.stdout
+    assert json.loads((tmp_path / "walls" / "summary.json").read_text())["coefficients"] == "one.npz"
     done = bearings("run", "--coefficients", "two.npz", "--replicas", "2", "--out", "b", cwd=tmp_path)
     assert "sample 0: P = " in done.stdout
     assert "sample 1: P = " in done.stdout

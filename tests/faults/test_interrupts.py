@@ -277,6 +277,32 @@ __main__.main()
     assert done.stderr == "bearings: interrupted; only files that were complete are kept\n"
 
 
+@pytest.mark.parametrize("given_up", [False, True])
+def test_an_error_after_a_signal_that_was_noted_and_before_a_result_is_told(tmp_path, given_up):
+    """Of a solve, which a signal ends between two steps; or after work that the signal has broken off."""
+    program = f"""
+import signal, time
+from contextlib import suppress
+from taichi_bearings import interrupts
+from taichi_bearings_cli import __main__, main
+def command(**more):
+    with interrupts.keeping(), interrupts.Interrupt() as interrupt:
+        if {given_up}:
+            with suppress(interrupts.GivenUp), interrupt.at_once():
+                signal.raise_signal(signal.SIGTERM)
+        else:
+            signal.raise_signal(signal.SIGTERM)
+        assert interrupt.heard
+        time.sleep(0.2)  # in which the thread that listens notes it too
+        raise ValueError("the packing is upside down")
+main.bearings.main = command
+__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.endswith("ValueError: the packing is upside down\n")
+
+
 @pytest.mark.filterwarnings("ignore:Exception ignored in. <_io.FileIO")  # closed when it is forgotten
 @pytest.mark.parametrize("what", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_at_any_step_of_a_lock_leaves_no_file_that_the_end_would_not_remove(tmp_path, what):
