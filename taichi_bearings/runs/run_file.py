@@ -25,7 +25,14 @@ from taichi_bearings.quantities import CONTACTS, FINDINGS, SAID_OF_PACKINGS
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed, is_run
 from taichi_bearings.runs.run_layout import AXES, PACKING_ARRAYS
-from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml, refuse_unloaded, settings_table
+from taichi_bearings.runs.settings import (
+    RunSettings,
+    parse_toml,
+    read_toml,
+    refuse_unloaded,
+    settings_table,
+    without_unloaded,
+)
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Bearing, Scene, Snapshots, Solution, Status
 from taichi_bearings.scene.solution import OF_ALL, is_crossed
@@ -84,12 +91,13 @@ def read_claims(run: str | Path) -> tuple[Result, list[str]]:
     """Return the result in a run file without checking it, and the names of data sets and attributes in the file that
     were changed after it was written.
 
-    `Result.attributes` has what the file says; the gap of the solution is not-a-number. Raises FileError if the file is
+    `Result.attributes` has what the file says; the gap of the solution is not-a-number. A method of one's own, and its
+    options, need not be loaded; its settings then have the method "auto". Raises FileError if the file is
     missing, has an unknown layout, or is so damaged that it holds no run.
     """
     changed: list[str] = []
     with _opened(run, changed) as (path, file, attributes):
-        found = _run_in(path, file, attributes | {"gap": np.nan})
+        found = _run_in(path, file, attributes | {"gap": np.nan}, needs_method=False)
     return replace(found, attributes=attributes), changed
 
 
@@ -113,10 +121,11 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
         yield path, file, attributes_of(file)
 
 
-def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, object]) -> Result:
+def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, object], needs_method: bool = True) -> Result:
     """Return the result in an opened run.h5.
 
     path, attributes : path and attributes of the file; the attributes hold settings and numbers.
+    needs_method : False to read it also where its method, or an option of it, is not loaded.
     """
     if "scene" not in attributes:
         raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
@@ -124,6 +133,7 @@ def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, object]) -> Re
         scene = parse_toml(str(attributes["scene"]))
     except FileError as error:
         raise InputError(str(error)) from None
+    scene = scene if needs_method else without_unloaded(scene)
     refuse_unloaded(scene, path)
     try:
         settings = RunSettings.from_mapping(scene, "its scene")

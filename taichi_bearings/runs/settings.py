@@ -533,6 +533,18 @@ def refuse_unloaded(scene: Mapping[str, object], path: Path) -> None:
         )
 
 
+def without_unloaded(scene: Mapping[str, object]) -> Json:
+    """Return a stored scene in which a method that is not loaded has become "auto", and without options that are not
+    known: what its numbers prove depends on neither.
+
+    scene : its settings by key.
+    """
+    found = {key: value for key, value in scene.items() if key in RunSettings.keys()}
+    if isinstance(name := found.get("method"), str) and name not in METHODS:
+        found["method"] = "auto"
+    return found
+
+
 def toml_text(values: Mapping[str, object]) -> str:
     """Return keys and values as TOML, one line for each key."""
     return "".join(f"{key} = {toml_value(value)}\n" for key, value in values.items())
