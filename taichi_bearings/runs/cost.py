@@ -31,6 +31,8 @@ ALONG_BYTES, OBLIQUE_BYTES, STEPPED_BYTES, STEP_SECONDS = 15.5e3, 31e3, 6e3, 8e-
 FILLED_SPHERES, FILLED_POWER = 1000, 0.2
 # time of a packing with normals along the axes, and with others, over that of a lattice with as many spheres
 ALONG_FACTOR, OBLIQUE_FACTOR = 2.0, 8.0
+# what a minimum whose contact states are not asked for (--no-settle) takes of the time, and in a packing of the bytes
+UNSETTLED_SECONDS, UNSETTLED_BYTES = 0.6, 0.8
 # spheres beyond which the method of a packing is told without a search for motions that make no contact slip
 MOST_SEARCHED = 5_000
 
@@ -107,10 +109,20 @@ def cost_of_lattice(settings: RunSettings, row: type[MethodOptions], scene: Scen
     step = row.step_seconds(shape)
     if step is None:
         solve = row.seconds(shape, settings.tolerance)
+        if solve is not None and _is_unsettled(settings):
+            solve *= UNSETTLED_SECONDS
         return Cost(row.name, _seconds_in_all(settings, judged, solve and solve * settings.replicas), None, None, room)
     steps = _steps(settings, row, scene)
     step *= settings.replicas
     return Cost(row.name, _seconds_in_all(settings, judged, None if steps is None else steps * step), step, steps, room)
+
+
+def _is_unsettled(settings: RunSettings) -> bool:
+    """Return True if settings ask an interior point for the power alone, not for the states of the contacts.
+
+    settings : settings of the run.
+    """
+    return dict(settings.owned).get("settle") is False
 
 
 def _seconds_in_all(settings: RunSettings, others: float, solve: float | None) -> float | None:
@@ -165,8 +177,9 @@ def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bea
         return Cost(row.name, seconds, step, steps, PROCESS_BYTES + STEPPED_BYTES * spheres)
     along = bool((np.count_nonzero(network.normal, axis=1) == 1).all())
     alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
-    seconds = PROCESS_SECONDS + count * alike * (ALONG_FACTOR if along else OBLIQUE_FACTOR)
-    room = PROCESS_BYTES + bytes_of_packing(spheres, along)
+    in_time, in_bytes = (UNSETTLED_SECONDS, UNSETTLED_BYTES) if _is_unsettled(settings) else (1.0, 1.0)
+    seconds = PROCESS_SECONDS + count * alike * in_time * (ALONG_FACTOR if along else OBLIQUE_FACTOR)
+    room = PROCESS_BYTES + in_bytes * bytes_of_packing(spheres, along)
     name = method_of(scene, settings.method, looks_for_motions=spheres <= MOST_SEARCHED)
     return Cost(name, seconds, None, None, room)
 
