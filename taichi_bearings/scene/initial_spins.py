@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.numerics.double_double import add
 from taichi_bearings.scene.array_files import own_array, read_arrays
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.interface import spins_of_two_domains
+from taichi_bearings.scene.scene import Scene
 from taichi_bearings.words import meant, shown
 
 
@@ -41,6 +43,22 @@ def linear_spin(bearing: Bearing) -> np.ndarray:
     even, every = bearing.driving.of_equal_viscosity(), bearing.driving.every
     full = np.broadcast_to(even, (len(every), bearing.replicas, *even.shape[2:]))
     return bearing.laboratory_spin(full, every)
+
+
+def staggered_linear_spin(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """Return :func:`linear_spin` of a lattice in the form that solvers store, (components C, samples R, spheres *N),
+    1/time: the bits of ``scene.staggered_spin(linear_spin(scene), spin_axes)``, without the laboratory spins.
+
+    scene : what the spins are for.
+    spin_axes : numbers of the C components.
+    """
+    driving, found = scene.driving, []
+    even, (high, low) = driving.of_equal_viscosity(), driving.origin(driving.every)
+    for slot in map(driving.every.index, spin_axes):
+        # Where nothing depends on the place in a layer, arrays have axes of length 1.
+        whole, _ = add((even[slot], np.zeros_like(even[slot])), (high[slot], low[slot]))
+        found.append(np.broadcast_to(whole - high[slot], (scene.replicas, *scene.lattice.shape)))
+    return driving.impose(np.stack(found), spin_axes)
 
 
 def zero_spin(bearing: Bearing) -> np.ndarray:

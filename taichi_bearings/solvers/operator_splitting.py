@@ -41,7 +41,7 @@ from taichi_bearings.proof.certificate import (
 )
 from taichi_bearings.proof.column_sums import parts_in_cache
 from taichi_bearings.scene import Bearing, Progress, Scene
-from taichi_bearings.scene.initial_spins import linear_spin
+from taichi_bearings.scene.initial_spins import staggered_linear_spin
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.on_strides import OnStrides
 from taichi_bearings.solvers.splitting_look import Look
@@ -147,7 +147,7 @@ class OperatorSplittingMethod(Method):
         staggered : (C components, R samples, *N spheres), spins with signs that alternate between neighbours, 1/time.
         """
         scene = self.scene
-        linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
+        linear = staggered_linear_spin(scene, self.spin_axes)
         self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
         self.iteration = 0
         stiffness = self._along_lattice(self.stiffness)

@@ -14,6 +14,7 @@ from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
+from taichi_bearings.scene.initial_spins import linear_spin, staggered_linear_spin
 from tests.scenes import SIMPLE_LAWS, make_scene
 from tests.stress.minima import least_of_all
 
@@ -136,3 +137,22 @@ def test_domains_turn_between_the_planes_of_their_layers():
     assert domains.turn.max() < 1 + 1e-12
     assert (domains.turn[domains.domain[1, 1, -1]] == 1).all()
     assert ((domains.turn > 0.01) & (domains.turn < 0.99)).any()
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        {"shape": (4, 5)},
+        {"shape": (4, 6, 5), "spin_bottom": 0.3, "spin_top": -0.7},
+        {"shape": (4, 5), "top": 1.3, "bottom": 0.1},
+        {"shape": (3, 4, 5), "top": (1, 1, 0.3, 0.2), "bottom": (0.1, 0, 0.7, -0.3)},
+        {"shape": (4, 4, 5), "periodic": "x"},
+    ],
+    ids=str,
+)
+def test_linear_spins_as_solvers_store_them_have_the_bits_of_those_of_the_laboratory(of):
+    scene = Scene.random(seed=1, **of)
+    for axes in {scene.minimum_spin_axes, scene.lattice.all_spin_axes}:
+        expected = scene.staggered_spin(linear_spin(scene), axes)
+        assert np.array_equal(staggered_linear_spin(scene, axes), expected)
+        assert np.ptp(expected) > 0
