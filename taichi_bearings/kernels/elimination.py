@@ -8,8 +8,8 @@ before parents; numerics/cholesky/layout.py says where they lie.
 
 A front is stored column by column: m columns of own unknowns with all their n rows, then the update, b columns in
 panels of SHEET columns, each from its diagonal down; only lower triangles are used. Small matrices are eliminated here,
-in one launch; fronts of large ones are assembled here, and eliminated by BLAS. A number goes through the same
-operations in the same order whether its matrix is alone or not.
+in one launch; fronts of large ones are assembled here, and eliminated by BLAS; their own columns are in such panels,
+too. A number goes through the same operations in the same order whether its matrix is alone or not.
 
 The functions share these arguments: `tables`, the array of integers that says where everything stands; `at`, where the
 row of a front begins in it; `numbers`, the entries of all fronts; `unit`, how many rows make a vector.
@@ -37,9 +37,9 @@ FRONTS, PLACES, MAPS, RUNS, SLOTS, ITEMS, BRANCHES, SHEET, STEP, HEADER = 0, 1, 
 # Positions in a row of the table of fronts: number of own unknowns and of the border; where columns and update begin;
 # first and last entry; its first child, and the next child of its parent, or -1; where its part of maps and slots
 # begins; first own unknown; distance from one own column, and from one column of the update, to the next; the row at
-# which columns of the update begin; and where its border begins in vectors
+# which columns of the update begin; where its border begins in vectors; and how many own columns are in a panel
 OWN, BORDER, OWN_COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SIBLING, BATCH_SHARE, FIRST_ROW = range(10)
-HEIGHT, UPDATE_HEIGHT, SKIP, REST_HEIGHT, WIDTH = 10, 11, 12, 13, 14
+HEIGHT, UPDATE_HEIGHT, SKIP, REST_HEIGHT, OWN_SHEET, WIDTH = 10, 11, 12, 13, 14, 15
 
 
 @ti.func
@@ -59,24 +59,36 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 
 
 @ti.func
-def sheets_before(tables: ti.template(), at, column):
-    """Return how many columns of the update of a front are stored in panels before the panel that holds a given column.
+def columns_before(column, width):
+    """Return how many columns of a matrix are stored in panels before the panel that holds a given column.
 
-    A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update, what
-    is left for the later ones, is stored in panels of some columns each.
-
-    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
-    at : position in `tables` of the row of integers of this front.
-    column : number of a column of the front, own columns first; for those the result is 0.
+    column : number of the column.
+    width : columns of a panel.
     """
-    before, width = 0, tables[SHEET]
-    if column - tables[at + OWN] >= width:  # hardly ever: no division in small fronts
-        before = (column - tables[at + OWN]) // width * width
+    before = 0
+    if column >= width:  # hardly ever: no division in small fronts
+        before = column // width * width
     return before
 
 
 @ti.func
-def column_of(tables: ti.template(), at, column):
+def begin_of_column(column, height, width):
+    """Return how far behind the begin of a matrix row 0 of one of its columns stands, or would stand, as columns are
+    stored in panels, and each panel from its diagonal down.
+
+    column : number of the column.
+    height : distance from one column to the next in the first panel.
+    width : columns of a panel.
+    """
+    before = columns_before(column, width)
+    begin = column * (height - before)
+    if before > 0:
+        begin += before * (before - 1) - before * (before - width) // 2
+    return begin
+
+
+@ti.func
+def column_of(tables: ti.template(), at, column, packed: ti.template()):
     """Return the index, among the entries of all fronts, at which row 0 of a column of a front stands, or would stand:
     columns of its update are stored from the diagonal down only.
 
@@ -85,13 +97,16 @@ def column_of(tables: ti.template(), at, column):
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
-    column : number of the column within the front, own columns first."""
-    own, start = tables[at + OWN], tables[at + OWN_COLUMNS] + column * tables[at + HEIGHT]
+    column : number of the column within the front, own columns first.
+    packed : True if own columns are stored in panels as well, each from its diagonal down."""
+    own, start, width = tables[at + OWN], tables[at + OWN_COLUMNS], tables[SHEET]
     if column >= own:
-        before, pitch = sheets_before(tables, at, column), tables[at + UPDATE_HEIGHT]
-        start = tables[at + UPDATE] + (column - own) * (pitch - before) - tables[at + SKIP] - before
-        if before > 0:
-            start += before * before - before * (before - tables[SHEET]) // 2
+        start = tables[at + UPDATE] - tables[at + SKIP]
+        start += begin_of_column(column - own, tables[at + UPDATE_HEIGHT], width)
+    elif ti.static(packed):
+        start += begin_of_column(column, tables[at + HEIGHT], width)
+    else:
+        start += column * tables[at + HEIGHT]
     return start
 
 
@@ -141,8 +156,8 @@ def add_run(numbers: ti.template(), vectors: ti.template(), to, source, length, 
 
 @ti.func
 def gather(
-    alone: ti.template(), unit: ti.template(), tables: ti.template(), at, first, end, entries: ti.template(),
-    numbers: ti.template(), vectors: ti.template(),
+    alone: ti.template(), unit: ti.template(), packed: ti.template(), tables: ti.template(), at, first, end,
+    entries: ti.template(), numbers: ti.template(), vectors: ti.template(),
 ):  # fmt: skip
     """Fill some columns of a front with the entries of the matrix, and add the updates that its children leave.
 
@@ -152,6 +167,7 @@ def gather(
     alone : True for one matrix, False for LANES of them; then an entry is a vector with one number of each.
     unit : number of rows that make a vector in `vectors`, 1 for LANES matrices; columns are cleared from a multiple of
         it on.
+    packed : True if own columns are stored in panels, each from its diagonal down.
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
     first, end : the columns first ... end-1 are filled.
@@ -159,17 +175,20 @@ def gather(
     numbers : entries of all fronts, flat, one by one; read and written.
     vectors : the same entries as vectors of `unit` rows."""
     # set the columns to zero, from the diagonal down
-    columns, height, step = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP]
+    columns, height, step, width = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP], tables[SHEET]
     column = first
     while column < end:
-        begin = column_of(tables, at, column)
+        begin = column_of(tables, at, column, packed)
         clear(False, vectors, (begin + column) // unit, (begin + height) // unit, step)
         column += step
     # put the entries of the matrix where the table of places says
-    entry, entries_end = tables[at + ENTRIES], tables[at + ENTRIES_END]
+    entry, entries_end, least, most = tables[at + ENTRIES], tables[at + ENTRIES_END], first * height, end * height
+    if ti.static(packed):
+        low, high = ti.min(first, tables[at + OWN]), ti.min(end, tables[at + OWN])
+        least, most = low + begin_of_column(low, height, width), high + begin_of_column(high, height, width)
     while entry < entries_end:
         place = tables[tables[PLACES] + entry]
-        if first * height <= place and place < end * height:
+        if least <= place and place < most:
             numbers[columns + place] = entries[entry]
         entry += step
     # add the update of each child; its column j belongs to the column places[j] here
@@ -181,7 +200,8 @@ def gather(
         while j < length and tables[places + j] < first:
             j += step
         while j < length and tables[places + j] < end:
-            start, source = column_of(tables, at, tables[places + j]), column_of(tables, child, own + j) + own
+            start = column_of(tables, at, tables[places + j], packed)
+            source = own + column_of(tables, child, own + j, packed)
             i = j
             while i < length:
                 if ti.static(alone):
@@ -296,8 +316,8 @@ def panel(
     j : number of the first of the columns in the front.
     wide : how many columns, PANEL or 1."""
     own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + OWN_COLUMNS]
-    pitch = height if j < own else tables[at + UPDATE_HEIGHT] - sheets_before(tables, at, j)
-    start = column_of(tables, at, j)
+    pitch = height if j < own else tables[at + UPDATE_HEIGHT] - columns_before(j - own, tables[SHEET])
+    start = column_of(tables, at, j, False)
     shape = [begin, begin + ti.min(j, own) * height, height, start, pitch, j < own]
     # the triangle at the diagonal first, then the rows below it, PANEL vectors at a time
     first = corner(numbers, shape, j, wide)
@@ -352,7 +372,7 @@ def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
-        gather(False, 1, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers, numbers)
+        gather(False, 1, False, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers, numbers)
         reduce(tables, at, numbers, numbers, 1)
 
 
@@ -368,7 +388,8 @@ def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vector
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
-        gather(True, LANES, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers, vectors)
+        rows = tables[at + OWN] + tables[at + BORDER]
+        gather(True, LANES, False, tables, at, 0, rows, entries, numbers, vectors)
         reduce(tables, at, numbers, vectors, LANES)
 
 
@@ -392,7 +413,8 @@ def eliminate_branches(
             branch = tables[BRANCHES] + 2 * (item // LEAST_CHUNK)
             for n in range(tables[branch], tables[branch + 1]):
                 at = HEADER + n * WIDTH
-                gather(True, LANES, tables, at, 0, tables[at + OWN] + tables[at + BORDER], entries, numbers, vectors)
+                rows = tables[at + OWN] + tables[at + BORDER]
+                gather(True, LANES, False, tables, at, 0, rows, entries, numbers, vectors)
                 reduce(tables, at, numbers, vectors, LANES)
 
 
@@ -420,7 +442,7 @@ def _assembly(serial: bool) -> Callable:
             if turn % chunk == 0:
                 item = tables[ITEMS] + 3 * (turn // chunk)
                 at = HEADER + tables[item] * WIDTH
-                gather(True, LANES, tables, at, tables[item + 1], tables[item + 2], entries, numbers, vectors)
+                gather(True, LANES, True, tables, at, tables[item + 1], tables[item + 2], entries, numbers, vectors)
 
     return run
 

@@ -23,6 +23,7 @@ from taichi_bearings.kernels.elimination import (
     NUMBERS,
     OWN,
     OWN_COLUMNS,
+    OWN_SHEET,
     PANEL,
     REST_HEIGHT,
     SIBLING,
@@ -30,7 +31,9 @@ from taichi_bearings.kernels.elimination import (
     STEP,
     VECTORS,
     WIDTH,
+    begin_of_column,
     clear,
+    columns_before,
 )
 from taichi_bearings.kernels.memory import INTEGERS
 from taichi_bearings.kernels.team import LEAST_CHUNK
@@ -364,6 +367,20 @@ def backward_vectors(
 
 
 @ti.func
+def pivot_and_pitch(tables: ti.template(), at, column):
+    """Return the index of the pivot of an own column of a front in the Cholesky factor, and how far further on the next
+    column of its panel stands. A front is a group of unknowns that are eliminated together, its own, with the later
+    ones they are coupled to.
+
+    tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
+    at : position in `tables` of the row of integers of this front.
+    column : number of the own column."""
+    height, width = tables[at + HEIGHT], tables[at + OWN_SHEET]
+    pivot = tables[at + OWN_COLUMNS] + begin_of_column(column, height, width) + column
+    return pivot, height - columns_before(column, width)
+
+
+@ti.func
 def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.template(), vectors: ti.template()):
     """Solve forward (L y = b, with the Cholesky factor L) for one front of one matrix, once its children in the
     elimination tree are done.
@@ -378,7 +395,7 @@ def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.te
         each of its own unknowns and each of its border.
     vectors : the memory of `vector`, as vectors of LANES rows."""
     own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
-    step, begin, i = tables[STEP], tables[at + OWN_COLUMNS], 0
+    step, i = tables[STEP], 0
     # begin with the right-hand sides and nothing for the border, and take what the children have left for theirs
     while i < own:
         vector[rest + i] = vector[first + i]
@@ -388,7 +405,8 @@ def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.te
     # eliminate the own unknowns
     k = 0
     while k < own:
-        where = [begin + k * (height + 1), height, rest + k, rest + height, step]
+        start, pitch = pivot_and_pitch(tables, at, k)
+        where = [start, pitch, rest + k, rest + height, step]
         if k + LANES <= own:
             forward_vectors(memory, vector, vectors, where, LANES)
             k += LANES
@@ -412,18 +430,20 @@ def up_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.temp
         number for each of its own unknowns and each of its border, as the forward solve has left them.
     vectors : the memory of `vector`, as vectors of LANES rows."""
     own, first, rest, height = tables[at + OWN], tables[at + FIRST_ROW], tables[at + REST_HEIGHT], tables[at + HEIGHT]
-    step, begin = tables[STEP], tables[at + OWN_COLUMNS]
+    step = tables[STEP]
     copy_border(tables, at, vector, rest + own)
     # solve for the own unknowns from the last to the first
     k = own
     while k > 0:
         if k % LANES == 0:
             k -= LANES
-            where = [begin + k * (height + 1), height, rest + k, rest + height, step]
+            start, pitch = pivot_and_pitch(tables, at, k)
+            where = [start, pitch, rest + k, rest + height, step]
             backward_vectors(memory, vector, vectors, where, LANES)
         else:
             k -= 1
-            where = [begin + k * (height + 1), height, rest + k, rest + height, step]
+            start, pitch = pivot_and_pitch(tables, at, k)
+            where = [start, pitch, rest + k, rest + height, step]
             backward_vectors(memory, vector, vectors, where, 1)
     i = 0
     while i < own:

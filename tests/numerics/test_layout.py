@@ -8,7 +8,7 @@ from taichi_bearings.kernels.elimination import BRANCHES, LANES
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import dissect, tuning
 from taichi_bearings.numerics.cholesky.fronts import analyse
-from taichi_bearings.numerics.cholesky.layout import Layout, _runs, update_size
+from taichi_bearings.numerics.cholesky.layout import Layout, _runs, size_in_panels
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
 
@@ -44,12 +44,13 @@ def test_updates_that_are_needed_at_one_time_lie_apart(monkeypatch, shape, work,
         if batch.whole
         for k in range(*batch.items)
     ]
-    size = update_size(layout.border, layout.update_height)
+    size = size_in_panels(layout.border, layout.update_height, tuning.SHEET_COLUMNS)
+    own_size = size_in_panels(layout.own, layout.height, layout.own_panel)
     alive = spans(layout, pattern.parent.tolist(), branches)
     for n, (begin, end, branch, place, above) in enumerate(alive):
         # columns of later batches may come to lie where updates were
         filled = np.concatenate([batch.fronts for batch in layout.batches[: min(end, len(layout.batches) - 1) + 1]])
-        columns_end = (layout.columns + layout.own * layout.height)[filled]
+        columns_end = (layout.columns + own_size)[filled]
         past = (layout.columns[filled] >= layout.update[n] + size[n]) | (columns_end <= layout.update[n])
         assert past.all() or not size[n]
         assert 0 <= layout.update[n] <= layout.update[n] + size[n] <= layout.size

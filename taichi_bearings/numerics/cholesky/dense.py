@@ -20,7 +20,7 @@ from scipy.linalg import cython_blas, cython_lapack
 
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.numerics.cholesky import tuning
-from taichi_bearings.numerics.cholesky.layout import update_size
+from taichi_bearings.numerics.cholesky.layout import begin_of_column, size_in_panels
 
 
 def _routine(module: object, name: str) -> Callable[..., None]:
@@ -110,8 +110,8 @@ class DenseFront:
         ]
         self._sheets = []
         for first in range(0, border, tuning.SHEET_COLUMNS):
-            left, place = columns + DOUBLE_BYTES * (own + first), update + DOUBLE_BYTES * update_size(first, pitch)
-            self._sheets.append(_sheet_calls(own, border - first, height, left, pitch - first, place))
+            place = update + DOUBLE_BYTES * size_in_panels(first, pitch, tuning.SHEET_COLUMNS)
+            self._sheets.append(_sheet_calls(own, border - first, own + first, height, columns, pitch - first, place))
         # `_done` : for each panel an event that is set when it is complete; empty for a small front, all of which is
         # done by one thread
         self._done = [Event() for _ in self._panels] if self.cost > tuning.SHARED_FRONT_OPERATIONS else []
@@ -181,12 +181,13 @@ def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fau
     fault : set by LAPACK where a pivot is not positive.
     """
     width = min(tuning.PANEL_COLUMNS, own - first)
-    corner = columns + DOUBLE_BYTES * first * (height + 1)
-    ld, at = _count(height), _address(corner)
+    corner, pitch = _entry(first, first, height, columns)
+    ld, at = _count(pitch), _address(corner)
     calls: list[Call] = []
     for number, before in enumerate(range(0, first, tuning.PANEL_COLUMNS)):
-        left = _address(columns + DOUBLE_BYTES * (before * height + first))
-        calls.append((number, _dgemm, _product(rows, width, tuning.PANEL_COLUMNS, left, left, ld, at, ld)))
+        start, pitch = _entry(first, before, height, columns)
+        left, ld_left = _address(start), _count(pitch)
+        calls.append((number, _dgemm, _product(rows, width, tuning.PANEL_COLUMNS, left, left, ld_left, at, ld)))
     calls.append((None, _dpotrf, (_LOWER, _count(width), at, ld, ctypes.byref(fault))))
     divide = (
         _RIGHT, _LOWER, _TRANSPOSED, _LEFT_OUT, _count(rows - width), _count(width), _ONE,
@@ -195,9 +196,9 @@ def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fau
     return [*calls, (None, _dtrsm, divide)] if rows > width else calls
 
 
-def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target: int) -> list[Call]:
+def _sheet_calls(own: int, rows: int, first: int, height: int, columns: int, pitch: int, target: int) -> list[Call]:
     """Return the calls that subtract the product of the own columns of a front from one sheet: some columns of its
-    update.
+    update. There are as many calls as own columns are stored in panels.
 
     A front is a dense symmetric matrix: the columns of its own unknowns first, then those of the later unknowns that
     they are coupled to; the block of the later ones is the update. Each call is a tuple: number of the panel of own
@@ -205,22 +206,40 @@ def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target
 
     own : number of own columns of the front.
     rows : number of rows from the sheet's first diagonal entry down.
-    height : doubles from one own column to the next.
-    left : address, in the first own column, of the row in which the sheet begins.
+    first : row of the front in which the sheet begins.
+    height : doubles from one own column to the next in the first panel.
+    columns : address of the first diagonal entry of all own columns.
     pitch : doubles from one column of the sheet to the next.
     target : address of the sheet's first diagonal entry.
     """
-    width, ld, to = min(tuning.SHEET_COLUMNS, rows), _count(height), _address(target)
-    square = (
-        _LOWER, _LEFT_OUT, _count(width), _count(own), _MINUS_ONE, _address(left), ld, _ONE, to, _count(pitch)
-    )  # fmt: skip
-    if rows == width:
-        return [(-1, _dsyrk, square)]
-    below = _product(
-        rows - width, width, own, _address(left + DOUBLE_BYTES * width), _address(left), ld,
-        _address(target + DOUBLE_BYTES * width), _count(pitch),
-    )  # fmt: skip
-    return [(-1, _dsyrk, square), (None, _dgemm, below)]
+    width, to, ld_to, calls = min(tuning.SHEET_COLUMNS, rows), _address(target), _count(pitch), list[Call]()
+    for before in range(0, own, tuning.SHEET_COLUMNS):
+        depth = min(tuning.SHEET_COLUMNS, own - before)
+        left, pitch_left = _entry(first, before, height, columns)
+        ld, last = _count(pitch_left), (before + depth - 1) // tuning.PANEL_COLUMNS
+        square = (
+            _LOWER, _LEFT_OUT, _count(width), _count(depth), _MINUS_ONE, _address(left), ld, _ONE, to, ld_to
+        )  # fmt: skip
+        calls.append((last, _dsyrk, square))
+        if rows > width:
+            below = _product(
+                rows - width, width, depth, _address(left + DOUBLE_BYTES * width), _address(left), ld,
+                _address(target + DOUBLE_BYTES * width), ld_to,
+            )  # fmt: skip
+            calls.append((None, _dgemm, below))
+    return calls
+
+
+def _entry(row: int, column: int, height: int, columns: int) -> tuple[int, int]:
+    """Return the address of an entry among the own columns of a front, and how many doubles further on the next column
+    of its panel stands.
+
+    row, column : place of the entry in the front.
+    height : doubles from one own column to the next in the first panel.
+    columns : address of the first diagonal entry of all own columns.
+    """
+    width = tuning.SHEET_COLUMNS
+    return columns + DOUBLE_BYTES * (begin_of_column(column, height, width) + row), height - column // width * width
 
 
 def _product(

@@ -17,6 +17,7 @@ from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.fronts import Pattern
 from taichi_bearings.numerics.cholesky.places import branch_of, places_of_updates
 
+ENDLESS_PANEL = 2**30  # more columns than any front has
 Integers = TypeVar("Integers", int, np.ndarray)
 
 
@@ -48,7 +49,9 @@ class Layout:
 
     own : (fronts,) number of own unknowns of each front.
     border : (fronts,) number of unknowns in the border of each front.
-    columns : (fronts,) where the own columns of a front begin; they are (height, own) in Fortran order.
+    columns : (fronts,) where the own columns of a front begin. They are stored in panels of `own_panel` columns from
+        the diagonal down, of `height` rows and less.
+    own_panel : (fronts,) SHEET_COLUMNS where calls eliminate a front; elsewhere one panel has all own columns.
     update : (fronts,) where the update of its border begins. It is stored in panels of SHEET_COLUMNS columns from the
         diagonal down, of update_height rows and less; the first one begins at row `skip` of the front. Only lower
         triangles are used.
@@ -56,7 +59,7 @@ class Layout:
     pivots : (unknowns,) where the diagonal entries are.
     called_pivots : those of them that calls of LAPACK compute, in no branch.
     last_pivots : those of them in fronts without a parent.
-    tables : int32, flat, for kernels: a header with where each table begins; 14 integers of each front; where each
+    tables : int32, flat, for kernels: a header with where each table begins; 15 integers of each front; where each
         entry of the matrix goes; where each row of an update goes in the front above, and each number of a solution;
         work items; and the branches of each stage.
     batches : fronts that are worked on at once, children first; none without threads.
@@ -75,10 +78,13 @@ class Layout:
         self.own, self.border = pattern.own, pattern.width
         self.height, self.skip = whole(self.own + self.border, unit), self.own // unit * unit
         self.update_height = self.height - self.skip
-        ends, share = np.cumsum(self.own * self.height), pattern.share[:-1]
-        self.columns = ends - self.own * self.height
-        updates = update_size(self.border, self.update_height)
         branches = _branches(pattern) if apart else np.zeros((0, 2), dtype=np.int64)
+        is_called = (branch_of(len(self.own), branches) < 0) & apart
+        self.own_panel = np.where(is_called, tuning.SHEET_COLUMNS, ENDLESS_PANEL)
+        numbers = size_in_panels(self.own, self.height, self.own_panel)
+        ends, share = np.cumsum(numbers), pattern.share[:-1]
+        self.columns = ends - numbers
+        updates = size_in_panels(self.border, self.update_height, tuning.SHEET_COLUMNS)
         batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1, branches)
         places, extents = places_of_updates(pattern.parent, updates, batches, branches)
         # Updates are counted from the far end of the memory, so they may lie where the columns of fronts that are
@@ -86,38 +92,35 @@ class Layout:
         used = np.maximum.accumulate(_largest(ends, batches))
         end = int((used + whole(extents, unit)).max())
         self.update, self.size = end - places - updates, end + unit  # kernels read up to a vector more
-        if self.size > tuning.MOST_FACTOR_NUMBERS:
-            raise MemoryError(
-                f"the sample is too large: its matrix factorisation needs {self.size} numbers, "
-                f"of which at most {tuning.MOST_FACTOR_NUMBERS} can be indexed"
-            )
+        _refuse_uncountable(self.size)
         self.diagonal = self.update + self.own - self.skip
         # in vectors: after the unknowns what each front leaves for its border; if threads share, all rows of each front
         kept = self.height if apart else self.border
         rest = whole(np.array(pattern.size), unit) + np.cumsum(kept) - kept
         self.vector = int(rest[-1] + kept[-1])
         first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
-        self.pivots = self.columns[front] + (np.arange(pattern.size) - first[front]) * (self.height[front] + 1)
-        above = branch_of(len(self.own), branches), pattern.parent
-        self.called_pivots, self.last_pivots = (self.pivots[of[front] < 0] for of in above)
+        column = np.arange(pattern.size) - first[front]
+        begins = self.columns[front] + begin_of_column(column, self.height[front], self.own_panel[front])
+        self.pivots = begins + column
+        self.called_pivots, self.last_pivots = self.pivots[is_called[front]], self.pivots[pattern.parent[front] < 0]
         start = np.searchsorted(pattern.column, np.append(first, pattern.size))
         table = np.stack(
             [
                 *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], *_relatives(pattern.parent)),
-                *(share, first, self.height, self.update_height, self.skip, rest),
+                *(share, first, self.height, self.update_height, self.skip, rest, self.own_panel),
             ],
             axis=1,
         )
-        of_entry = front[pattern.column]
-        place = (pattern.column - first[of_entry]) * self.height[of_entry] + pattern.within(of_entry, pattern.row)
+        place = (begins - self.columns[front])[pattern.column] + pattern.within(front[pattern.column], pattern.row)
         parents = np.repeat(pattern.parent, self.border)
         rows, of_parent = pattern.within(parents, pattern.border), self.own[parents]
         is_own = (rows < of_parent) & (not apart)
         slots = np.where(is_own, pattern.border, rest[parents] + rows - (0 if apart else of_parent))
         items, stages, self.batches = np.zeros((0, 3), dtype=np.int64), list[np.ndarray](), list[Batch]()
         if apart:
-            stages = _stages(pattern, self.own * self.height)
-            items, branches, self.batches = self._shared_work(batches, updates, branches, sum(map(len, stages)))
+            stages = _stages(pattern, numbers)
+            of_stages = sum(map(len, stages))
+            items, branches, self.batches = self._shared_work(batches, numbers + updates, branches, of_stages)
         self.stages = list(pairwise(np.cumsum([0, *map(len, stages)]).tolist()))
         parts = [table, place, rows, _runs(rows, self.border), slots, items, *stages, branches]
         ends_at = np.cumsum([part.size for part in parts[:6]])
@@ -125,7 +128,7 @@ class Layout:
         self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
 
     def _shared_work(
-        self, batches: list[np.ndarray], updates: np.ndarray, branches: np.ndarray, begin_branches: int
+        self, batches: list[np.ndarray], doubles: np.ndarray, branches: np.ndarray, begin_branches: int
     ) -> tuple[np.ndarray, np.ndarray, list[Batch]]:
         """Divide the fronts of each batch among threads. A batch of branches is shared branch by branch; of any other
         batch the assembly is split into items, each some columns of one front with at least ASSEMBLY_NUMBERS doubles.
@@ -135,7 +138,7 @@ class Layout:
         A front is a dense symmetric matrix; assembly fills it with matrix entries and what the fronts below it leave.
 
         batches : for each batch the indices of its fronts, which are worked on at once.
-        updates : (fronts,) doubles of the update of each front, the matrix that its elimination leaves for later ones.
+        doubles : (fronts,) doubles of each front, own columns and update.
         branches : (n, 2), first front and end of each branch, a subtree that a kernel works on as a whole.
         begin_branches : number of rows that come before these in the table of branches.
         """
@@ -144,7 +147,7 @@ class Layout:
         items, in_order, found, begin = [np.zeros((0, 3), dtype=np.int64)], [branches[:0]], [], 0
         of_branch = branch_of(len(columns), branches)
         for fronts in batches:
-            numbers = int((self.own * self.height + updates)[fronts].sum())
+            numbers = int(doubles[fronts].sum())
             if of_branch[fronts[0]] >= 0:
                 own = np.unique(of_branch[fronts])  # the largest come first
                 place = begin_branches + sum(map(len, in_order))
@@ -160,23 +163,40 @@ class Layout:
         return np.concatenate(items), np.concatenate(in_order), found
 
 
+def _refuse_uncountable(size: int) -> None:
+    """Raise MemoryError if kernels cannot count the `size` numbers of a factorisation, in 32 bits."""
+    if size > tuning.MOST_FACTOR_NUMBERS:
+        raise MemoryError(
+            f"the sample is too large: its matrix factorisation needs {size} numbers, "
+            f"of which at most {tuning.MOST_FACTOR_NUMBERS} can be indexed"
+        )
+
+
 def whole(count: np.ndarray, unit: int) -> np.ndarray:
     """Return whole numbers `count`, of any shape, each rounded up to a multiple of `unit`."""
     return -(-count // unit) * unit
 
 
-def update_size(border: Integers, height: Integers) -> Integers:
-    """Return how many doubles the update of a front takes in memory.
+def size_in_panels(columns: Integers, height: Integers, width: Integers | int) -> Integers:
+    """Return how many doubles the first columns of a matrix take in memory, if columns are stored in panels, and each
+    panel from its diagonal down.
 
-    The update is what the elimination of a front adds to the symmetric matrix of its border, the later unknowns that it
-    is coupled to. It is stored in panels of SHEET_COLUMNS columns, each from its diagonal down.
-
-    border : number of its columns.
-    height : number of rows of its first panel.
+    columns : number of columns.
+    height : number of rows of the first panel.
+    width : columns of a panel.
     """
-    width = tuning.SHEET_COLUMNS
-    before = border // width * width
-    found: Integers = before * height - before * (before - width) // 2 + (border - before) * (height - before)
+    before = columns // width * width
+    found: Integers = before * height - before * (before - width) // 2 + (columns - before) * (height - before)
+    return found
+
+
+def begin_of_column(column: Integers, height: Integers, width: Integers | int) -> Integers:
+    """Return how far behind the begin of a matrix row 0 of one of its columns stands, or would stand, in the storage of
+    :func:`size_in_panels`; `height` and `width` as there.
+
+    column : number of the column.
+    """
+    found: Integers = size_in_panels(column, height, width) - column // width * width
     return found
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky.dissection import Region, divide
-from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LAUNCH_UNKNOWNS, LEAF_UNKNOWNS
+from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LAUNCH_UNKNOWNS, LEAF_UNKNOWNS, SHEET_COLUMNS
 
 JOINED = 2.0  # measured: so much more of updates is alive, as fronts are joined and branches go side by side
 Tree = tuple[float, float, tuple[float, ...]]
@@ -59,7 +59,7 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
             update = sum(part[2][0] for part in parts)
         depths = max(len(part[2]) for part in parts)
         levels = [update, *(sum(part[2][n] for part in parts if n < len(part[2])) for n in range(depths))]
-        columns = sum(part[0] for part in parts) + own * (own + border)
+        columns = sum(part[0] for part in parts) + own * (own + border) - own * max(0.0, own - SHEET_COLUMNS) / 2
         if sum(levels) <= grove:  # small: eliminated depth by depth, so updates of two depths are alive
             most = max(above + below for above, below in zip(levels, [*levels[1:], 0.0], strict=True))
             return columns, columns + JOINED * most, tuple(levels)

@@ -36,8 +36,8 @@ LARGE_FACTOR_NUMBERS = 10_000_000  # a factor of more numbers gives its memory b
 HUGE_FACTOR_NUMBERS = 50_000_000
 # Fronts by BLAS, and below them branches by a kernel
 BRANCH_OPERATIONS = 1e7  # most of a subtree that a kernel works on as a whole
-SHEET_COLUMNS = 256  # columns of an update that are stored and worked on together; a multiple of LANES
-PANEL_COLUMNS = 64  # own columns of a front that are worked on together
+SHEET_COLUMNS = 256  # columns of a front that are stored together, of an update also worked on; a multiple of LANES
+PANEL_COLUMNS = 64  # own columns of a front that are worked on together; a divisor of SHEET_COLUMNS
 SHARED_FRONT_OPERATIONS = 1e7  # threads share a front that takes more operations
 SHARED_BATCH_OPERATIONS = 3e6  # threads share the fronts of a batch that takes more operations
 SHARED_ASSEMBLY_NUMBERS = 500_000  # a team of threads assembles a batch of more numbers faster than one thread
