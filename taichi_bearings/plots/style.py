@@ -159,6 +159,7 @@ class PlainLogFormatter(LogFormatter):
         if not super().__call__(value, position):
             return ""
         exponent = math.log10(value)
+        assert self.axis is not None  # which matplotlib sets before it asks for labels
         low, high = sorted(math.log10(end) for end in self.axis.get_view_interval())
         in_full = math.floor(high) - math.ceil(low) < 2 or abs(exponent - round(exponent)) > 1e-6
         return short(value) if in_full else f"10{str(round(exponent)).translate(SUPERSCRIPTS)}"
