@@ -4,12 +4,15 @@ The slipping contacts, coloured by the logarithm of their power, between spheres
 """
 
 import sys
+from pathlib import Path
 
 import vtk
 
 
 def read(path):
     """The spheres as points and the contacts as lines, at the last time."""
+    if not Path(path).is_file():
+        sys.exit(f"there is no file {path}; `bearings export RUN` writes it")
     reader = vtk.vtkHDFReader()
     reader.SetFileName(path)
     reader.Update()

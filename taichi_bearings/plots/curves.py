@@ -125,6 +125,8 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
         bottom.plot(time[missing > 0], missing[missing > 0], color="black", lw=1.0)
         bottom.set_yscale("log")
     bottom.set(xlabel=time_label(spin_symbol), ylabel="unexplained\nshare")
+    every = (bottom.xaxis, top.yaxis, bottom.yaxis)
+    style.label_in_plain_text(*[axis for axis in every if axis.get_scale() == "log"])
     return figure
 
 

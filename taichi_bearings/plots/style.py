@@ -151,7 +151,8 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u207
 
 class PlainLogFormatter(LogFormatter):
     """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics: powers of
-    ten as such; numbers in full if the axis has no more than two powers, so that others are labelled too.
+    ten as such; numbers in full if the axis has no more than two powers, so that others are labelled too. Beside each
+    other, along a horizontal axis of more than a decade, there is room for one number between two powers.
     """
 
     def __call__(self, value: float, position: int | None = None) -> str:
@@ -161,7 +162,10 @@ class PlainLogFormatter(LogFormatter):
         exponent = math.log10(value)
         assert self.axis is not None  # which matplotlib sets before it asks for labels
         low, high = sorted(math.log10(end) for end in self.axis.get_view_interval())
-        in_full = math.floor(high) - math.ceil(low) < 2 or abs(exponent - round(exponent)) > 1e-6
+        is_decade = abs(exponent - round(exponent)) < 1e-6
+        if not is_decade and self.axis.axis_name == "x" and high - low > 1 and round(10 ** (exponent % 1)) != 3:
+            return ""
+        in_full = math.floor(high) - math.ceil(low) < 2 or not is_decade
         return short(value) if in_full else f"10{str(round(exponent)).translate(SUPERSCRIPTS)}"
 
 

@@ -241,3 +241,15 @@ def test_the_unit_of_spins_is_named_after_the_plane_that_has_it(driving, symbol)
     speed = np.linalg.norm(structure.spin[..., 0 if "_B" in symbol or "{B" in symbol else -1, :], axis=-1)
     assert speed.max() == pytest.approx(max(map(abs, structure.scene.imposed)))
     assert (speed.max() > speed.min() * 1.01) == ("max" in symbol)
+
+
+@pytest.mark.parametrize("last", [0.004, 0.05, 3.0])
+def test_the_times_on_the_axis_of_energies_do_not_overlap(last, solved):
+    times = {"time": np.array([0.002, 0.003, last])}
+    axes = draw_figure("energy", replace(solved, history=solved.history | times)).axes[-1]
+    axes.figure.draw_without_rendering()
+    texts = [text for text in axes.get_xticklabels(which="both") if text.get_text()]
+    low, high = axes.get_xlim()
+    boxes = [text.get_window_extent() for text in texts if low <= text.get_position()[0] <= high]
+    assert len(boxes) > 1
+    assert all(left.x1 < right.x0 for left, right in pairwise(sorted(boxes, key=lambda box: box.x0)))
