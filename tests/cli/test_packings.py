@@ -134,7 +134,7 @@ def test_its_structure_is_told_and_stored(tmp_path):
     assert shares[0] == pytest.approx(shares[1])
     told = bearings("analyse", tmp_path / "run").stdout
     assert told.startswith("216 spheres, coulomb")
-    assert f"slipless contacts join bottom and top: {'yes' if expected['spans'] else 'no'}" in told
+    assert f"{'yes' if expected['spans'] else 'no'}  whether slipless contacts join bottom and top" in told
     with h5py.File(tmp_path / "run" / "run.h5") as file:
         assert np.array_equal(file["analysis/on_cut"], tb.analyse(found).interface.contacts)
         assert file["analysis/betweenness"][:].max() == pytest.approx(report["busiest_link_share"] or 0)
