@@ -23,9 +23,11 @@ from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
-# most of Gondzio's correctors; each costs a solve and saves part of a factorisation. The second number is for matrices
-# whose factorisation takes ten solves or more
-MOST_CORRECTORS = (3, 4)
+# Most of Gondzio's correctors, each of which costs a solve and saves part of a factorisation: pairs of the operations
+# that a factorisation takes for each number of the factor, and the number of correctors that is quickest up to there
+# (measured at 6^3 to 16^3 spheres); their number where frictions are decades apart, so that steps are short; and where
+# a factorisation takes ten solves or more
+MOST_CORRECTORS, CORRECTORS_IF_UNEVEN, CORRECTORS_IF_COSTLY = ((60.0, 1), (110.0, 2), (np.inf, 3)), 3, 4
 # The next three and PRODUCT_SPREAD are usual values of such methods; they change the number of steps, not the result.
 FULL_STEP = 0.9  # step length beyond which no further corrector is tried
 LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
@@ -232,6 +234,7 @@ class Path:
         self._viscous: Viscous = None
         # (S,) each, after a step: sum of friction * slip; that less the work of the forces; price of unbalanced torques
         self._power, self._excess = np.zeros((2, samples))
+        self._most_correctors = np.zeros(samples, dtype=np.int64)  # (S,)
         self._gaps, self._price = [np.inf] * samples, list[float]()  # relative gaps; prices over the cost, if known
 
     @property
@@ -258,7 +261,7 @@ class Path:
             (kernels.SMOOTH, smooth),
         ):
             rows.put(row, sample, values)
-        self._spins[rows.place, sample] = iterate.spins
+        self._spins[rows.place, sample], self._most_correctors[sample] = iterate.spins, self._correctors_for(iterate)
         self._inertia = iterate.inertia.weight if iterate.inertia else 0.0
         self._moving = iterate.inertia is not None
         # spins and forces that balance each other go on together
@@ -310,8 +313,8 @@ class Path:
         going : (S,) mask of the samples to correct.
         """
         rejected = np.zeros_like(going)
-        for _ in range(MOST_CORRECTORS[self._matrix.is_costly]):
-            going = going & ~(step.shorter > FULL_STEP)
+        for number in range(int(self._most_correctors[self.used].max(initial=0))):
+            going = going & (number < self._most_correctors) & ~(step.shorter > FULL_STEP)
             if not going.any():
                 break
             further = self._furthest(step, self._recentred(step, target, going, rejected))
@@ -322,6 +325,17 @@ class Path:
         for sample in np.flatnonzero(rejected).tolist():
             self._rows.copy_step(1 - step.slot, step.slot, sample)
         return step
+
+    def _correctors_for(self, iterate: Iterate) -> int:
+        """Return the number of Gondzio's correctors up to which a step is quicker than further factorisations.
+
+        iterate : the point where a sample begins.
+        """
+        if self._matrix.is_costly:
+            return CORRECTORS_IF_COSTLY
+        if not iterate.is_even:
+            return CORRECTORS_IF_UNEVEN
+        return next(most for operations, most in MOST_CORRECTORS if self._matrix.operations_per_number <= operations)
 
     def _furthest(self, step: _Step, further: _Step) -> _Step:
         """Return the step that goes furthest among `further` and mixtures step + share * (further - step) of two steps,

@@ -272,10 +272,11 @@ class ContactSystem:
         second ones. Letters: n contacts with up to d slip components."""
         if self.ends is None:
             return self.slips
-        ends = self.ends.reshape(2, -1)
-        side, row = np.nonzero(ends >= 0)
-        entries = np.where(side == 0, -1.0, 1.0), (row, ends[side, row])
-        return sparse.csr_array(entries, shape=(self.offset.size, self.unknowns))
+        ends = self.ends.reshape(2, -1).T
+        free = ends >= 0
+        begins = np.append(0, np.cumsum(free.sum(axis=1)))
+        signs = np.broadcast_to([-1.0, 1.0], ends.shape)[free]
+        return sparse.csr_array((signs, ends[free], begins), shape=(self.offset.size, self.unknowns))
 
     @cached_property
     def transposed(self) -> sparse.csr_array:

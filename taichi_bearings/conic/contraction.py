@@ -70,6 +70,38 @@ class Owners:
         return self.largest(chosen) > 0
 
 
+@dataclass(frozen=True)
+class SomeSamples:
+    """The contacts and spins of some of the samples of a system, which take less time than those of all.
+
+    system : the contacts of these samples, over their spins.
+    owners : the sample of each spin and of each contact, numbered as among all samples.
+    spins, contacts : numbers of these spins and contacts in the system of all samples, ascending.
+    """
+
+    system: ContactSystem
+    owners: Owners
+    spins: np.ndarray
+    contacts: np.ndarray
+
+    @classmethod
+    def all_of(cls, tied: "Contraction") -> "SomeSamples":
+        """Return the contacts and spins of all samples of a contraction."""
+        return cls(tied.system, tied.owners, np.arange(tied.system.unknowns), np.arange(len(tied.kept)))
+
+    def among(self, chosen: np.ndarray) -> "SomeSamples":
+        """Return those that belong to the samples in the mask `chosen` (samples,)."""
+        system, owners = self.system, self.owners
+        assert system.ends is not None
+        spins, contacts = chosen[owners.spins], chosen[owners.contacts]
+        number = np.append(np.cumsum(spins) - 1, -1)  # an end -1 has none
+        rest = None if system.offset_rest is None else system.offset_rest[:, contacts]
+        parts = system.offset[:, contacts], system.felt[:, contacts], number[system.ends[:, :, contacts]]
+        own = Owners(owners.samples, owners.spins[spins], owners.contacts[contacts])
+        some = ContactSystem(int(spins.sum()), *parts, offset_rest=rest)
+        return SomeSamples(some, own, self.spins[spins], self.contacts[contacts])
+
+
 def _begins(samples: int, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a mask (samples,) of the samples that own something, and for each of these the index of the first that it
     owns.

@@ -93,6 +93,12 @@ class NewtonMatrix:
         """True if a factorisation takes as long as ten solutions or more, as those of large lattices do."""
         return self._choleskys[0].engine is Engine.CALLS
 
+    @property
+    def operations_per_number(self) -> float:
+        """How many operations a factorisation takes for each number of the factor; infinite where that is not known."""
+        pattern = self._choleskys[0].pattern
+        return pattern.operations / max(pattern.factor_entries, 1)
+
     def compile(self, samples: int = 1) -> None:
         """Compile the kernels for factorising one sample, here and in smaller systems, or those for several side by
         side, so that the measured time of a run does not include it.

@@ -98,6 +98,30 @@ def square_root(x: Pair) -> Pair:
     return two_sum(first, left[0] / (2 * first))
 
 
+def along(size: np.ndarray, x: Pair) -> Pair:
+    """Return the vectors (d, n) of given sizes along the vectors x, as sums of two doubles: size / |x| * x.
+
+    size : (n,) doubles.
+    x : (d, n), none of them 0, and with squares that neither overflow nor underflow.
+
+    The inverse length is r = 1 / |x|, computed in doubles, times 1 + e / 2 + 3 e^2 / 8 with e = 1 - r^2 |x|^2. As e is
+    some 1e-16, what is left out is below 1e-47.
+    """
+    squares, rests = two_square(x[0])
+    rests += 2 * (x[0] * x[1])
+    (high, low), rest = two_sum(squares[0], squares[-1]) if len(squares) > 1 else (squares[0], 0.0), rests.sum(axis=0)
+    low = low + rest
+    inverse = 1 / np.sqrt(high)
+    square, lacks = two_square(inverse)
+    one, more = two_product(square, high)
+    e = ((1 - one) - more) - (lacks * high + square * low)
+    factor, rest = two_product(size, inverse)
+    rest += factor * (e * (0.5 + 0.375 * e))
+    found, low = two_product(np.broadcast_to(factor, x[0].shape), x[0])
+    low += factor * x[1] + rest * x[0]
+    return two_sum(found, low)
+
+
 def exactly(values: np.ndarray) -> Pair:
     """Return doubles (`values`) as pairs (high, low) whose low parts are 0."""
     values = np.asarray(values, dtype=np.float64)

@@ -144,13 +144,16 @@ class LatticePaths(Paths):
         # `firm`: mask of the contacts whose friction was reduced
         firm, friction = (strength < friction) if beside is None else None, strength if beside is None else friction
         unit = float(np.exp2(np.round(np.log2(np.mean(strength)))))  # dividing by it rounds nothing
+        # bound of the slip of a contact that has none at the start: about the mean jump from layer to layer
+        slack = 1.0 / (scene.lattice.shape[-1] - 1)
         if beside is not None and self.frustrated:
             viscosity = flow / unit
             with suppress(NotPositiveDefinite), one_thread():
                 spins = flowing(self.system, viscosity, self.shared.matrix, spins)
-        # bound of the slip of a contact that has none at the start: about the mean jump from layer to layer
-        slack = 1.0 / (scene.lattice.shape[-1] - 1)
-        start = Iterate.start(self.system, spins, friction / unit, slack, viscosity)
+        if beside is None and len(friction):
+            start = Iterate.near_path(self.system, spins, friction / unit, slack)
+        else:
+            start = Iterate.start(self.system, spins, friction / unit, slack, viscosity)
         return Sample(start, unit, firm=firm if firm is not None and firm.any() else None)
 
     def next_check(self, iteration: int) -> int:

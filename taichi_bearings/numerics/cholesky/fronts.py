@@ -61,6 +61,11 @@ class SparsePattern:
         """Number of entries of the factor, or less."""
         return self.entries
 
+    @property
+    def operations(self) -> float:
+        """Multiplications and additions of one factorisation: infinite, as they are not known."""
+        return np.inf
+
     @cached_property
     def diagonal(self) -> np.ndarray:
         """(size,) numbers of those stored entries that are on the diagonal, in the order of elimination."""
@@ -161,6 +166,11 @@ class BlockPattern:
         return self.size**2
 
     factor_entries = entries
+
+    @property
+    def operations(self) -> float:
+        """Multiplications and additions of one factorisation."""
+        return self.size**3 / 3
 
     @property
     def diagonal(self) -> np.ndarray:
