@@ -91,15 +91,15 @@ def _balanced(
         least, anew, before = np.where(going, size, least), going & ~factorised, going
         if anew.any():
             stiffness = friction_stiffness(*system.strengths, precise[0], FREE_STIFFNESS)
-            going = going & (matrix.factorise_each(system.of_all_contacts(stiffness), anew) | ~anew)
-        step = matrix.solve(system.of_all_unknowns(-torques), going)[system.samples.spins]
+            going = going & (matrix.factorise_each(system.samples.on_all_contacts(stiffness), anew) | ~anew)
+        step = matrix.solve(system.samples.on_all_spins(-torques), going)[system.samples.spins]
         change = owners.largest(length(system.samples.system.change(step)) / slip)
         going = going & (change <= MOST_SLIP_CHANGE)
         fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
         if not going.any():
             break
         unknown = _where(going[owners.spins], add(unknown, exactly(step)), unknown)
-        if 2 * going.sum() <= system.count:
+        if 2 * going.sum() <= system.samples.count:
             system, unknown = system.among(going, unknown)
         precise = system.differences(unknown)
     return best, slips, fine
@@ -111,26 +111,19 @@ class _PreciseSystem:
 
     samples : the contacts and unknowns of these samples; an unknown is a set of tied spins.
     strengths : friction and viscosity (n,) of these contacts; no viscosity: None.
-    count : number of these samples.
-    sizes : numbers of contacts and of unknowns of all samples.
     imposed : places in (d, n) where imposed spins contribute to the slips, as two arrays of indices, and how much, as
         sums of two doubles.
     """
 
-    def __init__(
-        self, samples: SomeSamples, strengths: Strengths, count: int = 0, sizes: tuple[int, int] | None = None
-    ) -> None:
+    def __init__(self, samples: SomeSamples, strengths: Strengths) -> None:
         """Find where imposed spins contribute to the slips.
 
         samples : the contacts and unknowns of these samples.
         strengths : friction and viscosity (n,) of these contacts; no viscosity: None.
-        count, sizes : number of these samples, and of the contacts and unknowns of all; left out if they are all.
         """
-        system = samples.system
-        self.samples, self.strengths, self.count = samples, strengths, count or samples.owners.samples
-        self.sizes = sizes or (len(samples.contacts), len(samples.spins))
-        places, rest = np.nonzero(system.offset), system.offset_rest
-        high = system.offset[places]
+        self.samples, self.strengths = samples, strengths
+        places, rest = np.nonzero(samples.system.offset), samples.system.offset_rest
+        high = samples.system.offset[places]
         self.imposed = places, (exactly(high) if rest is None else (high, rest[places]))
 
     def among(self, chosen: np.ndarray, unknown: Pair) -> tuple["_PreciseSystem", Pair]:
@@ -142,20 +135,7 @@ class _PreciseSystem:
         owners, (friction, viscosity) = self.samples.owners, self.strengths
         spins, contacts = chosen[owners.spins], chosen[owners.contacts]
         strengths = friction[contacts], None if viscosity is None else viscosity[contacts]
-        some = _PreciseSystem(self.samples.among(chosen), strengths, int(chosen.sum()), self.sizes)
-        return some, (unknown[0][spins], unknown[1][spins])
-
-    def of_all_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return numbers (..., contacts of all samples) from those of these samples, (..., n); 0 for other samples."""
-        found = np.zeros((*values.shape[:-1], self.sizes[0]))
-        found[..., self.samples.contacts] = values
-        return found
-
-    def of_all_unknowns(self, values: np.ndarray) -> np.ndarray:
-        """Return numbers (unknowns of all samples,) from those of these samples, (unknowns,); 0 for other samples."""
-        found = np.zeros(self.sizes[1])
-        found[self.samples.spins] = values
-        return found
+        return _PreciseSystem(self.samples.among(chosen), strengths), (unknown[0][spins], unknown[1][spins])
 
     def keep(self, chosen: np.ndarray, here: tuple[Pair, Pair], best: tuple[Pair, Pair]) -> None:
         """Write the unknowns and slips of chosen samples into those of all samples, in place.
