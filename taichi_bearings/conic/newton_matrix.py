@@ -71,7 +71,7 @@ class NewtonMatrix:
             # The pattern of one sample, and where each of its terms goes among the entries.
             of_part = partial(order, number) if callable(order) else partial(np.asarray, order)
             cholesky = Cholesky(part.stop - part.start, of_part, pairs, own_memory, engine)
-            entry, pattern = cholesky.pattern.entry(*pairs), cholesky.pattern
+            entry, pattern = cholesky.entry(*pairs), cholesky.pattern
             written: slice | np.ndarray = slice(pattern.entries)
             count = pattern.entries
             if parts and cholesky.engine is Engine.BLOCK:  # hardly any entries of a dense block are not 0

@@ -207,10 +207,12 @@ class ContactRows:
         step, other = (
             self.values[kernels.STATE_ROWS + n * kernels.STEP_ROWS :][: kernels.STEP_ROWS] for n in (slot, to)
         )
-        for begin, end in zip(step, other, strict=True):  # row by row, which takes less memory
-            end -= begin
-            end *= share
-            end += begin
+        seconds = {row + 1 for row in (kernels.RIGHT_TAIL, kernels.PULL, kernels.CHANGE, kernels.DUAL_STEP)}
+        for row, (begin, end) in enumerate(zip(step, other, strict=True)):  # row by row, which takes less memory
+            here, there = (of[self._second if row in seconds else 0 :] for of in (begin, end))
+            there -= here
+            there *= share
+            there += here
 
     def add(self, row: int, other: int, to: int) -> None:
         """Add two vectors on each contact, and write the sums. The two components of a vector stand in two rows of

@@ -25,7 +25,7 @@ from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros, give_back_freed, refuse_beyond
 from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.dense import DOUBLE_BYTES, DenseFront
-from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, SparsePattern, analyse
+from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, PlacedPattern, SparsePattern, analyse
 from taichi_bearings.numerics.cholesky.layout import Batch, Layout
 
 
@@ -104,13 +104,14 @@ class Cholesky:
     """Cholesky factorisation of one symmetric positive definite matrix, or of up to LANES of one pattern of entries.
 
     The result for a matrix, bit by bit, depends neither on the other matrices nor on the number of threads. Values are
-    given for the stored entries of the pattern; `pattern.entry` says which entry couples two unknowns.
+    given for the stored entries of the pattern; :meth:`entry` says which entry couples two unknowns.
 
-    pattern : the stored entries and the order of elimination.
+    pattern : the stored entries and the order of elimination; of a large matrix, once it has a factor, without lists of
+        the entries.
     engine : how matrices are factorised.
     """
 
-    pattern: SparsePattern | BlockPattern
+    pattern: SparsePattern | BlockPattern | PlacedPattern
 
     def __init__(
         self,
@@ -139,6 +140,15 @@ class Cholesky:
             self.pattern = analyse(order(), *couplings, price)
         self._factors = dict[int, Factor]()
 
+    def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return the numbers (pairs,) that stored entries have in the list of all stored entries: those that couple
+        pairs of unknowns. It is called before the first call of :meth:`factor`.
+
+        first, second : (pairs,), the two unknowns of each pair.
+        """
+        assert not isinstance(self.pattern, PlacedPattern)
+        return self.pattern.entry(first, second)
+
     def factor(self, samples: int = 1) -> "Factor":
         """Return the object that factorises and solves for `samples` matrices of the pattern at a time: one matrix, or
         up to LANES (the lanes of a SIMD vector). The same object is returned in every call for as many."""
@@ -147,11 +157,13 @@ class Cholesky:
             if isinstance(self.pattern, BlockPattern):
                 self._factors[lanes] = DenseFactor(self.pattern)
             elif not isinstance(self.pattern, Pattern):
+                assert isinstance(self.pattern, SparsePattern)
                 self._factors[lanes] = SciPyFactor(self.pattern, lanes)
             elif self.engine is Engine.LAUNCH:
                 self._factors[lanes] = LaunchedFactor(self.pattern, lanes)
             else:
                 self._factors[lanes] = CalledFactor(self.pattern, self._memory)
+                self.pattern = PlacedPattern.of(self.pattern)
         return self._factors[lanes]
 
     def solve(self, right: np.ndarray) -> np.ndarray:

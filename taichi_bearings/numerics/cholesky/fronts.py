@@ -142,6 +142,33 @@ class Pattern(SparsePattern):
 
 
 @dataclass(frozen=True)
+class PlacedPattern:
+    """What is still asked of a pattern once all its numbers have places in memory. The lists of its entries and borders
+    are left out: they would take a tenth of the memory of a factor.
+
+    order : (unknowns,) unknown at each place of the elimination order.
+    place : (unknowns,) place of each unknown, the inverse of `order`.
+    diagonal : (unknowns,) numbers of those stored entries that are on the diagonal, in the order of elimination.
+    entries : number of the stored entries.
+    factor_entries : number of entries of the factor.
+    operations : floating-point multiplications and additions of one factorisation.
+    """
+
+    order: np.ndarray
+    place: np.ndarray
+    diagonal: np.ndarray
+    entries: int
+    factor_entries: int
+    operations: float
+
+    @classmethod
+    def of(cls, pattern: Pattern) -> "PlacedPattern":
+        """Return what is kept of a pattern."""
+        sizes = pattern.entries, pattern.factor_entries, pattern.operations
+        return cls(pattern.order, pattern.place, pattern.diagonal, *sizes)
+
+
+@dataclass(frozen=True)
 class BlockPattern:
     """Pattern of a dense matrix of `size` unknowns: all entries are stored, and unknowns are eliminated in their own
     order. The lower triangle is used.
