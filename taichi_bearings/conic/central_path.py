@@ -224,7 +224,8 @@ class Path:
         samples : number of places, 1 or LANES, the number of lanes of a SIMD vector.
         """
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
-        self._given: list[Iterate | None] = [None] * samples  # by place, the point where the sample began; None: free
+        # by place, what a sample has at all points of its path; None: free
+        self._given: list[Iterate | None] = [None] * samples
         self._spins = self._spins_before = np.zeros_like(self._rows.spins)  # (unknowns or more, S), now and a step ago
         # whether spheres have inertia; whether primal and dual points have to go equally far (inertia or viscosity)
         self._moving = self._together = False
@@ -248,7 +249,7 @@ class Path:
         iterate : the point of its central path at which the sample begins: spins, bounds, slips and forces of all
             contacts. None makes the place free.
         """
-        self._given[sample] = iterate
+        self._given[sample] = iterate and _without_point(iterate)
         if iterate is None:
             return
         rows = self._rows
@@ -512,6 +513,13 @@ class Path:
             bound=rows.numbers(bound, sample),
             dual=rows.vectors(dual, sample, d),
         )
+
+
+def _without_point(iterate: Iterate) -> Iterate:
+    """Return an iterate with the system, the friction and all else that stays along its path, but with empty arrays in
+    place of its spins, bounds, slips and forces, which would take memory."""
+    none = np.zeros((len(iterate.difference), 0))
+    return replace(iterate, spins=none[0], bound=none[0], difference=none, dual=none)
 
 
 def _row_of_step(slot: int, row: int) -> int:

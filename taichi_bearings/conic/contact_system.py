@@ -446,7 +446,7 @@ def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     Letters: n contacts with up to d slip components, C spin components.
     """
     contact, most = np.flatnonzero(felt.any(axis=0)), felt.sum(axis=0).max(initial=1)
-    slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most]
+    slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most].astype(np.int8)  # little memory
     return contact, slot, felt[slot, contact]
 
 
