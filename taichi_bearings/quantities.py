@@ -383,7 +383,7 @@ STRUCTURE = {
                  lambda s: len(s.network.path) - 1 if len(s.network.path) else np.nan, r"\ell_\mathrm{min}"),
         Quantity("planes_crossed", "1", "number of lattice planes normal to x (and to y) that the shortest slipless"
                  " path from bottom to top visits",
-                 lambda s: s.network.path_planes),
+                 lambda s: (planes := s.network.path_planes) and (planes if len(s.network.path) else np.nan)),
         Quantity("disjoint_paths", "1", "largest number of slipless paths from bottom to top that share no contact",
                  lambda s: s.network.disjoint_paths, r"N_\mathrm{paths}"),
         Quantity("winds_x", "1", "whether slipless contacts form a loop around the periodic lattice along x",

@@ -251,10 +251,9 @@ class SliplessNetwork:
     @property
     def path_planes(self) -> Any:
         """For each sideways axis (x, in 3D also y) the number of different lattice positions along it that the shortest
-        slipless path from bottom to top visits, as a list; not-a-number without such a path, None for a packing.
+        slipless path from bottom to top visits, as a list; None for a packing.
         """
-        counted = [len(np.unique(places)) for places in self.shortest_path.T[:-1]] or None
-        return counted if counted is None or len(self.path) else np.nan
+        return [len(np.unique(places)) for places in self.shortest_path.T[:-1]] or None
 
     def winding(self, axis: int) -> np.ndarray:
         """Return a mask of the spheres in connected pieces that have a closed path of slipless contacts around a
