@@ -84,7 +84,8 @@ class NewtonMatrix:
             self._choleskys.append(cholesky)
             self._entries.append((written, slice(end, end + count)))
             end += count
-        columns = (len(system.offset) + 1) * system.offset.size // 2
+        columns, signs = (len(system.offset) + 1) * system.offset.size // 2, sign.astype(np.int8)
+        sign = signs if self.is_costly and (signs == sign).all() else sign  # a byte each instead of eight
         self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
         self._kept = dict[int, ContactRows]()  # by number of samples side by side, the memory of their Newton steps
 
