@@ -163,7 +163,12 @@ class PlainLogFormatter(LogFormatter):
         assert self.axis is not None  # which matplotlib sets before it asks for labels
         low, high = sorted(math.log10(end) for end in self.axis.get_view_interval())
         is_decade = abs(exponent - round(exponent)) < 1e-6
-        if not is_decade and self.axis.axis_name == "x" and high - low > 1 and round(10 ** (exponent % 1)) != 3:
+        if (
+            not is_decade
+            and getattr(self.axis, "axis_name", "") == "x"
+            and high - low > 1
+            and round(10 ** (exponent % 1)) != 3
+        ):
             return ""
         in_full = math.floor(high) - math.ceil(low) < 2 or not is_decade
         return short(value) if in_full else f"10{str(round(exponent)).translate(SUPERSCRIPTS)}"
