@@ -18,6 +18,7 @@ from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.exact_driving import power_of_two
 
 LEAST_SPEED = 1e-100  # slowest allowed value of the fastest imposed surface speed
+LOSING_DIGITS = 1e-290  # imposed spin in units of the scaled ones, below which it loses digits; only its sign is kept
 # Units in the last place by which imposed surface speeds may differ and be taken for one. A spin computed as speed over
 # radius is off by half a unit, so the speed by up to one; two of them differ by up to 2 units, and this is twice that.
 ONE_SPEED = 4
@@ -103,8 +104,14 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     every, radius = np.tile(free, count), np.tile(radius, count)
     moving = [Enclosure.exact(*(of[..., k].ravel() for of in (spin, rounding))) for k in range(spin.shape[2])]
     moving = moving if (radius == 1).all() else [_surface_speed(part, radius, ~every) for part in moving]
-    for part in moving:
+    faint = np.tile(
+        np.where((imposed != 0) & (np.abs(imposed) < LOSING_DIGITS * speed), np.sign(imposed), 0.0).T, count
+    )
+    for part, sign in zip(moving, faint, strict=True):
         _equalise_imposed_speeds(part, np.flatnonzero(~every))
+        lost = np.flatnonzero((sign != 0) & ~every)
+        size = LOSING_DIGITS * radius[lost]
+        part.put(lost, Enclosure(sign[lost] * size, np.zeros(len(lost)), 2 * size))
     zero, pressed = Enclosure.exact(np.zeros(acts.size)), pressed.ravel()
     moment = moments([Enclosure.exact(np.where(acts.ravel(), part, 0.0)) for part in graph.friction.T], graph.normal)
     return JudgedNetwork(

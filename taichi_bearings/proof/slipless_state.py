@@ -64,7 +64,7 @@ def _planes_are_separate(network: JudgedNetwork) -> np.ndarray:
 
 def imposed_exactly(network: JudgedNetwork) -> bool:
     """Return True if every imposed spin times radius is known as an exact sum of two doubles: always, unless some
-    imposed speed other than 0 is so small that products underflow.
+    imposed speed other than 0 is so small, beside the fastest, that products underflow.
 
     network : samples of a lattice or a packing, with what is imposed on them.
     """

@@ -54,6 +54,7 @@ from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.minima_by_cuts import states_by_cuts
 from taichi_bearings.proof.resting import at_rest
+from taichi_bearings.proof.slipless_state import imposed_exactly
 from taichi_bearings.proof.springs import numbered, slip_rows, weighed
 from taichi_bearings.proof.tied_minima import MISSED_LIMIT, tied_states
 from taichi_bearings.scene.solution import PROVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
@@ -94,6 +95,8 @@ def proven_states(bounds: Bounds) -> list[States]:
     network = bounds.network
     # Contacts that can dissipate at no minimum rest, and so do all in samples whose stored spins have no potential.
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
+    if not imposed_exactly(network):  # what rests beside what turns so slowly is not known
+        return _samples(network, np.where(rests, SLIPLESS, UNDECIDED), "an imposed spin is too small", None)
     if bounds.alone:
         return [states for one in bounds.alone for states in proven_states(one)]
     if network.mixes and network.count > 1:

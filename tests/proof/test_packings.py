@@ -16,6 +16,7 @@ import taichi_bearings as tb
 from taichi_bearings.errors import FileError
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.runs.verify import verify
+from tests.packing.fraction_twin import least_power_of_discs, states_of_discs
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
 
@@ -289,6 +290,23 @@ def test_spheres_that_can_only_roll_prove_that_they_do():
     assert found.state[2:].tolist() == [0] * 4
     assert found.proven[2:].all()
     assert found.power > 0
+
+
+@pytest.mark.parametrize("slow", [1e-30, 1e-199, 1e-201, 1e-300, 5e-324])
+@pytest.mark.parametrize("radius", [1.0, [1.0, 0.3, 0.7, 0.3, 0.1]])
+def test_nothing_false_is_proven_beside_a_disc_that_hardly_turns(slow, radius):
+    """A row of discs that ends at one of slow spin, across which a still one is touched: that contact slips, too."""
+    center = [[0, 0], [1, 0], [2, 0], [3, 0], [2, 1]]
+    of = {"normal": [[1, 0], [1, 0], [1, 0], [0, 1]], "normal_force": 1.0, "schematic": True, "radius": radius}
+    pairs, spin = [[0, 1], [1, 2], [2, 3], [2, 4]], [1.0, 0, 0, slow, 0]
+    packing = tb.Packing(center, pairs, [0, -1, -1, 1, 2], spin, friction=[1.0, 2, 3, 0.5], **of)
+    found, truth = tb.solve(packing), np.array(states_of_discs(packing))
+    assert truth.tolist() == [1, 0, 0, 1]
+    assert (~found.proven | (found.state == truth)).all()
+    assert found.proven.all() == (slow > 1e-200)
+    assert (
+        Fraction(found.lower_bound) <= least_power_of_discs(packing) <= Fraction(found.power) * (1 + Fraction(1, 2**51))
+    )
 
 
 def forge(name, change):
