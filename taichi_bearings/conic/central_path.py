@@ -18,7 +18,7 @@ import numpy as np
 
 from taichi_bearings.conic.cones import isotropic, length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
-from taichi_bearings.conic.iterate import Inertia, Iterate
+from taichi_bearings.conic.iterate import Inertia, Iterate, are_even
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
@@ -334,7 +334,7 @@ class Path:
         """
         if self._matrix.is_costly:
             return CORRECTORS_IF_COSTLY
-        if not iterate.is_even:
+        if not are_even(iterate.friction):
             return CORRECTORS_IF_UNEVEN
         return next(most for operations, most in MOST_CORRECTORS if self._matrix.operations_per_number <= operations)
 

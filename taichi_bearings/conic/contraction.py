@@ -70,56 +70,6 @@ class Owners:
         return self.largest(chosen) > 0
 
 
-@dataclass(frozen=True)
-class SomeSamples:
-    """The contacts and spins of some of the samples of a system, which take less time than those of all.
-
-    system : the contacts of these samples, over their spins.
-    owners : the sample of each spin and of each contact, numbered as among all samples.
-    count : number of these samples.
-    spins, contacts : numbers of these spins and contacts in the system of all samples, ascending.
-    sizes : numbers of spins and of contacts of all samples.
-    """
-
-    system: ContactSystem
-    owners: Owners
-    count: int
-    spins: np.ndarray
-    contacts: np.ndarray
-    sizes: tuple[int, int]
-
-    @classmethod
-    def all_of(cls, tied: "Contraction") -> "SomeSamples":
-        """Return the contacts and spins of all samples of a contraction."""
-        sizes = tied.system.unknowns, len(tied.kept)
-        return cls(tied.system, tied.owners, tied.owners.samples, np.arange(sizes[0]), np.arange(sizes[1]), sizes)
-
-    def among(self, chosen: np.ndarray) -> "SomeSamples":
-        """Return those that belong to the samples in the mask `chosen` (samples,)."""
-        system, owners = self.system, self.owners
-        assert system.ends is not None
-        spins, contacts = chosen[owners.spins], chosen[owners.contacts]
-        number = np.append(np.cumsum(spins) - 1, -1)  # an end -1 has none
-        rest = None if system.offset_rest is None else system.offset_rest[:, contacts]
-        parts = system.offset[:, contacts], system.felt[:, contacts], number[system.ends[:, :, contacts]]
-        own = Owners(owners.samples, owners.spins[spins], owners.contacts[contacts])
-        some = ContactSystem(int(spins.sum()), *parts, offset_rest=rest)
-        return SomeSamples(some, own, int(chosen.sum()), self.spins[spins], self.contacts[contacts], self.sizes)
-
-    def on_all_spins(self, values: np.ndarray) -> np.ndarray:
-        """Return numbers (spins of all samples,) from those of these samples, (spins,); 0 for other samples."""
-        found = np.zeros(self.sizes[0])
-        found[self.spins] = values
-        return found
-
-    def on_all_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return numbers (..., contacts of all samples) from those of these samples, (..., contacts); 0 for other
-        samples."""
-        found = np.zeros((*values.shape[:-1], self.sizes[1]))
-        found[..., self.contacts] = values
-        return found
-
-
 def _begins(samples: int, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a mask (samples,) of the samples that own something, and for each of these the index of the first that it
     owns.

@@ -107,14 +107,14 @@ class Iterate:
         friction : (n,), largest friction force of each contact.
         slack : slip of a usual contact, by which the bound of a contact without slip is above 0.
         """
-        start, median = cls.start(system, spins, friction, slack), float(np.median(friction))
-        difference = start.difference
-        slip, largest = length(difference), np.minimum(friction, START_LARGEST_FORCE * median)
-        if not (start.is_even and np.mean(slip**2) <= (START_MOST_SLIP * slack) ** 2):
-            return start
+        difference, middle = system.differences(spins), len(friction) // 2
+        slip, median = length(difference), float(np.partition(friction, middle)[middle])
+        if not (are_even(friction) and np.mean(slip * slip) <= (START_MOST_SLIP * slack) ** 2):
+            return cls.start(system, spins, friction, slack)
+        largest = np.minimum(friction, START_LARGEST_FORCE * median)
         shift = START_PRODUCT * median * slack / np.maximum(largest, START_LEAST_FRICTION * median)
-        bound = (shift + np.hypot(shift, 2 * slip)) / 2
-        return replace(start, bound=bound, dual=-largest * difference / bound)
+        bound = (shift + np.sqrt(shift * shift + 4 * slip * slip)) / 2
+        return cls(system, spins, friction, bound, difference, -largest * difference / bound)
 
     def let_slip(self, slips: np.ndarray) -> "Iterate":
         """Return the point with another choice of *smooth* contacts, which are in no cone but obey the law of friction
@@ -144,13 +144,6 @@ class Iterate:
         obey the law of friction exactly.
         """
         return len(self.friction) - (0 if self.smooth is None else int(self.smooth.sum()))
-
-    @property
-    def is_even(self) -> bool:
-        """True if the frictions are not decades apart: at least half of them exceed the share EVEN_SHARE of their
-        mean."""
-        many = np.count_nonzero(self.friction > EVEN_SHARE * np.mean(self.friction))
-        return bool(2 * many >= len(self.friction))
 
     @property
     def complementarity(self) -> float:
@@ -244,3 +237,12 @@ def whole_dual(dual: np.ndarray, viscosity: np.ndarray | None, difference: np.nd
     Letters: d slip components.
     """
     return dual if viscosity is None else dual - viscosity * difference
+
+
+def are_even(friction: np.ndarray) -> bool:
+    """Return True if frictions are not decades apart: if at least half of them exceed EVEN_SHARE times their mean.
+
+    friction : (n,), largest friction force of each of n contacts.
+    """
+    many = np.count_nonzero(friction > EVEN_SHARE * np.mean(friction))
+    return bool(2 * many >= len(friction))

@@ -12,7 +12,7 @@ import numpy as np
 
 from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.cones import length
-from taichi_bearings.conic.contraction import Contraction, SomeSamples
+from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import (
     Pair,
@@ -54,112 +54,72 @@ def polished(
 
     Letters: n contacts with up to d slip components.
     """
+    system = _PreciseSystem(tied)
     # the small parts of the given spins may be larger than the rounding of the large ones
-    balanced, slips, fine = _balanced(SomeSamples.all_of(tied), matrix, strengths, two_sum(*spins), chosen)
+    balanced, slips, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen)
     return tied.expanded(balanced), slips[0], -_friction_along(strengths[0], slips)[0], fine
 
 
 def _balanced(
-    samples: SomeSamples, matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
+    system: "_PreciseSystem", matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, Pair, np.ndarray]:
     """Reduce the torques by Newton's method as far as that goes. Return the unknowns that were reached, the slips (d,
     n) there, both as sums of two doubles, and a mask (samples,) of the samples in which the method works and no slip is
     0.
 
-    samples : the contacts and unknowns of all samples.
+    system : computes slips and torques in twice the precision.
     matrix : Newton matrix of the contacts that are left.
     strengths : friction and viscosity, (n,) each, of n contacts; no viscosity: None.
     unknown : (unknowns,), spins to begin with, as sums of two doubles.
     going : (samples,) mask of the samples to try.
     """
-    system, strongest = _PreciseSystem(samples, strengths), samples.owners.largest(strengths[0])
-    fine, least, factorised = np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
-    best, slips = (unknown[0].copy(), unknown[1].copy()), system.differences(unknown)  # of all samples
-    precise = slips
+    owners, strongest = system.owners, system.owners.largest(strengths[0])
+    best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
+    slips: Pair | None = None  # those at `best`
     for _ in range(MOST_POLISHING_STEPS):
-        owners, slip = system.samples.owners, length(precise[0])
-        torques = system.torques(system.forces(precise))
+        precise = system.differences(unknown)
+        slip = length(precise[0])
+        torques = system.torques(_forces(strengths, precise))
         size, smallest = owners.largest_of_spins(np.abs(torques)), owners.smallest(slip)
         going = going & (size < least) & (smallest > 0)
         # Keep the best point; go on while torques are more than halved and are not yet negligible.
-        system.keep(going, (unknown, precise), (best, slips))
-        fine = fine | going
+        best, fine = _where(going[owners.spins], unknown, best), fine | going
+        slips = precise if slips is None else _where(going[owners.contacts], precise, slips)
         enough = np.maximum(POLISHED_TORQUE, np.minimum(SMALL_TORQUE, SMALL_SHARE_OF_SLIP * smallest)) * strongest
         going = going & (size <= least / 2) & (size > enough)
         if not going.any():
             break
         least, anew, before = np.where(going, size, least), going & ~factorised, going
         if anew.any():
-            stiffness = friction_stiffness(*system.strengths, precise[0], FREE_STIFFNESS)
-            going = going & (matrix.factorise_each(system.samples.on_all_contacts(stiffness), anew) | ~anew)
-        step = matrix.solve(system.samples.on_all_spins(-torques), going)[system.samples.spins]
-        change = owners.largest(length(system.samples.system.change(step)) / slip)
+            stiffness = friction_stiffness(*strengths, precise[0], FREE_STIFFNESS)
+            going = going & (matrix.factorise_each(stiffness, anew) | ~anew)
+        step = matrix.solve(-torques, going)
+        change = owners.largest(length(system.contracted.change(step)) / slip)
         going = going & (change <= MOST_SLIP_CHANGE)
         fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
-        if not going.any():
-            break
         unknown = _where(going[owners.spins], add(unknown, exactly(step)), unknown)
-        if 2 * going.sum() <= system.samples.count:
-            system, unknown = system.among(going, unknown)
-        precise = system.differences(unknown)
+    assert slips is not None
     return best, slips, fine
 
 
 class _PreciseSystem:
-    """Slips and torques of some samples of a system with tied contacts, in twice the precision. A contact is tied if
-    the spins at its two ends are made equal, as one unknown; n contacts with up to d slip components are left.
+    """Slips and torques of a system with tied contacts, in twice the precision. A contact is tied if the spins at its
+    two ends are made equal, as one unknown; n contacts with up to d slip components are left.
 
-    samples : the contacts and unknowns of these samples; an unknown is a set of tied spins.
-    strengths : friction and viscosity (n,) of these contacts; no viscosity: None.
+    contracted : the contacts that are left; its unknowns are sets of tied spins. owners : sample of each of them.
     imposed : places in (d, n) where imposed spins contribute to the slips, as two arrays of indices, and how much, as
         sums of two doubles.
     """
 
-    def __init__(self, samples: SomeSamples, strengths: Strengths) -> None:
-        """Find where imposed spins contribute to the slips.
+    def __init__(self, tied: Contraction) -> None:
+        """Find where imposed spins contribute to the slips of the contacts that are left.
 
-        samples : the contacts and unknowns of these samples.
-        strengths : friction and viscosity (n,) of these contacts; no viscosity: None.
+        tied : the contacts that are left when others were tied, and their unknowns, one for each set of tied spins.
         """
-        self.samples, self.strengths = samples, strengths
-        places, rest = np.nonzero(samples.system.offset), samples.system.offset_rest
-        high = samples.system.offset[places]
+        self.contracted, self.owners = tied.system, tied.owners
+        places, rest = np.nonzero(tied.system.offset), tied.system.offset_rest
+        high = tied.system.offset[places]
         self.imposed = places, (exactly(high) if rest is None else (high, rest[places]))
-
-    def among(self, chosen: np.ndarray, unknown: Pair) -> tuple["_PreciseSystem", Pair]:
-        """Return the system of the chosen ones of its samples, and their unknowns.
-
-        chosen : (samples,) mask.
-        unknown : (unknowns,), unknowns of the present samples, sums of two doubles.
-        """
-        owners, (friction, viscosity) = self.samples.owners, self.strengths
-        spins, contacts = chosen[owners.spins], chosen[owners.contacts]
-        strengths = friction[contacts], None if viscosity is None else viscosity[contacts]
-        return _PreciseSystem(self.samples.among(chosen), strengths), (unknown[0][spins], unknown[1][spins])
-
-    def keep(self, chosen: np.ndarray, here: tuple[Pair, Pair], best: tuple[Pair, Pair]) -> None:
-        """Write the unknowns and slips of chosen samples into those of all samples, in place.
-
-        chosen : (samples,) mask.
-        here : unknowns (unknowns,) and slips (d, n) of these samples, sums of two doubles.
-        best : the same of all samples; changed.
-        """
-        owners = self.samples.owners
-        of_spins, of_contacts = (np.flatnonzero(chosen[of]) for of in (owners.spins, owners.contacts))
-        spins, contacts = self.samples.spins[of_spins], self.samples.contacts[of_contacts]
-        for unknown, slip, whole, slips in zip(*here, *best, strict=True):
-            whole[spins] = unknown[of_spins]
-            slips[:, contacts] = slip[:, of_contacts]
-
-    def forces(self, difference: Pair) -> Pair:
-        """Return the forces (d, n) of friction and viscosity at given slips, as sums of two doubles, along the slip:
-        the sign with which they act is left out.
-
-        difference : (d, n), the slips, sums of two doubles.
-        """
-        friction, viscosity = self.strengths
-        held = _friction_along(friction, difference)
-        return held if viscosity is None else add(held, scaled(viscosity, difference))
 
     def differences(self, unknown: Pair) -> Pair:
         """Return the slips (d, n) as sums of two doubles, from the unknowns (unknowns,). Letters: n contacts with up to
@@ -167,8 +127,8 @@ class _PreciseSystem:
 
         unknown : (unknowns,), values of the unknowns, sums of two doubles.
         """
-        assert self.samples.system.ends is not None
-        (below, above), (places, more) = self.samples.system.ends, self.imposed
+        assert self.contracted.ends is not None
+        (below, above), (places, more) = self.contracted.ends, self.imposed
         high, low = (np.append(part, 0.0) for part in unknown)
         found = subtract((high[above], low[above]), (high[below], low[below]))
         driven = add((found[0][places], found[1][places]), more)
@@ -184,16 +144,29 @@ class _PreciseSystem:
 
         Letters: n contacts with up to d slip components.
         """
-        total, rest = np.zeros(self.samples.system.unknowns), pulls[0]
-        largest = self.samples.owners.largest(np.abs(rest))
+        total, rest = np.zeros(self.contracted.unknowns), pulls[0]
+        largest = self.owners.largest(np.abs(rest))
         for _ in range(2):
-            grain = np.ldexp(1.5, np.frexp(largest)[1] + SUM_BITS)[self.samples.owners.contacts]
+            grain = np.ldexp(1.5, np.frexp(largest)[1] + SUM_BITS)[self.owners.contacts]
             leading = (rest + grain) - grain
-            total = total + self.samples.system.torques(leading)
+            total = total + self.contracted.torques(leading)
             rest = rest - leading
             largest = largest * 2.0 ** (SUM_BITS - 52)
-        found: np.ndarray = total + self.samples.system.torques(rest + pulls[1])
+        found: np.ndarray = total + self.contracted.torques(rest + pulls[1])
         return found
+
+
+def _forces(strengths: Strengths, difference: Pair) -> Pair:
+    """Return the forces (d, n) of friction and viscosity at slips `difference` (d, n), as sums of two doubles, along
+    the slip: the sign with which they act is left out.
+
+    strengths : friction and viscosity, (n,) each.
+
+    Letters: n contacts with up to d slip components.
+    """
+    friction, viscosity = strengths
+    held = _friction_along(friction, difference)
+    return held if viscosity is None else add(held, scaled(viscosity, difference))
 
 
 def _friction_along(friction: np.ndarray, difference: Pair) -> Pair:

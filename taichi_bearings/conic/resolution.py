@@ -65,7 +65,7 @@ import numpy as np
 from taichi_bearings.conic.central_path import LEAST_WORK, friction_stiffness
 from taichi_bearings.conic.cones import inner, length
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.contraction import Contraction, SomeSamples
+from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.iterate import Iterate, whole_dual
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
@@ -601,46 +601,44 @@ class _SmoothPower:
             slip to begin with, or the next step would reverse their small slip. Samples with such contacts, and those
             in which the method fails, end unbalanced.
         """
-        some, self.spins = SomeSamples.all_of(self.tied), self.tied.contracted(spins)
+        system, owners, self.spins = self.tied.system, self.tied.owners, self.tied.contracted(spins)
         self.difference = self.tied.differences(self.spins)
+        of_contacts, of_spins = owners.contacts, owners.spins
         first = length(self.difference)
-        at_rest = (first == 0) & ~self.tied.contradicts[some.owners.contacts]
-        going = ~self.tied.contradicts & ~some.owners.any(at_rest)
+        at_rest = (first == 0) & ~self.tied.contradicts[of_contacts]
+        going = ~self.tied.contradicts & ~owners.any(at_rest)
         for count in range(MOST_NEWTON_STEPS):
-            # Samples that have come to their minimum are left behind.
-            some = some.among(going) if 2 * going.sum() <= some.count else some
-            system, owners, here = some.system, some.owners, self.difference[:, some.contacts]
-            friction, viscosity = self.friction[some.contacts], self.viscosity
-            viscosity = None if viscosity is None else viscosity[some.contacts]
-            torques = system.torques(whole_dual(_along_slip(friction, here), viscosity, here))
+            torques = system.torques(whole_dual(self.dual, self.viscosity, self.difference))
             left = owners.largest_of_spins(np.abs(torques))
             self.balanced |= going & (left < (NEWTON_TORQUE if count < MOST_NEWTON_STEPS - 1 else ROUNDED_TORQUE))
             going = going & ~self.balanced
             if not going.any():
-                break
+                found: np.ndarray = at_rest
+                return found
             # A Newton step for the samples that go on.
-            stiffness = friction_stiffness(friction, viscosity, here, LEAST_WORK)
-            going = self.matrix.factorise_each(some.on_all_contacts(stiffness), going)
-            step = self.matrix.solve(some.on_all_spins(torques), going)[some.spins]
-            change, slip = system.change(step), length(here)
+            stiffness = friction_stiffness(self.friction, self.viscosity, self.difference, LEAST_WORK)
+            going = self.matrix.factorise_each(stiffness, going)
+            step = self.matrix.solve(torques, going)
+            change, slip = system.change(step), length(self.difference)
             # Slips that the whole step would reverse: small ones come to rest, others make the step shorter.
-            turned = inner(here + change, here) <= 0
-            resting = turned & (slip < RESTING_SHARE * first[some.contacts]) & going[owners.contacts]
-            at_rest[some.contacts] |= resting
-            going = going & ~owners.any(resting)
+            turned = inner(self.difference + change, self.difference) <= 0
+            resting = turned & (slip < RESTING_SHARE * first) & going[of_contacts]
+            at_rest, going = at_rest | resting, going & ~owners.any(resting)
             most = np.where(turned, MOST_CHANGE_IF_REVERSED, MOST_CHANGE_ALONG)
-            along = np.minimum(1.0, 1 / np.maximum(owners.largest(length(change) / (most * slip)), TINY))
-            low = self.spins[1][some.spins]
-            self.spins[1][some.spins] = np.where(going[owners.spins], low + along[owners.spins] * step, low)
-            there = here + along[owners.contacts] * change
-            self.difference[:, some.contacts] = np.where(going[owners.contacts], there, here)
-        return at_rest
+            reach = owners.largest(length(change) / (most * slip))
+            along, (high, low) = np.minimum(1.0, 1 / np.maximum(reach, TINY)), self.spins
+            self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
+            there = self.difference + along[of_contacts] * change
+            self.difference = np.where(going[of_contacts], there, self.difference)
+        found = at_rest
+        return found
 
     @property
     def dual(self) -> np.ndarray:
         """(d, kept), minus the friction forces on the contacts that are left, `kept` in number: the full friction of
         each, along its slip. Letters: d slip components."""
-        return _along_slip(self.friction, self.difference)
+        found: np.ndarray = -self.friction * self.difference / length(self.difference)
+        return found
 
     def resolved(self) -> list[Resolved | None]:
         """Return the minimum of each sample: None where torques do not balance; in twice the precision where that is
@@ -689,13 +687,3 @@ class _SmoothPower:
         found = np.zeros((*values.shape[:-1], self.tied.whole.offset.shape[1]), values.dtype)
         found[..., self.tied.kept] = values
         return np.split(found, self.samples, axis=-1)
-
-
-def _along_slip(friction: np.ndarray, difference: np.ndarray) -> np.ndarray:
-    """Return minus the forces (d, n) of n slipping contacts: the full friction of each, along its slip.
-
-    friction : (n,), largest friction force.
-    difference : (d, n), slips with up to d components, none of them 0.
-    """
-    found: np.ndarray = -friction * difference / length(difference)
-    return found
