@@ -26,8 +26,9 @@ from taichi_bearings.numerics.double_double import Pair, exactly, multiply
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.paths import Paths
-from taichi_bearings.solvers.splitting_start import centred, split
+from taichi_bearings.solvers.splitting_start import begun, centred, split
 from taichi_bearings.solvers.table import InteriorPoint
 
 # number of unknowns from which splitting comes first: below, it takes as long as the Newton steps that it saves
@@ -95,26 +96,36 @@ class LatticePaths(Paths):
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
         start = free_spins(inside / (self.unit or 1.0))
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
-        self._spin = spin  # to start from
+        self._splitting = self._splitting_begun(spin)
+
+    def _splitting_begun(self, spin: np.ndarray) -> Method | None:
+        """Return operator splitting, which takes the paths of large cubic lattices near the minimum, at its start; None
+        where paths keep their starts. These are lattices with viscosity; those whose matrix of springs is not quick to
+        factorise, as on a GPU; and those with so many samples that there is too little memory.
+
+        spin : laboratory spins to start from, 1/time.
+        """
+        scene = self.scene
+        large = scene.lattice.dimension == 3 and self.system.unknowns >= SPLIT_UNKNOWNS and self.frustrated
+        if large and scene.viscosity_beside_friction is None and self.shared.has_quick_springs:
+            with suppress(MemoryError):
+                return begun(scene, spin)
+        return None
 
     def advance(self, steps: int) -> None:
         """Take up to `steps` further Newton steps of every sample that is not done; in large cubic lattices with
         friction alone let the paths begin where a short operator splitting ends."""
-        large = self.scene.lattice.dimension == 3 and self.system.unknowns >= SPLIT_UNKNOWNS
-        if large and self.iteration == 0 and self.frustrated:
-            self._begin_by_splitting()
+        splitting, self._splitting = self._splitting, None
+        if splitting is not None and self.iteration == 0:
+            self._begin_at(split(splitting))
         super().advance(steps)
 
-    def _begin_by_splitting(self) -> None:
-        """Move the starts of all paths near the minimum, by operator splitting. Some samples keep their starts: those
-        in which strong contacts got less friction, as frictions are far apart; those with viscosity; and all samples
-        whose matrix of springs is not quick to factorise, as on a GPU."""
-        if self.scene.viscosity_beside_friction is not None or not self.shared.has_quick_springs:
-            return
-        try:
-            reached = split(self.scene, self._spin)
-        except MemoryError:  # many samples at once
-            return
+    def _begin_at(self, reached: Progress) -> None:
+        """Move the starts of all paths near the minimum. Samples in which strong contacts got less friction, as
+        frictions are far apart, keep their starts.
+
+        reached : spins and forces near the minimum.
+        """
         spins = free_spins(reached.staggered / self.unit)
         for replica, sample in enumerate(self.samples):
             if sample.firm is None:

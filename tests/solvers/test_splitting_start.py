@@ -8,7 +8,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint, lattice_paths
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.lattice_paths import LatticePaths
-from taichi_bearings.solvers.splitting_start import MOST_TORQUE, START_GAP, split
+from taichi_bearings.solvers.splitting_start import MOST_TORQUE, START_GAP, begun, split
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -20,22 +20,26 @@ def minimum_of(scene):
     return solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
 
 
-def begun(scene):
+def started(monkeypatch, scene):
     """The paths of a scene at their starts by splitting, and those without."""
     spin = initial_spin(scene, "linear")
-    paths, plain = (LatticePaths(scene, (0, 1), spin, settle=True) for _ in range(2))
-    paths._begin_by_splitting()
+    plain = LatticePaths(scene, (0, 1), spin, settle=True)
+    assert plain._splitting is None
+    monkeypatch.setattr(lattice_paths, "SPLIT_UNKNOWNS", 0)
+    paths = LatticePaths(scene, (0, 1), spin, settle=True)
+    if paths._splitting is not None:
+        paths._begin_at(split(paths._splitting))
     return paths, plain
 
 
 def test_splitting_ends_at_the_gap_from_which_paths_begin():
     scene = make_scene(SHAPE, seeds=(1, 2))
-    reached = split(scene, initial_spin(scene, "linear"))
+    reached = split(begun(scene, initial_spin(scene, "linear")))
     assert (reached.lower_bound >= (1 - START_GAP) * reached.objective).all()
 
 
-def test_starts_are_inside_all_cones_and_near_the_minimum():
-    paths, plain = begun(make_scene(SHAPE, seeds=(1, 2)))
+def test_starts_are_inside_all_cones_and_near_the_minimum(monkeypatch):
+    paths, plain = started(monkeypatch, make_scene(SHAPE, seeds=(1, 2)))
     for sample, other in zip(paths.samples, plain.samples, strict=True):
         point = sample.iterate
         assert (point.bound > length(point.difference)).all()
@@ -58,7 +62,7 @@ def test_the_minimum_is_that_of_the_plain_start_after_fewer_steps(monkeypatch, d
     assert split_first.iterations <= plain.iterations - 3
 
 
-def test_frictions_too_far_apart_and_viscosity_keep_the_plain_start():
+def test_frictions_too_far_apart_and_viscosity_keep_the_plain_start(monkeypatch):
     for scene in (make_scene(SHAPE, distribution="power-law:1e-8,1.0,-1.0"), make_scene(SHAPE, "coulomb-viscous")):
-        paths, plain = begun(scene)
+        paths, plain = started(monkeypatch, scene)
         assert np.array_equal(paths.samples[0].iterate.bound, plain.samples[0].iterate.bound)
