@@ -4,6 +4,7 @@ Letters: R samples, E contacts of the lattice, n contacts among them that a free
 *Staggered* spins have signs by which neighbours differ, and are measured from the bottom plane.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
@@ -26,9 +27,8 @@ from taichi_bearings.numerics.double_double import Pair, exactly, multiply
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.paths import Paths
-from taichi_bearings.solvers.splitting_start import begun, centred, split
+from taichi_bearings.solvers.splitting_start import centred, splitting
 from taichi_bearings.solvers.table import InteriorPoint
 
 # number of unknowns from which splitting comes first: below, it takes as long as the Newton steps that it saves
@@ -96,11 +96,11 @@ class LatticePaths(Paths):
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
         start = free_spins(inside / (self.unit or 1.0))
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
-        self._splitting = self._splitting_begun(spin)
+        self._split = self._prepared_splitting(spin)
 
-    def _splitting_begun(self, spin: np.ndarray) -> Method | None:
-        """Return operator splitting, which takes the paths of large cubic lattices near the minimum, at its start; None
-        where paths keep their starts. These are lattices with viscosity; those whose matrix of springs is not quick to
+    def _prepared_splitting(self, spin: np.ndarray) -> Callable[[], Progress] | None:
+        """Return operator splitting, which takes the paths of large cubic lattices near the minimum, as a function that
+        runs it; None where paths keep their starts. These are lattices with viscosity; those whose matrix of springs is not quick to
         factorise, as on a GPU; and those with so many samples that there is too little memory.
 
         spin : laboratory spins to start from, 1/time.
@@ -109,15 +109,15 @@ class LatticePaths(Paths):
         large = scene.lattice.dimension == 3 and self.system.unknowns >= SPLIT_UNKNOWNS and self.frustrated
         if large and scene.viscosity_beside_friction is None and self.shared.has_quick_springs:
             with suppress(MemoryError):
-                return begun(scene, spin)
+                return splitting(scene, spin)
         return None
 
     def advance(self, steps: int) -> None:
         """Take up to `steps` further Newton steps of every sample that is not done; in large cubic lattices with
         friction alone let the paths begin where a short operator splitting ends."""
-        splitting, self._splitting = self._splitting, None
-        if splitting is not None and self.iteration == 0:
-            self._begin_at(split(splitting))
+        split, self._split = self._split, None
+        if split is not None and self.iteration == 0:
+            self._begin_at(split())
         super().advance(steps)
 
     def _begin_at(self, reached: Progress) -> None:

@@ -9,6 +9,7 @@ rest.
 Letters: R samples, n contacts with up to d slip components.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
@@ -20,7 +21,6 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import OperatorSplitting
 
 START_GAP, LONGEST_START = 1e-3, 600  # relative gap at which splitting ends, and most of its iterations
@@ -31,8 +31,9 @@ MOST_TORQUE = 0.5  # torque over the mean friction that may be left on a sphere 
 TINY = np.finfo(np.float64).tiny
 
 
-def begun(scene: Scene, spin: np.ndarray) -> Method:
-    """Return operator splitting at its start, with its kernels compiled.
+def splitting(scene: Scene, spin: np.ndarray) -> Callable[[], Progress]:
+    """Prepare operator splitting, and return a function that returns spins and friction forces of all samples, reached
+    once each has a relative gap of START_GAP, or after LONGEST_START iterations. It may be called once.
 
     scene : the lattice with its R samples.
     spin : (R, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
@@ -41,21 +42,17 @@ def begun(scene: Scene, spin: np.ndarray) -> Method:
     """
     method = OperatorSplitting().build()
     method.begin(scene, spin)
-    return method
 
-
-def split(method: Method) -> Progress:
-    """Return spins and friction forces of all samples that operator splitting has reached once each has a relative gap
-    of START_GAP, or after LONGEST_START iterations.
-
-    method : operator splitting at its start, which gives its memory back.
-    """
-    progress = method.progress()
-    while method.iteration < LONGEST_START and (progress.lower_bound < (1 - START_GAP) * progress.objective).any():
-        method.advance(method.next_check(method.iteration) - method.iteration)
+    def split() -> Progress:
+        """Return what splitting reaches, and give its memory back."""
         progress = method.progress()
-    method.give_back()
-    return progress
+        while method.iteration < LONGEST_START and (progress.lower_bound < (1 - START_GAP) * progress.objective).any():
+            method.advance(method.next_check(method.iteration) - method.iteration)
+            progress = method.progress()
+        method.give_back()
+        return progress
+
+    return split
 
 
 def centred(start: Iterate, spins: np.ndarray, dual: np.ndarray, matrix: NewtonMatrix) -> Iterate:

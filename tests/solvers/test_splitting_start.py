@@ -8,7 +8,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint, lattice_paths
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.lattice_paths import LatticePaths
-from taichi_bearings.solvers.splitting_start import MOST_TORQUE, START_GAP, begun, split
+from taichi_bearings.solvers.splitting_start import MOST_TORQUE, START_GAP, splitting
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
 
@@ -24,17 +24,17 @@ def started(monkeypatch, scene):
     """The paths of a scene at their starts by splitting, and those without."""
     spin = initial_spin(scene, "linear")
     plain = LatticePaths(scene, (0, 1), spin, settle=True)
-    assert plain._splitting is None
+    assert plain._split is None
     monkeypatch.setattr(lattice_paths, "SPLIT_UNKNOWNS", 0)
     paths = LatticePaths(scene, (0, 1), spin, settle=True)
-    if paths._splitting is not None:
-        paths._begin_at(split(paths._splitting))
+    if paths._split is not None:
+        paths._begin_at(paths._split())
     return paths, plain
 
 
 def test_splitting_ends_at_the_gap_from_which_paths_begin():
     scene = make_scene(SHAPE, seeds=(1, 2))
-    reached = split(begun(scene, initial_spin(scene, "linear")))
+    reached = splitting(scene, initial_spin(scene, "linear"))()
     assert (reached.lower_bound >= (1 - START_GAP) * reached.objective).all()
 
 
