@@ -100,8 +100,8 @@ class LatticePaths(Paths):
 
     def _prepared_splitting(self, spin: np.ndarray) -> Callable[[], Progress] | None:
         """Return operator splitting, which takes the paths of large cubic lattices near the minimum, as a function that
-        runs it; None where paths keep their starts. These are lattices with viscosity; those whose matrix of springs is not quick to
-        factorise, as on a GPU; and those with so many samples that there is too little memory.
+        runs it; None where paths keep their starts. These are lattices with viscosity; those whose matrix of springs is
+        not quick to factorise, as on a GPU; and those with so many samples that there is too little memory.
 
         spin : laboratory spins to start from, 1/time.
         """
