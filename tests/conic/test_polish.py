@@ -10,7 +10,17 @@ from taichi_bearings.conic import polish
 from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
+from taichi_bearings.numerics.double_double import (
+    add,
+    along,
+    divide,
+    exactly,
+    multiply,
+    scaled,
+    square,
+    square_root,
+    subtract,
+)
 from tests.proof.laboratory import Laboratory, dot
 from tests.proof.samples import samples_of
 from tests.proof.test_bounds import solved
@@ -34,6 +44,19 @@ def test_arithmetic_of_pairs_is_good_to_a_hundred_bits(name):
     for i in range(300):
         true = numbers[name](exact(first, i), exact(second, i))
         assert abs(exact(result, i) - true) <= abs(true) * Fraction(1, 2**100)
+
+
+def test_vectors_of_given_sizes_along_pairs_are_good_to_a_hundred_bits():
+    rng = np.random.default_rng(4)
+    high, size = rng.standard_normal((2, 200)) * 10.0 ** rng.integers(-22, 1, 200), rng.uniform(0, 2, 200)
+    vectors = high, high * 2.0**-54 * rng.uniform(-1, 1, (2, 200))
+    found = along(size, vectors)
+    for i in range(200):
+        x, y = (exact((vectors[0][k], vectors[1][k]), i) for k in range(2))
+        for true, k in ((x, 0), (y, 1)):
+            square_of = Fraction(size[i]) ** 2 * true**2 / (x**2 + y**2)
+            assert abs(exact((found[0][k], found[1][k]), i) ** 2 / square_of - 1) <= Fraction(1, 2**99)
+            assert found[0][k][i] * true >= 0
 
 
 def test_roots_of_pairs_are_good_to_a_hundred_bits():
