@@ -171,15 +171,15 @@ class LatticePaths(Paths):
         """Return the iteration at which to read the progress next. It does not depend on which other samples are solved
         at the same time.
 
-        Small samples are read once, when most of them have ended. Others are read at every second step far from the
-        end, as reading costs half a step at 10^3 spheres, and at every step near it.
+        Small samples are read once, when most of them have ended. Others are read at every second step, as reading costs
+        half a step at 10^3 spheres; at every step near the tolerance, if that ends the run.
 
         iteration : the one at which it is read now.
         """
         if self.small and self.asked:
             return iteration + MOST_NEWTON_STEPS  # mostly all they need
         far = self.frustrated and max(sample.gap for sample in self.samples) > DISTANT_GAP
-        return iteration + (2 if far else 1)
+        return iteration + (2 if far or self.asked else 1)
 
     def progress(self) -> Progress:
         """Return the progress of all samples. A sample whose contact states are settled has the minimum with these
