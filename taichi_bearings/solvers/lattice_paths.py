@@ -171,8 +171,8 @@ class LatticePaths(Paths):
         """Return the iteration at which to read the progress next. It does not depend on which other samples are solved
         at the same time.
 
-        Small samples are read once, when most of them have ended. Others are read at every second step, as reading costs
-        half a step at 10^3 spheres; at every step near the tolerance, if that ends the run.
+        Small samples are read once, when most of them have ended. Others are read at every second step, as reading
+        costs half a step at 10^3 spheres; at every step near the tolerance, if that ends the run.
 
         iteration : the one at which it is read now.
         """
