@@ -433,7 +433,8 @@ def stacked(stiffness: np.ndarray) -> np.ndarray:
 
     stiffness : (d, d, n), stiffness of each of n contacts with up to d slip components; or (d, d, n, S) of S samples.
     """
-    return np.concatenate([stiffness[i, j] for i in range(len(stiffness)) for j in range(i, len(stiffness))])
+    parts = [stiffness[i, j] for i in range(len(stiffness)) for j in range(i, len(stiffness))]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -501,5 +502,6 @@ def lattice_system(
         return np.where(felt & rises, of_columns[slot, lattice.column[contact]], 0.0)
 
     offset, rest = slips_by_top(jump), None if jump_rest is None else slips_by_top(jump_rest)
-    place = np.repeat(np.indices(lattice.free_shape).reshape(lattice.dimension, -1), len(spin_axes), axis=1)
+    indices = np.indices(lattice.free_shape, dtype=np.int32)  # little memory
+    place = np.repeat(indices.reshape(lattice.dimension, -1), len(spin_axes), axis=1)
     return ContactSystem(unknowns, offset, felt, ends, contact=contact, slot=slot, place=place, offset_rest=rest)

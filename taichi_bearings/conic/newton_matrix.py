@@ -131,7 +131,9 @@ class NewtonMatrix:
         """
         rows = self._system.offset
         each = np.tile(springs, (rows.shape[1] // max(len(springs), 1), 1))
-        return self.factorise_each(np.multiply.outer(np.eye(len(rows)), each), inertia=inertia)
+        # with one component no copy is made
+        stiffness = each[None, None] if len(rows) == 1 else np.multiply.outer(np.eye(len(rows)), each)
+        return self.factorise_each(stiffness, inertia=inertia)
 
     def factorise_each(
         self, stiffness: np.ndarray, wanted: np.ndarray | None = None, inertia: float | np.ndarray = 0.0
@@ -278,7 +280,8 @@ class NewtonMatrix:
         # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by
         for _ in range(solves):
             spins = self.solve(self._system.torques(dual.reshape(rows)) - load)
-            dual = dual - resisting(self._system.change(spins).reshape(dual.shape))
+            pull = resisting(self._system.change(spins).reshape(dual.shape))
+            dual = np.subtract(dual, pull, out=pull)
         return dual
 
 

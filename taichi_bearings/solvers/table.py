@@ -83,7 +83,7 @@ JUDGED_SECONDS = {2: 5e-6, 3: 1.5e-5}
 SPLITTING_JUDGED_SECONDS = 6e-6  # the same in 3D after operator splitting, which proves no contact states
 # bytes for each sphere in a method that factorises, in addition to the numbers of the factor: some 20 rows of the
 # contacts along the path, the pattern of the factor and its tables
-FACTORISING_BYTES = {2: 2800.0, 3: 5500.0}
+FACTORISING_BYTES = {2: 2800.0, 3: 4800.0}
 
 
 def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:

@@ -56,9 +56,9 @@ class Layout:
         diagonal down, of update_height rows and less; the first one begins at row `skip` of the front. Only lower
         triangles are used.
     diagonal : (fronts,) where the first diagonal entry of the update is.
-    pivots : (unknowns,) where the diagonal entries are.
-    called_pivots : those of them that calls of LAPACK compute, in no branch.
-    last_pivots : those of them in fronts without a parent.
+    pivots : (unknowns,) where the diagonal entries are; none if threads share the work.
+    called_pivots : where those are that calls of LAPACK compute, in no branch.
+    last_pivots : where those are in fronts without a parent.
     tables : int32, flat, for kernels: a header with where each table begins; 15 integers of each front; where each
         entry of the matrix goes; where each row of an update goes in the front above, and each number of a solution;
         work items; and the branches of each stage.
@@ -98,16 +98,17 @@ class Layout:
         kept = self.height if apart else self.border
         rest = whole(np.array(pattern.size), unit) + np.cumsum(kept) - kept
         self.vector = int(rest[-1] + kept[-1])
-        first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
-        column = np.arange(pattern.size) - first[front]
+        front = np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
+        column = np.arange(pattern.size) - pattern.first[front]
         begins = self.columns[front] + begin_of_column(column, self.height[front], self.own_panel[front])
-        self.pivots = begins + column
-        self.called_pivots, self.last_pivots = self.pivots[is_called[front]], self.pivots[pattern.parent[front] < 0]
-        start = np.searchsorted(pattern.column, np.append(first, pattern.size))
+        pivots = begins + column
+        self.called_pivots, self.last_pivots = pivots[is_called[front]], pivots[pattern.parent[front] < 0]
+        self.pivots = pivots[: 0 if apart else None].copy()
+        start = np.searchsorted(pattern.column, np.append(pattern.first, pattern.size))
         table = np.stack(
             [
                 *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], *_relatives(pattern.parent)),
-                *(share, first, self.height, self.update_height, self.skip, rest, self.own_panel),
+                *(share, pattern.first, self.height, self.update_height, self.skip, rest, self.own_panel),
             ],
             axis=1,
         )
@@ -118,13 +119,12 @@ class Layout:
         slots = np.where(is_own, pattern.border, rest[parents] + rows - (0 if apart else of_parent))
         items, stages, self.batches = np.zeros((0, 3), dtype=np.int64), list[np.ndarray](), list[Batch]()
         if apart:
-            stages = _stages(pattern, numbers)
-            of_stages = sum(map(len, stages))
-            items, branches, self.batches = self._shared_work(batches, numbers + updates, branches, of_stages)
+            stages, doubles = _stages(pattern, numbers), numbers + updates
+            items, branches, self.batches = self._shared_work(batches, doubles, branches, sum(map(len, stages)))
         self.stages = list(pairwise(np.cumsum([0, *map(len, stages)]).tolist()))
         parts = [table, place, rows, _runs(rows, self.border), slots, items, *stages, branches]
-        ends_at = np.cumsum([part.size for part in parts[:6]])
-        header = np.array([len(self.own), *(HEADER + ends_at), tuning.SHEET_COLUMNS, 1])
+        begins_at = HEADER + np.cumsum([part.size for part in parts[:6]])
+        header = [len(self.own), *begins_at, tuning.SHEET_COLUMNS, 1]
         self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
 
     def _shared_work(
