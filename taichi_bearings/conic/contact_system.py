@@ -14,7 +14,7 @@ has them first, and 0 in the others. A contact "feels" a component of the spins 
 """
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import combinations_with_replacement, product
 from typing import Any
 
@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
-from taichi_bearings.numerics.double_double import Pair, add, scaled, two_sum
+from taichi_bearings.numerics.double_double import Pair, add, scaled, subtract
 from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.network import Network
@@ -235,18 +235,28 @@ class ContactSystem:
         own = np.append(spins, 0.0)[self.moved]
         return np.where(self.moved >= 0, own if self.sign is None else self.sign * own, self.known)
 
-    def to_all_digits(self, spins: np.ndarray) -> np.ndarray:
+    def to_all_digits(self, spins: Pair) -> np.ndarray:
         """Return the slips (d, n) of n contacts with up to d components, to all digits of a double even where spins
-        nearly cancel: they are computed in sums of two doubles.
+        nearly cancel: they are computed in sums of two doubles. Tangents are rounded, so that a spin along the normal
+        would seem to make some slip; for spheres the part along the normal, as it is stored, is taken out before.
 
-        spins : (unknowns,), values of the unknown spins.
+        spins : (unknowns,), values of the unknown spins as sums of two doubles.
         """
         if self.ends is not None:
-            return self.differences(spins)
-        first, second = self.all_spins(spins)[self.network.contact[:, self.contact]]
-        high, low = two_sum(first, second)
-        parts = [scaled(self.across[..., k], (high[:, k], low[:, k])) for k in range(high.shape[1])]
-        return np.asarray(reduce(add, parts)[0])
+            return self.precise_differences(spins)
+        contact, rest = self.network.contact[:, self.contact], np.append(spins[1], 0.0)[self.moved]
+        (first, second), (low_first, low_second) = self.all_spins(spins[0])[contact], rest[contact]
+        high, low = add((first, low_first), (second, low_second))
+        parts = [(high[:, k], low[:, k]) for k in range(high.shape[1])]
+        if len(parts) == 1:
+            return np.asarray(self.across[..., 0] * (parts[0][0] + parts[0][1]))
+        normal = self.network.normal[self.contact]
+        across = [  # (u_i + u_j) x n
+            subtract(scaled(normal[:, b], parts[a]), scaled(normal[:, a], parts[b]))
+            for a, b in ((1, 2), (2, 0), (0, 1))
+        ]
+        slip = np.stack([of[0] + of[1] for of in across], axis=1)
+        return np.asarray(np.einsum("tek,ek->te", self.across, np.cross(normal, slip)))
 
     def on_contacts(self, forces: np.ndarray) -> np.ndarray:
         """Return for each of the E contacts of the network the torque over radius that its force exerts on both its

@@ -26,6 +26,7 @@ from taichi_bearings.scene.scene import vector_length
 
 # torque left, relative to friction and inertia, at which Newton's method ends, and at which linear corrections end
 STAGE_TORQUE, CORRECTED_TORQUE = 1e-10, 1e-15
+MOST_GRADIENTS = 8  # linear corrections by conjugate gradients at most, after REFINEMENTS other ones
 LARGEST_EIGENVALUE = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 GRADIENT_RATIO = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
 GRADIENT_RESIDUAL = 1e-5  # relative residual at which conjugate gradients end
@@ -321,6 +322,34 @@ class FrictionStage:
             step = self._solved(-torque)
             force = force + resisted(self._stiffness, self.system.change(step)) / self.radius
             spins = spins + step
+        else:
+            force, spins = self._corrected_by_gradients(friction.inertia, base, spins, force, scale)
         viscosity = friction.viscosity
         held = force if viscosity is None else force - viscosity * self.radius * self.system.differences(spins)
         return StageEnd(spins, force, held, friction.slips(trial))
+
+    def _corrected_by_gradients(
+        self, inertia: float, base: np.ndarray, spins: np.ndarray, force: np.ndarray, scale: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return forces (d, n) and spins (unknowns,) after more linear corrections, by conjugate gradients with the
+        factorised matrix as preconditioner. It takes them where the diagonal of that matrix was raised: soft motions
+        are corrected only in part then.
+
+        inertia : moment of inertia over the duration of the stage.
+        base : (unknowns,), spins from which inertia acts, 1/time.
+        spins : (unknowns,), spins now, 1/time.
+        force : (d, n), the contact forces.
+        scale : torque by which the rest is judged.
+        """
+        direction, before = np.zeros_like(spins), np.inf
+        for _ in range(MOST_GRADIENTS):
+            torque = self._torque(force, inertia, spins - base)
+            if np.abs(torque).max(initial=0.0) <= CORRECTED_TORQUE * scale:
+                break
+            step = self._solved(-torque)
+            now = -float(torque @ step)
+            direction = step + now / before * direction
+            change = resisted(self._stiffness, self.system.change(direction))
+            length = now / float(direction @ (inertia * direction + self.system.torques(change)))
+            force, spins, before = force + length * change / self.radius, spins + length * direction, now
+        return force, spins

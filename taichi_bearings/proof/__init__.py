@@ -2,7 +2,8 @@
 
 The head of each file says what is proven there, with which symbols, in which steps, most with a small example. To begin
 with: bounds.py, then resting.py (a proof of one page), curvature.py, states.py. Proofs for normals in any direction are
-in oblique.py, exact_motions.py, loops.py and borne.py, those for many minima in tied_minima.py.
+in oblique.py, centre.py, among_motions.py, exact_motions.py, loops.py and borne.py, those for many minima in
+tied_minima.py.
 
 The problem
 -----------
@@ -43,8 +44,9 @@ The theorems
 7. One minimum. Let contacts T rest, and let the curvature of Phi along all that T allows be tau or more, in some norm.
    If the slope of Phi is below 0.72 tau rho, and no slip changes by more than a quarter within rho, then (P) with T at
    rest has one minimum there. If T can bear inside its discs what the other contacts leave to it, this is the only
-   minimum of (P). [curvature.py for normals along the axes, oblique.py and exact_motions.py for others; floors of
-   curvatures by rounded_elimination.py, with Higham's bound on the error of a factorisation]
+   minimum of (P). [curvature.py for normals along the axes, oblique.py, centre.py, among_motions.py and
+   exact_motions.py for others; floors of curvatures by rounded_elimination.py, with Higham's bound on the error of a
+   factorisation]
 8. Parts at rest. Contacts that can all rest at once, and can bear what optimal friction elsewhere leaves to them, rest
    at every minimum. [resting.py; loops.py and borne.py where loops beside them cannot roll as normals are rounded]
 9. Ties. Where frictions cancel exactly, spheres a and b can move by y_a and y_b at no cost, as long as no slip t

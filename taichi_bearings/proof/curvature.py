@@ -691,17 +691,44 @@ def _floor_by_guess(
         return found
     terms = samples.largest(np.bincount(rows.indices, minlength=rows.shape[1])) + 4
     sizes = _with_values(rows, np.abs(rows.data)) + doubt
-    most, off = (_largest_eigenvalue(part, steps, samples) for part in (sizes, doubt))
+    most, off = (largest_eigenvalue(part, steps, samples) for part in (sizes, doubt))
     # Errors, in the spectral norm: `most` and `off` bound the squared norms of |rows| + doubt and of doubt. The
     # products A^T A of all these A differ by 2 |A| |doubt| at most. Doubles form them as sums of `terms` products,
     # each with a rounding of EPS, and round once more where the diagonal, no more than `most`, is shifted.
     error = 2 * np.sqrt(most * off) + (terms + 2) * EPS * most + EPS
     missed = elimination.distance_from_positive(guess)
     # A^T A - guess has no eigenvalue below -(missed + error): if that is less than half of it, the other half is a
-    # floor.
+    # floor. Where only the first part of the error is too large for that, it is bounded more closely.
     holds = (found == 0) & (guess - (missed + error) * UP > guess / 2)
+    if not holds.any() and (guess - (missed + error - 2 * np.sqrt(most * off)) * UP > guess / 2).any():
+        error += _largest_of_products(sizes, doubt, steps, samples) - 2 * np.sqrt(most * off)
+        holds = (found == 0) & (guess - (missed + error) * UP > guess / 2)
     found[holds] = guess[holds] / 2
     return found
+
+
+def _largest_of_products(sizes: sparse.csr_array, doubt: sparse.csr_array, steps: int, samples: Samples) -> np.ndarray:
+    """Return for each of R samples an upper bound (R,) of the spectral norm of the difference of A^T A and A'^T A', for
+    all matrices with |A| and |A'| no more than `sizes`, and |A - A'| no more than `doubt`, entry by entry. Its entries
+    are at most those of sizes^T doubt + doubt^T sizes, whose largest eigenvalue is bounded as in
+    :func:`largest_eigenvalue`. That is far less than twice the product of both norms if doubts are large in other rows
+    than sizes.
+
+    sizes, doubt : (m, n), without negative entries.
+    steps : number of power iterations, from ones.
+    samples : the sample of each of the n unknowns.
+    """
+    vector = np.ones(sizes.shape[1])
+
+    def product() -> np.ndarray:
+        """Return (n,), that matrix times the vector."""
+        found: np.ndarray = sizes.T @ (doubt @ vector) + doubt.T @ (sizes @ vector)
+        return found
+
+    for _ in range(steps):
+        vector = product()
+        vector = vector / np.maximum(samples.largest(vector), TINY)[samples.of] + EPS
+    return samples.largest(product() / vector) * UP
 
 
 def _least_eigenvalue(elimination: Elimination, factor: Factor, unit: np.ndarray | None = None) -> np.ndarray:
@@ -722,7 +749,7 @@ def _least_eigenvalue(elimination: Elimination, factor: Factor, unit: np.ndarray
     return np.where(np.isfinite(found) & ~factor.failed, found, 0.0)
 
 
-def _largest_eigenvalue(rows: sparse.csr_array, steps: int, samples: Samples) -> np.ndarray:
+def largest_eigenvalue(rows: sparse.csr_array, steps: int, samples: Samples) -> np.ndarray:
     """Return for each of R samples an upper bound (R,) of the largest eigenvalue of W^T W, for a matrix W without
     negative entries: the largest of (W^T W x) / x, entry by entry, for any positive vector x (Collatz and Wielandt).
 

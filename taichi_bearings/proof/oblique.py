@@ -48,33 +48,26 @@ friction on T that balances the rest of the torque of S has size 1, below 3: the
 Newton's method improves the spins within V before a second try: it moves them until S leaves over only torques that T
 can bear, and changes the friction of T to bear them. It calculates in sums of two doubles, of which each step finds
 more digits. Nothing about it has to be proven, since the proof starts from whatever spins come out.
+
+Steps 2 and 3 are in centre.py. Where some contacts slip so slowly that their stiffness mu F_n / |y| leaves nothing but
+rounding of softer motions, step 2 takes other unknowns (among_motions.py).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-
 import numpy as np
-from scipy import sparse
 
-from taichi_bearings.dissection import Part
+from taichi_bearings.proof.among_motions import CentreAmongMotions
 from taichi_bearings.proof.bounds import Bounds
-from taichi_bearings.proof.curvature import MOST_RELATIVE_CHANGE, Floor, Form
-from taichi_bearings.proof.enclosure import UP, Enclosure, length
+from taichi_bearings.proof.centre import Centre, LooseFloor
+from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.exact_motions import ExactMotions
-from taichi_bearings.proof.judged_network import JudgedNetwork
-from taichi_bearings.proof.listed import ROUNDED_NORMAL, moments
-from taichi_bearings.proof.rounded_elimination import EPS, Samples
-from taichi_bearings.proof.springs import floor_by_contact, numbered, slip_rows
+from taichi_bearings.proof.springs import floor_by_contact, numbered
 
-# A contact is put into S if its slip exceeds this share of the fastest imposed component: any choice is safe, since a
-# wrong one only makes the proof fail.
-MOVING = 1e-10
-TINY = 1e-290  # added to bounds that might underflow
-# The numbers below belong to Newton's method, of which nothing has to be proven.
-FIRM, STIFFER, NEARBY = 1e4, 1e4, 3  # how stiff the springs at resting contacts are, see `_stiffness_of_springs`
-NEGLIGIBLE = 1e-20  # leftover torque, in units of the largest friction, that no proof notices
+# A contact is put into S if its slip exceeds the first share of the fastest imposed component; or the second one, if
+# its friction is at its limit but for the third share. Any choice is safe, since a wrong one only makes the proof fail.
+MOVING, SLOWLY_MOVING, NOT_AT_LIMIT = 1e-10, 1e-22, 1e-9
+SLOW_SLIP = 3e-11  # slip, as such a share, below which unknowns of their own are tried first
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -99,7 +92,9 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
         return None
     # Guess which contacts slip (S) and which rest (T), find the motions in which contacts of T roll exactly,
     # and prove that the slips of the loose contacts, the others of T, are independent.
-    moves = (network.slip.value > MOVING * network.box.max()) | (network.holding.high == 0)
+    at_limit = bounds.size.value >= (1 - NOT_AT_LIMIT) * network.holding.value
+    least = np.where(at_limit, SLOWLY_MOVING, MOVING) * network.box.max()
+    moves = (network.slip.value > least) | (network.holding.high == 0)
     slides, number = network.counts & moves, numbered(unknown)
     slipping, resting = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
     exact = ExactMotions.of(network, number, network.counts & ~slides)
@@ -108,12 +103,10 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     if not (loose_floor > 0).any():
         return None
     holds_loose = LooseFloor(np.sqrt(loose_floor) / UP, loose_unit)
-    # Find the only minimum near, from the given spins, and if that fails from spins that Newton's method has improved.
-    centre = Centre(network, exact, holds_loose, number, slipping, resting, network.spin, bounds.friction)
-    distance, proven = centre.proven_distance()
-    if network.count == 1 and not proven.any():
-        centre = centre.improved()
-        distance, proven = centre.proven_distance()
+    # Find the only minimum near, from the given spins, and if that fails from spins that Newton's method has improved;
+    # and if that fails as well, or some slips are tiny, among the motions in which contacts roll exactly.
+    found = Centre(network, exact, holds_loose, number, slipping, resting, network.spin, bounds.friction)
+    centre, distance, proven = _proven_near(found)
     if not proven.any():
         return None
     # slips of the improved spins are not quite the given ones
@@ -123,456 +116,21 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return slides, distances, proven
 
 
-@dataclass(frozen=True)
-class LooseFloor:
-    """What is proven of the resting contacts that need not roll exactly, and of the spheres that exact motions leave
-    out: some spins give any slips to these contacts.
+def _proven_near(found: Centre) -> tuple[Centre, np.ndarray, np.ndarray]:
+    """Return spins near which a minimum is proven, the bounds on how far its slips are, and the mask of the samples for
+    which they hold, as :meth:`Centre.proven_distance` gives them.
 
-    floor : (R,), for each of R samples; infinite if there is no such contact, 0 if nothing is proven.
-    unit : (E,), a number for each contact. Slips y need spins no larger than the norm of unit |y| over `floor`.
-        Friction on a contact, where all of it exerts torques of the norm |r|, is no larger than unit |r| / floor.
+    found : the stored spins, of one sample or several; of several no other spins are tried.
     """
-
-    floor: np.ndarray
-    unit: np.ndarray
-
-
-@dataclass(frozen=True)
-class Centre:
-    """Spins near which a minimum is to be proven, the stored ones or improved ones, with the friction that resting
-    contacts bear at them. Units are those of the network; all values are exact sums of two doubles.
-
-    There are N spheres and E contacts, S of them slipping and T resting; K is the matrix that gives slips from the n
-    unknown components of free spins.
-
-    network : R samples of a packing, with N spheres and E contacts in all.
-    exact : motions of spheres in which some resting contacts roll exactly.
-    loose : how firmly the *loose* contacts hold, resting ones that need not roll exactly, by the spheres that exact
-        motions leave out.
-    number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none.
-    slipping, resting : (S,) and (T,), indices of the contacts.
-    spin : spins times radius by component, 3 enclosures (N,).
-    resting_friction : friction of the resting contacts by component, 3 enclosures (E,); entries of other contacts are
-        not used.
-    """
-
-    network: JudgedNetwork
-    exact: ExactMotions
-    loose: LooseFloor
-    number: np.ndarray
-    slipping: np.ndarray
-    resting: np.ndarray
-    spin: list[Enclosure]
-    resting_friction: list[Enclosure]
-
-    @cached_property
-    def slips(self) -> list[Enclosure]:
-        """Slips of all E contacts by component, 3 enclosures (E,), after the spins are changed so little that all
-        resting contacts which can roll exactly do so."""
-        return self.network.slips(self.exact.rolling(self.spin))
-
-    @cached_property
-    def size(self) -> Enclosure:
-        """Slip speeds of the S slipping contacts, (S,)."""
-        return length([part.at(self.slipping) for part in self.slips])
-
-    @cached_property
-    def strength(self) -> Enclosure:
-        """Friction limits mu F_n of the S slipping contacts, (S,)."""
-        return self.network.holding.at(self.slipping)
-
-    @cached_property
-    def damping(self) -> Enclosure:
-        """Damping eta of the S slipping contacts, an enclosure (S,); 0 where a contact has none."""
-        return self.network.slope.at(self.slipping)
-
-    @cached_property
-    def with_friction(self) -> np.ndarray:
-        """Positions (k,), among the S slipping contacts, of those with a friction limit above 0. The direction of their
-        force turns with the slip; the other slipping contacts have damping alone."""
-        return np.flatnonzero(self.strength.high > 0)
-
-    @cached_property
-    def friction_by_law(self) -> list[Enclosure]:
-        """Friction that the contact law gives to the S slipping contacts, mu F_n y / |y| + eta y for the slip y: by
-        component, 3 enclosures (S,)."""
-        found, some = [], self.with_friction
-        for part in self.slips:
-            slip = part.at(self.slipping)
-            found.append(
-                self.damping * slip if self.network.law.flows else Enclosure.exact(np.zeros(len(self.slipping)))
-            )
-            found[-1].put(some, found[-1].at(some) + self.strength.at(some) * (slip.at(some) / self.size.at(some)))
-        return found
-
-    @cached_property
-    def friction(self) -> list[Enclosure]:
-        """The friction from which everything is proven, for all E contacts by component, 3 enclosures (E,) without
-        errors: `resting_friction` for resting contacts, and for slipping ones the numbers of `friction_by_law`, with
-        its error bounds dropped."""
-        found = []
-        for part, slipping in zip(self.resting_friction, self.friction_by_law, strict=True):
-            found.append(_without_error(part))
-            found[-1].put(self.slipping, _without_error(slipping))
-        return found
-
-    @cached_property
-    def torques(self) -> list[Enclosure]:
-        """Torques over radius that `friction` leaves over on each of the N spheres: by component, 3 enclosures (N,)."""
-        return self.network.torques(moments(self.friction, self.network.graph.normal))
-
-    @cached_property
-    def rows(self) -> sparse.csr_array:
-        """The matrix K, (3 E, n), of the slips of all E contacts from the n unknown spin components: first the x
-        components of all slips, then y, then z."""
-        return slip_rows(self.network, self.number)
-
-    def rows_of(self, contacts: np.ndarray) -> np.ndarray:
-        """Return which rows (3 q,) of the matrix of slips belong to the contacts with the indices `contacts` (q,): x
-        components first, then y, then z."""
-        return np.concatenate([k * len(self.network.graph.normal) + contacts for k in range(3)])
-
-    @property
-    def place(self) -> np.ndarray:
-        """Positions (3, n) of the spheres to which the n unknown spin components belong; each sphere stands there once
-        for each of its unknowns."""
-        return np.asarray(self.network.graph.place[np.nonzero(self.number >= 0)[0]].T)
-
-    @cached_property
-    def parts(self) -> list[Part]:
-        """The n unknown spin components in groups, in the order in which they are eliminated from a matrix."""
-        return self.network.parts_of(np.nonzero(self.number >= 0)[0])
-
-    @property
-    def samples(self) -> Samples:
-        """The sample, one of R, to which each of the n unknown spin components belongs."""
-        return self.network.samples_of(np.nonzero(self.number >= 0)[0])
-
-    def curvature(self, stiffness: np.ndarray | None = None) -> Form | None:
-        """Return the curvature of the potential at these spins, as a quadratic form |B x|^2 of the changes x of the n
-        unknowns, with fictitious springs at the T resting contacts; None if some unknown changes no slip.
-
-        stiffness : (T,), of these springs, force over slip speed; None for mu F_n / median |y|.
-
-        The rows of B are, for a contact with slip y,
-        * if it slips and has friction, one: the change of the slip across y, times (mu F_n / |y|)^1/2,
-        * if it slips and has damping, three: the components of the change of the slip, times eta^1/2,
-        * if it rests, three: the components of its slip, times the root of the stiffness of its spring. These are 0 for
-          motions in which it rests, so they do not change the curvature there, and let an elimination work in all
-          unknowns.
-        """
-        slipping, some, resting, strength = self.slipping, self.with_friction, self.resting, self.network.holding.value
-        turning, flowing = slipping[some], slipping[self.damping.high > 0]
-        across = np.cross(
-            self.network.graph.normal[turning], np.stack([part.value[turning] for part in self.slips], axis=1)
-        )
-        across /= np.linalg.norm(across, axis=1)[:, None]  # unit vectors across the slip and the normal
-        sizes = self.size.value[some]
-        root = np.sqrt(strength[turning] / sizes)
-        if stiffness is None:
-            stiffness = strength[resting] / (np.median(sizes) if len(some) else 1.0)
-        firm = np.sqrt(stiffness)
-        # Weights by which the rows of K (columns of this matrix) are combined to the rows of B.
-        at = np.concatenate([self.rows_of(turning), self.rows_of(flowing), self.rows_of(resting)])
-        further = 3 * (len(flowing) + len(resting))  # number of rows after those of friction
-        row = np.append(np.tile(np.arange(len(some)), 3), len(some) + np.arange(further))
-        shape = (len(some) + further, self.rows.shape[0])
-        damped = np.sqrt(self.network.slope.value[flowing])
-        size_of = np.concatenate([np.tile(root, 3), np.tile(damped, 3), np.tile(firm, 3)])
-        value = size_of * np.append(across.T.ravel(), np.ones(further))
-        rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ self.rows)
-        # Rounding of an entry: slip, cross product, division, root, sum of three products: fewer than 32 operations.
-        # An error e of the slip y turns the unit vector across it by up to 2 e / |y|, and changes the root by less.
-        error = np.sqrt(sum(part.error[turning] ** 2 for part in self.slips))
-        relative = np.full(len(size_of), 32 * EPS)
-        relative[: 3 * len(some)] += np.tile(4 * error / self.size.least[some], 3)
-        doubt = sparse.csr_array((relative * size_of, (row, at)), shape=shape) @ abs(self.rows)
-        return Form.of(rows, sparse.csr_array(doubt), self.place, parts=self.parts, samples=self.samples)
-
-    def improved(self) -> Centre:
-        """Return spins closer to the minimum among those spins at which the resting contacts do not slip, and the
-        friction that these contacts have to bear then. Nothing about the result is proven.
-
-        These are steps of Newton's method with stiff springs at the resting contacts (an augmented Lagrangian). Each
-        step solves once, with one factorised matrix: the curvature at slipping contacts, and the springs. What a spring
-        bears after a step is added to the friction of its contact. So slips of resting contacts, and torques, become
-        smaller in each step by the ratio of the stiffness of slipping contacts to that of springs. Steps are made while
-        each of them more than halves the norm of the leftover torques, and these are not yet negligible."""
-        stiffness = self._stiffness_of_springs()
-        curvature = self.curvature(stiffness)
-        factor = None if curvature is None else curvature.elimination.factorised()
-        if curvature is None or factor is None:
-            return self
-        # The last rows of the curvature are those of the springs: `fixed` gives what each spring bears.
-        there, rest = self.number >= 0, slice(curvature.rows.shape[0] - 3 * len(self.resting), None)
-        fixed, root = curvature.rows[rest], np.tile(np.sqrt(stiffness), 3)
-        best, least, found = self, np.inf, self
-        while True:
-            torque = np.stack([part.value for part in found.torques], axis=1)[there]
-            if not (left := float(np.linalg.norm(curvature.scale * torque))) < least / 2:
-                return best
-            best, least = found, left
-            if np.abs(torque).max() < NEGLIGIBLE:
-                return best
-            # A Newton step; what the springs bear in it is added to the friction of the resting contacts.
-            stretch = root * np.concatenate([part.value[self.resting] for part in best.slips])
-            step = -factor.solve(curvature.scale * torque + fixed.T @ stretch)
-            borne = root * (stretch + fixed @ step)
-            found = best.moved(curvature.scale * step, -borne.reshape(3, -1))
-
-    def _stiffness_of_springs(self) -> np.ndarray:
-        """Return how stiff the springs at resting contacts are in `improved`, (T,), force over slip speed: at least
-        FIRM times the median stiffness mu F_n / |y| of slipping contacts, and STIFFER times the stiffness of each of
-        those that are at most NEARBY contacts away through free spheres."""
-        own = np.zeros(len(self.network.counts))
-        own[self.slipping] = self.damping.value
-        own[self.slipping[self.with_friction]] += (self.strength.value / self.size.value)[self.with_friction]
-        median = float(np.median(own[self.slipping])) if len(self.slipping) else 1.0
-        for _ in range(NEARBY):
-            stiffest = np.zeros(len(self.network.free))
-            for end in self.network.graph.contact:
-                np.maximum.at(stiffest, end, own)
-            stiffest[~self.network.free] = 0.0
-            own = np.maximum(own, stiffest[self.network.graph.contact].max(axis=0))
-        found: np.ndarray = np.maximum(FIRM * median, STIFFER * own[self.resting])
-        return found
-
-    def moved(self, step: np.ndarray, less_friction: np.ndarray) -> Centre:
-        """Return a copy with other spins and friction, after one step of Newton's method.
-
-        step : (n,), added to the unknown spins (times radius).
-        less_friction : (3, T), subtracted from the friction of the T resting contacts, by component."""
-        moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
-        moved[self.number >= 0], less[:, self.resting] = step, -less_friction
-        spin, resting = (
-            [_without_error(part + Enclosure.exact(by)) for part, by in zip(parts, change, strict=True)]
-            for parts, change in ((self.spin, moved.T), (self.resting_friction, less))
-        )
-        return replace(self, spin=spin, resting_friction=resting)
-
-    def proven_distance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a pair: for each of the S slipping contacts a bound (S,) on |slip at the minimum - slip at these
-        spins|; and the mask (R,) of the samples in which two things are proven:
-
-        * among spins at which no resting contact slips there is one minimum, and it is within this bound;
-        * at it the resting contacts can balance, within friction, the torques of the slipping ones.
-
-        Then it is a minimum over all spins, and all minima have its slips.
-        """
-        if not self._resting_contacts_can_bear(np.zeros(len(self.slipping))).any():  # which takes little time
-            return np.full(len(self.slipping), np.inf), np.zeros(self.network.count, dtype=bool)
-        distance, proven = self._distance_of_minimum()
-        return distance, proven & self._resting_contacts_can_bear(distance) if proven.any() else proven
-
-    @cached_property
-    def _sample(self) -> np.ndarray:
-        """(S,), the number, 0 to R - 1, of the sample of each of the S slipping contacts."""
-        return self.network.sample_of(self.slipping)
-
-    def _norms(self, values: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """Return for each of R samples the Euclidean norm (R,) of the values (q,) that belong to it.
-
-        values : (q,), the values.
-        sample : (q,), the number of the sample of each value.
-        """
-        return np.sqrt(np.bincount(sample, values**2, self.network.count))
-
-    def _norms_on_spheres(self, values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-        """Return for each of R samples the Euclidean norm (R,) of the values (N spheres, 3) at its spheres in
-        `mask`.
-
-        values : (N, 3), the values, three for each sphere.
-        mask : (N,) mask of the spheres that count.
-        """
-        squares = np.where(mask[:, None], values, 0.0) ** 2
-        found: np.ndarray = np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
-        return found
-
-    def _samples_where_all(self, holds: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are True; also of those
-        without any entry.
-
-        holds : (q,) mask.
-        sample : (q,), the sample of each entry.
-        """
-        found: np.ndarray = np.bincount(sample, ~holds, self.network.count) == 0
-        return found
-
-    @property
-    def _loose_spheres(self) -> np.ndarray:
-        """(N,) mask of the free spheres that no exactly rolling contact touches, so that they are not in `exact`."""
-        return np.asarray(self.network.free & ~self.exact.spheres)
-
-    @cached_property
-    def _distance_from_law(self) -> np.ndarray:
-        """(S,), for each of S slipping contacts a bound on the difference between two frictions: its `friction`, whose
-        doubles are taken as exact, and mu F_n y / |y| + eta y, which the law gives at its slip y. It is as small as
-        rounding."""
-        return length(
-            [f.at(self.slipping) - slipping for f, slipping in zip(self.friction, self.friction_by_law, strict=True)]
-        ).most
-
-    def _relative_to_slip(self, change: np.ndarray) -> np.ndarray:
-        """Return `change` (S,) divided by the slip speeds of the S slipping contacts, rounded up, (S,). For contacts
-        without friction 0 is returned: no friction turns with the direction of their slip."""
-        found = np.zeros(len(self.slipping))
-        found[self.with_friction] = (change / self.size.least)[self.with_friction] * UP
-        return found
-
-    def _largest_torques(self, unsure: np.ndarray, less: np.ndarray | None = None) -> np.ndarray:
-        """Return bounds (N spheres, 3) on the size of each component of the torque over radius that friction leaves
-        over on each sphere, if the friction of contacts may differ from `friction`. The bound is 0 for spin components
-        that are no unknowns.
-
-        unsure : (E,), bound on that difference, a force, for each contact.
-        less : (N, 3), torques that are subtracted before; None for none.
-        """
-        less = np.zeros(self.number.shape) if less is None else less
-        parts = [part - Enclosure.exact(taken) for part, taken in zip(self.torques, less.T, strict=True)]
-        found = np.stack([part.most for part in parts], axis=1)
-        for end in self.network.graph.contact:
-            np.add.at(found, end, unsure[:, None] * UP)
-        return np.where(self.number >= 0, found * UP, 0.0)
-
-    def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return for each of the S slipping contacts a bound (S,) on |slip at a minimum - slip at these spins|, and the
-        mask (R,) of the samples for which it is proven. The minimum is the only one among the spins at which no resting
-        contact slips; call these V.
-
-        Proof: the curvature of the potential along V is at least tau, and its slope is small. The slope consists of the
-        torques r that friction leaves over, and of a vector a for the angle between friction and slip.
-        """
-        size, damping, sample = self.size.most, self.damping.most, self._sample
-        slips = self._samples_where_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
-        curvature = self.curvature() if slips.any() else None
-        if curvature is None:
-            return np.full(len(size), np.inf), np.zeros_like(slips)
-        floor = curvature.floor_in_units()
-        tau, proven = floor.tau, slips & (floor.tau > 0) & (self.loose.floor > 0)
-        loose = np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts))  # they need not roll exactly
-        ends = self.network.graph.contact[:, self.slipping]
-        # Distance to V, the spins at which resting contacts do not slip: a change of spins by no more than
-        # (norm of unit times these slips) / floor takes them away. The slip of a contact changes by up to twice that.
-        unit, of_loose = self.loose.unit[loose], self.network.sample_of(loose)
-        missed = np.sqrt(sum(self._norms(unit * part.most[loose], of_loose) ** 2 for part in self.slips))
-        change_of_spins = np.where(missed > 0, missed / self.loose.floor * UP, 0.0)
-        to_v = np.where(self._loose_spheres[ends].any(axis=0), 2 * change_of_spins[sample] * UP, 0.0)
-        angle, size_error, size_by_law = self._distance_from_slip_direction(to_v)
-        scale = np.zeros(self.number.shape)
-        scale[self.number >= 0] = curvature.scale * floor.unit
-        # reach = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2 in scaled unknowns x, each in its own unit, for the
-        # z of step 2. Times 12, see below, it bounds |x| at the minimum. Friction F at a small angle to the slip has a
-        # part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that of friction
-        # and damping together, it is angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most,
-        # which counts in r, as does what the size of F misses.
-        pull, taken, inexact = self._newton_step(curvature, floor)
-        unsure = np.zeros(len(self.network.counts))
-        unsure[self.slipping] = size_error + size_by_law * angle**2 * UP
-        torque = self._largest_torques(unsure, taken)
-        torque[self.number >= 0] = (torque[self.number >= 0] + inexact) * (curvature.scale * floor.unit)
-        reach = self._norms_on_spheres(torque, np.ones(len(scale), dtype=bool)) / tau + pull / np.sqrt(tau)
-        reach += np.sqrt(np.bincount(sample, size_by_law * size * angle**2 + damping * to_v**2, len(tau)) / tau)
-        largest = scale.max(axis=1)
-        # Where 12 comes from:
-        # 2, as two spheres change a slip by up to 2^1/2 scale |x|, and 2^1/2 / 0.72 < 2;
-        # 3, as the curvature that counts is that in V. It is at least 0.8 of |B x|^2 where slips are a quarter longer
-        #    there, times (1 - 8^-1/2)^2 as directions lose tau |x|^2 / 8 at most (checked below), which is at most
-        #    |B x|^2 / 8: that is 0.334 |B x|^2, more than a third;
-        # 1.5, as |B z| and |B x| are taken of B as doubles have it. What it misses has a norm d below tau^1/2 / 2:
-        #    the proof of tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues (`_floor_by_guess`);
-        # 4 / 3, to spare.
-        distance = (to_v + 12 * largest[ends].max(axis=0) * reach[sample] * UP**2 + TINY) * UP
-        relative_change, loss = self._relative_to_slip(distance), np.zeros(len(scale))
-        for end in ends:
-            # Curvature lost as slips turn, shared among spheres. A slip that changes by a share c of its size changes
-            # its unit vector by up to 2 c, so each contact loses (2 c)^2 mu F_n / |y|; times 2, as |u_i + u_j|^2 <= 2
-            # (|u_i|^2 + |u_j|^2). Contacts without friction lose nothing.
-            np.add.at(loss, end, 8 * relative_change * self._relative_to_slip(relative_change * self.strength.most))
-        # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
-        # be no more than what is lost, below tau / 8, but it is tau or more: so there is just one minimum.
-        remains = (largest**2 * loss * UP).reshape(len(tau), -1).max(axis=1) < tau / 8
-        return distance, proven & self._samples_where_all(relative_change <= MOST_RELATIVE_CHANGE, sample) & remains
-
-    def _newton_step(self, curvature: Form, floor: Floor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Find a motion z that takes away as much as possible of the torques that friction leaves over, about one step
-        of Newton's method. Return three arrays:
-
-        1. a bound on |B z| for each sample, (R,);
-        2. the torques B^T B z, (N spheres, 3), 0 for what is no unknown;
-        3. a bound on their rounding for each of the n unknowns, (n,).
-
-        Any z is valid; here it is about a step of Newton's method. The matrix B is meant as doubles have it.
-
-        curvature : the matrix B for the unknowns in units `scale`.
-        floor : what is proven of it, with a factor of B^T B.
-        """
-        rows, scale, samples, there = curvature.rows, curvature.scale, curvature.elimination.samples, self.number >= 0
-        torque = scale * np.stack([part.value for part in self.torques], axis=1)[there]
-        z = floor.factor.solve(torque)
-        z += floor.factor.solve(torque - rows.T @ (rows @ z))
-        z = np.where(np.isfinite(z) & ~floor.factor.failed[samples.of], z, 0.0)
-        # A sum of products has as many roundings as terms; those of all terms are allowed for, with their full sizes.
-        taken, sizes = rows.T @ (rows @ z), abs(rows).T @ (abs(rows) @ np.abs(z))
-        terms = np.diff(rows.indptr).max(initial=0) + np.bincount(rows.indices).max(initial=0) + 8
-        inexact, of_sample = terms * EPS * sizes, partial(np.bincount, samples.of, minlength=samples.count)
-        work = of_sample(np.abs(z) * (inexact + len(z) * EPS * sizes)) + of_sample(z * taken)
-        found = np.zeros(there.shape)
-        found[there] = taken / scale
-        return np.sqrt(np.maximum(work, 0.0)) * UP + TINY, found, inexact / scale * UP
-
-    def _distance_from_slip_direction(self, to_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compare the friction F of the S slipping contacts with the friction that the contact law demands for slips
-        nearby. Return three arrays (S,):
-
-        1. a bound on the size of the difference between the unit vectors along F and along the slip; 0 for contacts
-           without friction,
-        2. a bound on the difference between |F| and the size that the law demands; for contacts without friction on the
-           size of the vector difference,
-        3. an upper bound on that size.
-
-        to_v : (S,), a speed: the slips in V may differ from the stored ones by up to this.
-        """
-        some, angle, size_error = self.with_friction, np.zeros(len(self.slipping)), self._distance_from_law.copy()
-        size_by_law = self.strength + self.damping * self.size if self.network.law.flows else self.strength
-        angle[some] = (2 * (self._distance_from_law / size_by_law.least + to_v / self.size.least) * UP)[some]
-        size_error[some] = (length([part.at(self.slipping) for part in self.friction]) - size_by_law).most[some]
-        return angle, size_error, size_by_law.most
-
-    def _resting_contacts_can_bear(self, distance: np.ndarray) -> np.ndarray:
-        """Return the mask (R,) of the samples in which the T resting contacts are proven to balance, with friction
-        below all their limits, the torques of the S slipping contacts. The spins are meant that have the least
-        potential among those at which no resting contact slips.
-
-        distance : (S,), bound on |slip at that minimum - slip at these spins|.
-        """
-        network, exact = self.network, self.exact
-        # The proof is about the normals as stored. The true ones differ from them by rounding, and a tie of theirs must
-        # not be decided by it. So contacts have to bear such changes of the torques at hand as well.
-        unsure = np.where(network.counts, ROUNDED_NORMAL * length(self.friction).most, 0.0)
-        unsure[self.slipping] += (
-            self._distance_from_law
-            + 2 * self._relative_to_slip(distance) * self.strength.most
-            + self.damping.most * distance
-        )
-        torque = self._largest_torques(unsure)
-        # The friction of resting contacts is corrected by no more than what the floors say: first at loose contacts,
-        # for the spheres that exact motions leave out, then at exactly rolling ones. The first correction brings
-        # torques of its own to the spheres of these, from each contact no more than its size.
-        sample, rolls = network.sample_of(self.resting), exact.contacts[self.resting]
-        left = self._norms_on_spheres(torque, self._loose_spheres) / self.loose.floor * UP
-        change = np.where(rolls, 0.0, self.loose.unit[self.resting] * left[sample] * UP)
-        for end in network.graph.contact[:, self.resting]:
-            np.add.at(torque, end, change[:, None] * UP)
-        by_exact = self._norms_on_spheres(exact.unit * torque, exact.spheres) / exact.floor * UP**2
-        margin = (network.holding - length(self.friction)).lower() - ROUNDED_NORMAL * network.holding.most
-        change = np.where(rolls, by_exact[sample], change)
-        return self._samples_where_all(margin[self.resting] > change * UP, sample)
-
-
-def _without_error(values: Enclosure) -> Enclosure:
-    """Return enclosures with their error bounds dropped, in the same shape: sums of two doubles that are taken as
-    exact.
-
-    values : the enclosures.
-    """
-    return Enclosure.exact(values.high, values.low)
+    if found.network.count > 1:
+        return found, *found.proven_distance()
+    reduced = CentreAmongMotions.of(found)
+    if reduced is None or not found.slowest < SLOW_SLIP * float(found.network.box.max()):
+        for improves in (False, True):
+            centre = found.improved() if improves else found
+            distance, proven = centre.proven_distance()
+            if proven.any() or (improves and reduced is None):
+                return centre, distance, proven
+    assert reduced is not None
+    centre = reduced.improved()
+    return centre, *centre.proven_distance()

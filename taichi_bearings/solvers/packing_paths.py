@@ -266,19 +266,18 @@ def _ended(system: ContactSystem, path: Sample, strengths: Strengths, matrix: Ne
     matrix : Newton matrix of the path.
     fastest : unit of the products of spin and radius on the path, length/time.
     """
-    contacts, settled, ties, open_ = path.iterate.system, path.resolved, None, None
+    contacts, settled, ties, open_, rest = path.iterate.system, path.resolved, None, None, None
     if settled is None:
         with stage("settling contact states"):
-            spins, dual, slipping, open_ = settled_by_springs(path.iterate, matrix)
+            (spins, rest), dual, slipping, open_ = settled_by_springs(path.iterate, matrix)
     else:
-        spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
+        spins, rest, dual, slipping = settled.spins, settled.rest, settled.whole_dual, settled.slipping
         ties = settled.known_to_slip_sometimes | settled.at_limit
     # from the contacts of the path to all A, and from its units to those of the packing
     own = np.searchsorted(system.numbers, contacts.numbers)
     slips, opens, tie = (
         None if kind is None else _everywhere(own, kind, len(strengths.friction)) for kind in (slipping, open_, ties)
     )
-    rest = None if settled is None else settled.rest
     spins, rest, force = _in_units_of_packing(system, path, strengths, fastest, (spins, rest), dual)
     return Found(spins, force, "interior-point", slips, tie, path.steps, open=opens, rest=rest)
 

@@ -217,7 +217,7 @@ main()
     assert not {
         "scipy.spatial", "scipy.optimize", "matplotlib", "networkx", "html",
         "taichi", "quadrants", "taichi_bearings.scene.packing", "taichi_bearings.analysis.topology",
-        "taichi_bearings.proof.oblique", "taichi_bearings.proof.exact_motions",
+        "taichi_bearings.proof.oblique", "taichi_bearings.proof.centre", "taichi_bearings.proof.exact_motions",
     } & set(loaded)  # fmt: skip
 
 

@@ -1,10 +1,14 @@
 """Contacts and spins of a sample on the lattice and back."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
+import taichi_bearings as tb
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins, stacked
 from taichi_bearings.conic.contraction import Contraction
+from taichi_bearings.conic.shared import system_of
 from tests.scenes import make_scene
 
 
@@ -59,3 +63,29 @@ def test_the_terms_of_the_laplacian_are_what_springs_at_the_contacts_resist(shap
     np.add.at(found, (first, second), factor * stacked(springs)[source])
     np.add.at(found, (second, first), np.where(first == second, 0.0, factor * stacked(springs)[source]))
     np.testing.assert_allclose(found, whole, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["bcc", "triangular"])
+def test_slips_far_below_the_rounding_of_spins_have_all_their_digits(kind):
+    """Spins of neighbours cancel up to 1e-20, along the normal of the contact as well; expected are fractions."""
+    packing = tb.Packing.lattice(kind, (3,) * (3 if kind == "bcc" else 2), seed=1)
+    system = system_of(packing)
+    draw, number = np.random.default_rng(3), system.moved
+    for contact, (first, second) in enumerate(packing.contact[system.numbers]):
+        if not ((number[[first, second]] >= 0).all() and draw.random() < 0.3):
+            continue
+        normal = packing.normal[system.numbers[contact]]
+        high, low = np.zeros((2, system.unknowns))
+        own = draw.standard_normal(number.shape[1])
+        high[number[first]], high[number[second]] = own, (normal if kind == "bcc" else 0.0) - own
+        low[number[first]] = 1e-20 * draw.standard_normal(number.shape[1])
+        total = [
+            sum(Fraction(of[k]) for part in (high, low) for of in (part[number[first]], part[number[second]]))
+            for k in range(number.shape[1])
+        ]
+        n = [Fraction(of) for of in normal]
+        cross = [total[a] * n[b] - total[b] * n[a] for a, b in ((1, 2), (2, 0), (0, 1))] if kind == "bcc" else total
+        expected = float(sum(of * of for of in cross)) ** 0.5
+        found = np.linalg.norm(system.to_all_digits((high, low))[:, contact])
+        assert found == pytest.approx(expected, rel=1e-12)
+        assert 0 < expected < 1e-15

@@ -10,7 +10,7 @@ from scipy import sparse
 from taichi_bearings import dissection
 from taichi_bearings.dissection import dissected, restricted
 from taichi_bearings.proof import rounded_elimination as elimination
-from taichi_bearings.proof.curvature import Floor, proven_floor
+from taichi_bearings.proof.curvature import Floor, _largest_of_products, proven_floor
 from taichi_bearings.proof.rounded_elimination import Elimination, Samples
 
 
@@ -260,3 +260,20 @@ def test_an_order_that_leaves_something_out_is_refused(monkeypatch, fault):
     monkeypatch.setattr(elimination, "dissected", spoiled)
     with pytest.raises(RuntimeError, match="internal check failed"):
         Elimination.of(*neighbours((4, 4, 4)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_differences_of_products_are_within_their_bound_and_near_it_where_doubts_lie_apart(seed):
+    """Doubts that are large in a row of small entries count with these, not with the largest entries of all."""
+    rng = np.random.default_rng([11, seed])
+    rows = rng.standard_normal((40, 12)) * np.append(np.full(38, 1e3), [1.0, 1.0])[:, None]
+    doubt = 1e-9 * np.abs(rng.standard_normal(rows.shape)) * np.append(np.zeros(38), [1.0, 1.0])[:, None]
+    sizes = sparse.csr_array(np.abs(rows) + doubt)
+    bound = _largest_of_products(sizes, sparse.csr_array(doubt), 6, Samples.one(12))[0]
+    norms = []
+    for _ in range(50):
+        other = rows + doubt * rng.choice([-1, 1], doubt.shape)
+        norms.append(np.linalg.norm((other - rows).T @ other + rows.T @ (other - rows), 2))
+    assert max(norms) <= bound
+    assert bound < 20 * max(norms)
+    assert bound < 1e-2 * 2 * np.linalg.norm(sizes.toarray(), 2) * np.linalg.norm(doubt, 2)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
+from taichi_bearings.proof.centre import Centre, LooseFloor, newton_step
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.oblique import Centre, LooseFloor
 from taichi_bearings.proof.springs import floor_by_contact, numbered, weighed
 from taichi_bearings.proof.states import _rows_of_cones
 
@@ -78,13 +78,13 @@ def test_what_a_motion_takes_away_is_bounded_in_fractions():
             return kept[-1]
 
     floor = type(factor_of)(factor_of.tau, factor_of.unit, Kept)
-    pull, taken, inexact = centre._newton_step(curvature, floor)
+    pull, taken, inexact = newton_step(curvature, floor, centre.torque_values[number >= 0])
     z = [Fraction(x) for x in (kept[0] + kept[1]).tolist()]
     rows = [[Fraction(x) for x in row] for row in curvature.rows.toarray().tolist()]
     along = [sum(b * x for b, x in zip(row, z, strict=True)) for row in rows]
     assert sum(x**2 for x in along) <= Fraction(pull[0]) ** 2
     assert float(sum(x**2 for x in along)) == pytest.approx(pull[0] ** 2, rel=1e-6)
-    for k, (given, off, scale) in enumerate(zip(taken[number >= 0], inexact, curvature.scale, strict=True)):
+    for k, (given, off, scale) in enumerate(zip(taken, inexact, curvature.scale, strict=True)):
         true = sum(row[k] * x for row, x in zip(rows, along, strict=True)) / Fraction(scale)
         assert abs(true - Fraction(given)) <= Fraction(off)
     assert 0 < inexact.max() < 1e-9 * np.abs(taken).max()
