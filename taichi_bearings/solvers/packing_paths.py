@@ -24,7 +24,7 @@ from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
 from taichi_bearings.conic.multipliers import settled_by_springs
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Surroundings
-from taichi_bearings.conic.shared import is_small, surroundings_of
+from taichi_bearings.conic.shared import KEPT_UNKNOWNS, is_small, surroundings_of
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene import Progress
@@ -161,6 +161,8 @@ class PackingPaths(Paths):
                 for number in self.numbers:
                     if number not in self.ends:
                         self.ends[number] = self._end(number)
+            if self.shared.system.unknowns >= KEPT_UNKNOWNS:  # the proof needs as much memory as the large matrix
+                self.shared = replace(self.shared, newton=None)
 
     def _path_of(self, number: int) -> Sample:
         """Return the state on its central path of a sample with friction; ValueError for one without, which has no
