@@ -31,8 +31,9 @@ ALONG_BYTES, OBLIQUE_BYTES, STEPPED_BYTES, STEP_SECONDS = 15.5e3, 31e3, 6e3, 8e-
 FILLED_SPHERES, FILLED_POWER = 1000, 0.2
 # time of a packing with normals along the axes, and with others, over that of a lattice with as many spheres
 ALONG_FACTOR, OBLIQUE_FACTOR = 2.0, 8.0
-# what a minimum whose contact states are not asked for (--no-settle) takes of the time, and in a packing of the bytes
-UNSETTLED_SECONDS, UNSETTLED_BYTES = 0.6, 0.8
+# what a minimum whose contact states are not asked for (--no-settle) takes of the time, and in a packing of the bytes;
+# and the most bytes of each sphere there, as the matrix of a large packing is given back before the minimum is judged
+UNSETTLED_SECONDS, UNSETTLED_BYTES, MOST_UNSETTLED_BYTES = 0.6, 0.8, 38e3
 # spheres beyond which the method of a packing is told without a search for motions that make no contact slip
 MOST_SEARCHED = 5_000
 
@@ -177,19 +178,21 @@ def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bea
         return Cost(row.name, seconds, step, steps, PROCESS_BYTES + STEPPED_BYTES * spheres)
     along = bool((np.count_nonzero(network.normal, axis=1) == 1).all())
     alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
-    in_time, in_bytes = (UNSETTLED_SECONDS, UNSETTLED_BYTES) if _is_unsettled(settings) else (1.0, 1.0)
+    settles = not _is_unsettled(settings)
+    in_time = 1.0 if settles else UNSETTLED_SECONDS
     seconds = PROCESS_SECONDS + count * alike * in_time * (ALONG_FACTOR if along else OBLIQUE_FACTOR)
-    room = PROCESS_BYTES + in_bytes * bytes_of_packing(spheres, along)
+    room = PROCESS_BYTES + bytes_of_packing(spheres, along, settles)
     name = method_of(scene, settings.method, looks_for_motions=spheres <= MOST_SEARCHED)
     return Cost(name, seconds, None, None, room)
 
 
-def bytes_of_packing(spheres: int, along: bool = False) -> float:
+def bytes_of_packing(spheres: int, along: bool = False, settles: bool = True) -> float:
     """Return the memory, bytes, that the minimum of one sample of a packing takes beside that of the process.
 
     spheres : number of spheres.
     along : True if all normals are along the axes.
+    settles : True if contact states are asked for.
     """
-    if along:
-        return ALONG_BYTES * spheres
-    return OBLIQUE_BYTES * spheres * float(max(spheres / FILLED_SPHERES, 1.0) ** FILLED_POWER)
+    each = OBLIQUE_BYTES * float(max(spheres / FILLED_SPHERES, 1.0) ** FILLED_POWER)
+    each = ALONG_BYTES if along else each
+    return spheres * (each if settles else min(UNSETTLED_BYTES * each, MOST_UNSETTLED_BYTES))
