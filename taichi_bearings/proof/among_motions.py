@@ -15,8 +15,8 @@ Symbols
 The proof is that of centre.py with the unknowns w. Any C is valid: a floor tau of |B P C w|^2 above 0 shows that C is
 regular, so that w stands for all v. Two bounds are closer here:
 * Only torques along the motions count, P^T r. What exactly rolling contacts exert has no part along them.
-* How far a slip turns. |B P C w| at the minimum is at most 9 tau^1/2 reach (centre.py has its factors: 3 x 1.5 x 4/3 /
-  0.72 < 9), and so is each of its rows: the change across a slip is at most that over (mu F_n / |y|)^1/2. A change d
+* How far a slip turns. |B P C w| at the minimum is at most 9 tau^1/2 reach (centre.py has its factors: 3 x 2 / 0.72 <
+  9), and so is each of its rows: the change across a slip is at most that over (mu F_n / |y|)^1/2. A change d
   with a part d_a across turns the slip y by an angle whose sine is at most |d_a| / (|y| - |d|), where |d| is at most a
   quarter of |y|. Unit vectors at an angle below asin 1/4 differ by at most 1.01 times its sine: in all by less than 1.4
   |d_a| / |y|.
@@ -203,7 +203,7 @@ class CentreAmongMotions(Centre):
         changes = self._changes_of_slips(curvature, scale)
         lengths = np.sqrt(np.asarray(changes.power(2).sum(axis=1)).reshape(3, -1).sum(axis=0))
         distance = (to_v + 8.4 * lengths * reach * UP**2 + TINY) * UP
-        across = np.where(strength > 0, 9 * np.sqrt(tau * size / np.maximum(strength, TINY)) * reach, 0.0)
+        across = np.where(strength > 0, 9 * np.sqrt(tau * size / np.maximum(strength, TINY)) * reach, np.inf)
         turned = np.minimum(1.4 * self.relative_to_slip(to_v + across), 2 * self.relative_to_slip(distance)) * UP**2
         # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
         # be no more than what is lost as slips turn, below tau / 8, but it is tau or more: so there is just one.

@@ -56,8 +56,8 @@ class Centre:
     number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none.
     slipping, resting : (S,) and (T,), indices of the contacts.
     spin : spins times radius by component, 3 enclosures (N,).
-    resting_friction : friction of the resting contacts by component, 3 enclosures (E,); entries of other contacts are
-        not used.
+    resting_friction : friction of the resting contacts by component, 3 enclosures (E,); 0 at contacts that cannot
+        dissipate. Entries of slipping contacts are not used.
     """
 
     network: JudgedNetwork
@@ -419,9 +419,9 @@ class Centre:
         # 3, as the curvature that counts is that in V. It is at least 0.8 of |B x|^2 where slips are a quarter longer
         #    there, times (1 - 8^-1/2)^2 as directions lose tau |x|^2 / 8 at most (checked below), which is at most
         #    |B x|^2 / 8: that is 0.334 |B x|^2, more than a third;
-        # 1.5, as |B z| and |B x| are taken of B as doubles have it. What it misses has a norm d below tau^1/2 / 2:
-        #    the proof of tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues (`_floor_by_guess`);
-        # 4 / 3, to spare.
+        # 2, as |B z| and |B x| are taken of B as doubles have it. What it misses has a norm d below 0.71 tau^1/2: the
+        #    proof of tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues, or for a number above 2 d^2 that
+        #    is below tau (`_floor_by_guess`).
         distance = (to_v + 12 * largest[ends].max(axis=0) * reach[sample] * UP**2 + TINY) * UP
         # A slip that changes by a share c of its size changes its unit vector by up to 2 c.
         relative_change = self.relative_to_slip(distance)

@@ -58,6 +58,17 @@ def test_the_minimum_is_as_near_as_is_proven(centre, size):
     assert (turns <= turned + 1e-15).all()
 
 
+@np.errstate(all="ignore")
+def test_nothing_is_known_of_the_direction_of_a_slip_whose_friction_limit_may_be_0(centre):
+    holding, at = centre.network.holding, centre.with_friction[0]
+    error = holding.error.copy()
+    error[centre.slipping[at]] = 2 * holding.high[centre.slipping[at]]
+    network = replace(centre.network, holding=Enclosure(holding.high, holding.low, error))
+    _, turned, proven = replace(centre, network=network)._distance_of_minimum()
+    assert not turned[at] < np.inf
+    assert not proven.any()
+
+
 def test_torques_along_motions_do_not_depend_on_friction_of_rolling_contacts(centre):
     rows = centre.rows[centre.rows_of(np.flatnonzero(centre.exact.contacts))]
     slips = rows @ centre.motions
