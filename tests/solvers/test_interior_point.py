@@ -253,3 +253,9 @@ def test_states_that_are_not_found_at_first_are_found_further_along_the_path(mon
     solution = minimum_of(Scene.random((10, 10, 10), seed=86))
     assert [bool(found and found.sure) for (found,) in trials] == [False, True]
     assert solution.states_proven[0]
+
+
+@pytest.mark.parametrize("seed", [40, 53])
+def test_paths_of_larger_lattices_begin_where_states_settle(seed):
+    """From points with forces the paths of these samples end before their states are known."""
+    assert minimum_of(Scene.random((16, 16, 16), seed=seed)).states_proven.all()
