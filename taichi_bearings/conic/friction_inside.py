@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from taichi_bearings.conic.cones import determinant, inner, isotropic, length
+from taichi_bearings.conic.cones import determinant, inner, isotropic, length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
@@ -57,7 +57,8 @@ def moved_inside(
         # a step down the barrier, and springs that take the torques of it away
         down = found - resisted(compliance, slope)
         there = matrix.stretched(down, partial(resisted, compliance), system.torques(found))
-        share = min(1.0, SHARE_OF_REACH * _reach(ratio * limit, found, there - found))
+        reach = longest_step((ratio * limit, found), (np.zeros_like(limit), there - found))
+        share = min(1.0, SHARE_OF_REACH * reach)
         moved = found + share * (there - found)
         now = float((length(moved) / limit).max(initial=0.0))
         if not now < ratio:
@@ -69,14 +70,3 @@ def moved_inside(
     found = np.where(rests, found, force)
     left = np.abs(system.torques(found - force)).max(initial=0.0)
     return found if largest <= INSIDE_SHARE and left <= MOVED_TORQUE * float(limit.max()) else force
-
-
-def _reach(limit: np.ndarray, here: np.ndarray, change: np.ndarray) -> float:
-    """Return the largest factor by which forces can change before one reaches its limit.
-
-    limit : (n,), limits, above the forces.
-    here, change : (d, n), forces and their change.
-    """
-    square, slope, room = inner(change, change), inner(here, change), determinant((limit, here))
-    found = room / (slope + np.sqrt(np.maximum(slope**2 + square * room, 0.0)))
-    return float(np.where(square > 0, found, np.inf).min(initial=np.inf))

@@ -237,13 +237,21 @@ class FrictionStage:
         solution, left, enough = np.zeros_like(right), right, GRADIENT_RESIDUAL**2 * float(right @ right)
         direction, size = left, float(left @ left)
         while size > enough:
-            image = resisted(self._stiffness, self.system.change(direction))
-            image = self._inertia * direction + self.system.torques(image)
+            _, image = self._response(direction)
             length = size / float(direction @ image)
             solution, left = solution + length * direction, left - length * image
             size, before = float(left @ left), size
             direction = left + size / before * direction
         return solution
+
+    def _response(self, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the springs, with the stiffness that was prepared last, resist to a change of the spins: the
+        forces times the radius (d, n), and their torques with those of inertia (unknowns,).
+
+        step : (unknowns,), the change, 1/time.
+        """
+        change = resisted(self._stiffness, self.system.change(step))
+        return change, self._inertia * step + self.system.torques(change)
 
     def _step_length(
         self,
@@ -349,7 +357,7 @@ class FrictionStage:
             step = self._solved(-torque)
             now = -float(torque @ step)
             direction = step + now / before * direction
-            change = resisted(self._stiffness, self.system.change(direction))
-            length = now / float(direction @ (inertia * direction + self.system.torques(change)))
+            change, image = self._response(direction)
+            length = now / float(direction @ image)
             force, spins, before = force + length * change / self.radius, spins + length * direction, now
         return force, spins

@@ -1,4 +1,7 @@
-"""Finds the connected pieces of a graph, and which of them have loops of odd length."""
+"""Finds the connected pieces of a graph, and which of them have loops of odd length. SciPy's searches do the work.
+
+SciPy is loaded when they are first called: it takes a third of a second, and scenes on lattices do without them.
+"""
 
 import numpy as np
 
@@ -10,15 +13,11 @@ def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     nodes : number of nodes.
     first, second : (edges,), the two ends of each edge.
     """
-    root = np.arange(nodes)  # of each node one of its piece that is not after it; at the end the first one
-    while (apart := root[first] != root[second]).any():
-        first, second = first[apart], second[apart]
-        ends = root[first], root[second]
-        np.minimum.at(root, np.maximum(*ends), np.minimum(*ends))
-        while ((further := root[root]) != root).any():
-            root = further
-    number: np.ndarray = np.cumsum(root == np.arange(nodes)) - 1
-    return number[root]
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
+    graph = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(nodes, nodes))
+    return np.asarray(csgraph.connected_components(graph, directed=False)[1])
 
 
 def odd_pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

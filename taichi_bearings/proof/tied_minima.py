@@ -72,8 +72,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from heapq import heappop, heappush
-from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -295,59 +293,22 @@ class Constraints:
         rests_at_some = high == 0
         # A slipping contact rests at some minimum if no path without the contacts of its group is shorter than its
         # slip. Paths through one of them are as long as that slip alone, at least.
-        edges = _edges_by_node(tail, head, low, group, len(shortest))
-        for number in np.flatnonzero(~slips_at_all & ~rests_at_some).tolist():
-            limit = float(high[number] * rounding)
-            rests_at_some[number] = _none_is_shorter(edges, int(tail[number]), int(head[number]), limit, group[number])
+        for number in np.unique(group[~slips_at_all & ~rests_at_some]):
+            own = np.flatnonzero(group == number)
+            left, starts, limit = group != number, np.unique(tail[own]), high[own] * rounding
+            others = _graph_of_shortest(tail[left], head[left], low[left], len(shortest))
+            around = dijkstra(others, indices=starts, limit=float(limit.max()))  # beyond the limit: infinite
+            rests_at_some[own] = limit <= around[np.searchsorted(starts, tail[own]), head[own]]
         return rests_at_some, slips_at_all, slips_at_some
 
 
-Edges: TypeAlias = list[list[tuple[int, float, int]]]
-
-
-def _edges_by_node(tail: np.ndarray, head: np.ndarray, length: np.ndarray, group: np.ndarray, size: int) -> Edges:
-    """Return the edges of a directed graph: for each of `size` nodes a list of those that begin there, each as its last
-    node, its length and its group.
-
-    tail, head, length, group : (edges,), first and last node of each edge, its length, and the number of its group.
-    """
-    found: Edges = [[] for _ in range(size)]
-    for first, *edge in zip(tail.tolist(), head.tolist(), length.tolist(), group.tolist(), strict=True):
-        found[first].append((edge[0], edge[1], edge[2]))
-    return found
-
-
-def _none_is_shorter(edges: Edges, tail: int, head: int, limit: float, left_out: int) -> bool:
-    """Return True if no path from one node of a directed graph to another is shorter than a limit.
-
-    edges : of each node the edges that begin there.
-    tail, head : first and last node of the paths.
-    limit : length to compare with.
-    left_out : number of the group of edges that paths do not use.
-
-    Nodes are reached in the order of their distance (Dijkstra), up to the limit.
-    """
-    ahead, done = [(0.0, tail)], set()
-    while ahead:
-        distance, node = heappop(ahead)
-        if distance >= limit:
-            return True
-        if node == head:
-            return False
-        if node not in done:
-            done.add(node)
-            for end, length, group in edges[node]:
-                if group != left_out and distance + length < limit:
-                    heappush(ahead, (distance + length, end))
-    return True
-
-
-def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray) -> sparse.csr_array:
+def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
     """Return a directed graph as a sparse matrix (size, size) of lengths. Of several edges from one node to another the
     shortest is kept. A stored 0 is an edge of length 0; where nothing is stored there is no edge.
 
-    tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length."""
-    size = int(max(tail.max(initial=0), head.max(initial=0))) + 1
+    tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length.
+    size : least number of nodes; there are more if the edges need more."""
+    size = max(size, int(max(tail.max(initial=0), head.max(initial=0))) + 1)
     order = np.lexsort((length, head, tail))
     first = np.append(True, (np.diff(tail[order]) != 0) | (np.diff(head[order]) != 0))[: len(order)]
     kept = order[first]
