@@ -35,16 +35,16 @@ _last_word = threading.Lock()  # whoever holds it ends the process
 
 
 class _Blocks:
-    """Counts the blocks of one kind that are under way, which may be inside each other.
+    """Counter of the `with` blocks of one kind that are being executed; they may be inside each other.
 
-    under_way : their number.
+    under_way : number of the blocks that were entered and not left.
     """
 
     under_way = 0
 
     @contextlib.contextmanager
     def one_more(self) -> Iterator[None]:
-        """Context of a block that counts."""
+        """Context of a `with` block that is counted until it is left, by an exception too."""
         self.under_way += 1
         try:
             yield

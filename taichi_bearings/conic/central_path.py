@@ -328,9 +328,12 @@ class Path:
         return step
 
     def _correctors_for(self, iterate: Iterate) -> int:
-        """Return the number of Gondzio's correctors up to which a step is quicker than further factorisations.
+        """Return the largest number of Gondzio's correctors in a step of a sample. A corrector is a further solution
+        with the factorised matrix, which lengthens the step; more of them would take longer than the factorisations
+        that they save. That number is larger where a factorisation takes longer, and where frictions are decades apart,
+        as steps are short there.
 
-        iterate : the point where a sample begins.
+        iterate : the point where the path of the sample begins; its frictions are looked at.
         """
         if self._matrix.is_costly:
             return CORRECTORS_IF_COSTLY

@@ -159,11 +159,20 @@ class _Multipliers:
         return True
 
     def _tell_apart(self, slips: np.ndarray, slip: np.ndarray, before: np.ndarray) -> None:
-        """Decide which contacts slip. A contact whose spring is at the limit of friction slips, unless that is no more
-        than creep.
+        """Decide which contacts slip, and set these fields:
+
+        slipping : (n,) mask of the contacts that slip.
+        are_apart : True if that is clear for all.
+        open : (n,) mask of the contacts below their limit that slip by LEAST_SLIP or more.
+        slip : (n,), sizes of the slips.
+
+        Contacts whose springs are below the limit of friction rest; what they slip all the same, as springs stretch, is
+        creep. A contact at its limit is in doubt if its slip is less than APART times the fastest creep. It rests if
+        its slip has fallen below CREEPS times that before, or is below NO_SLIP. If some are still in doubt then, all
+        contacts at their limit are taken to slip.
 
         slips : (n,) mask of the contacts whose springs are at their limit.
-        slip, before : (n,), slips now and at the minimum before.
+        slip, before : (n,), sizes of the slips now and at the minimum before.
         """
         creep = np.where(slips, 0.0, slip)
         doubtful = slips & (slip < APART * creep.max(initial=0.0)) & (self.point.friction > 0)

@@ -102,7 +102,7 @@ def along(size: np.ndarray, x: Pair) -> Pair:
     """Return the vectors (d, n) of given sizes along the vectors x, as sums of two doubles: size / |x| * x.
 
     size : (n,) doubles.
-    x : (d, n), none of them 0, and with squares that neither overflow nor underflow.
+    x : (d, n) of d = 1 or 2 components, none of them 0, and with squares that neither overflow nor underflow.
 
     The inverse length is r = 1 / |x|, computed in doubles, times 1 + e / 2 + 3 e^2 / 8 with e = 1 - r^2 |x|^2. As e is
     some 1e-16, what is left out is below 1e-47.

@@ -197,8 +197,9 @@ def label_in_plain_text(*axes: Axis) -> None:
 
 
 def fix_minor_ticks(axes: Any) -> None:
-    """Draw minor ticks without labels where they stand now, all of an axis as one line of markers: matplotlib makes
-    five objects of each tick, which takes half of the time in which a small figure is drawn.
+    """Draw the minor ticks of each axis where they stand now, as one line of markers: matplotlib makes five objects of
+    each tick, which takes half of the time in which a small figure is drawn. An axis whose minor ticks have labels
+    stays as it is.
 
     axes : axes of matplotlib, with their final limits.
     """

@@ -140,7 +140,8 @@ class CentreAmongMotions(Centre):
         """Return spins closer to the minimum among those at which the resting contacts rest, and friction of these that
         balances all torques. Nothing about the result is proven. These are steps of Newton's method with one matrix, as
         long as each more than halves the torques along the motions, with springs at loose contacts alone; then springs
-        at all resting contacts take the other torques."""
+        at all resting contacts take the other torques. The same spins are returned if the curvature cannot be
+        factorised."""
         stiffest = float((self.strength.value / self.size.value)[self.with_friction].max(initial=1.0))
         stiffness = np.full(len(self.loose_places), FIRMER * stiffest)
         curvature = self.reduced(stiffness)
@@ -162,8 +163,12 @@ class CentreAmongMotions(Centre):
             found = best.moved(curvature.spins(step), less)
 
     def _balanced(self) -> CentreAmongMotions:
-        """Return the same spins with the friction of resting contacts changed by equal springs there such that torques
-        balance."""
+        """Return the same spins, with the friction of resting contacts corrected so that torques on free spheres
+        balance as nearly as rounding allows. Nothing about the result is proven.
+
+        The correction is the force that equally stiff springs at the resting contacts bear under the torques that are
+        left. It is repeated as long as it more than halves these, MOST_BALANCING times at most. The friction stays
+        unchanged if the matrix of these springs cannot be factorised."""
         rows, there = sparse.csr_array(self.rows[self.rows_of(self.resting)]), self.number >= 0
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))

@@ -184,16 +184,21 @@ def _held_by_springs(
     friction, torques, unknown = network.own_friction, network.own_torques, None
     fastest, reach = FASTEST_COMPARED * float(network.box.max(initial=0.0)), np.full(count, np.inf)
 
-    def sum_of(torques: list[Enclosure]) -> np.ndarray:
-        """Return for each of R samples the sum (R,) of the sizes of all torques that are left over."""
+    def sum_of_sizes(torques: list[Enclosure]) -> np.ndarray:
+        """Return for each of R samples an upper bound (R,) on the sum of |torque over radius| over all components and
+        all spheres that forces reach.
+
+        torques : for each component the torques left over on n spheres, enclosures (n,)."""
         every = [np.where(network.reached, part.most, 0.0).reshape(count, -1).sum(axis=1) for part in torques]
         found: np.ndarray = np.sum(every, axis=0) * UP
         return found
 
     def cost(torques: list[Enclosure]) -> np.ndarray:
-        """Return for each of R samples the power (R,) that these torques may cost at any spins of some minimum."""
+        """Return for each of R samples the power (R,) that torques may cost at most, at the spins of some minimum.
+
+        torques : for each component the torques over radius left over on n spheres, enclosures (n,)."""
         with np.errstate(invalid="ignore"):
-            found: np.ndarray = reach * sum_of(torques)
+            found: np.ndarray = reach * sum_of_sizes(torques)
         return np.where(np.isnan(found), np.inf, found)
 
     if springs is not None:
@@ -203,7 +208,7 @@ def _held_by_springs(
         if open_.any():
             reach = np.where(open_, np.minimum(reach, springs.even_reach), reach)
     known = (reach <= fastest) | (cost(torques) <= PAID * upper)
-    paid = Enclosure.exact(np.where(known, cost(torques), sum_of(torques) * fastest))
+    paid = Enclosure.exact(np.where(known, cost(torques), sum_of_sizes(torques) * fastest))
     return friction, torques, unknown, np.where(known, PROVEN, WITHIN), paid
 
 

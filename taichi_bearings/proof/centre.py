@@ -369,9 +369,12 @@ class Centre:
 
     @cached_property
     def distance_to_v(self) -> np.ndarray:
-        """(S,), for each of S slipping contacts how far its slip may be from that at some spins in V, where no resting
-        contact slips: 0 unless a loose contact is near. A change of spins by no more than (norm of unit times their
-        slips) / floor lets all loose contacts rest. The slip of a contact changes by up to twice that."""
+        """(S,), for each of S slipping contacts a bound on the distance of its slip from that at some spins in V. V are
+        all spins at which no resting contact slips.
+
+        Let y be the slips of the loose contacts (those that need not roll exactly). A change of spins whose norm is at
+        most |unit y| / floor brings all of them to rest (`LooseFloor`). It changes another slip by at most twice its
+        norm, and only at the loose spheres, so that the bound is 0 elsewhere."""
         loose = np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts))  # they need not roll exactly
         unit, of_loose = self.loose.unit[loose], self.network.sample_of(loose)
         missed = np.sqrt(sum(self._norms(unit * part.most[loose], of_loose) ** 2 for part in self.slips))
@@ -466,12 +469,14 @@ class Centre:
         return angle, size_error, size_by_law.most
 
     def _resting_contacts_can_bear(self, distance: np.ndarray, turned: np.ndarray) -> np.ndarray:
-        """Return the mask (R,) of the samples in which the T resting contacts are proven to balance, with friction
-        below all their limits, the torques of the S slipping contacts. The spins are meant that have the least
-        potential among those at which no resting contact slips.
+        """Return the mask (R,) of the samples in which it is proven that the T resting contacts can balance the torques
+        of the S slipping contacts, with friction below the limit of each.
 
-        distance : (S,), bound on |slip at that minimum - slip at these spins|.
-        turned : (S,), bound on the difference between the unit vectors along both.
+        The proof is about the constrained minimum: the spins of least potential among those at which no resting contact
+        slips. The spins at hand are only near it.
+
+        distance : (S,), bound on |slip at the constrained minimum - slip at hand| of each slipping contact.
+        turned : (S,), bound on the difference between the unit vectors along these two slips.
         """
         network, exact = self.network, self.exact
         # The proof is about the normals as stored. The true ones differ from them by rounding, and a tie of theirs must
@@ -479,9 +484,10 @@ class Centre:
         unsure = np.where(network.counts, ROUNDED_NORMAL * length(self.friction).most, 0.0)
         unsure[self.slipping] += self._distance_from_law + turned * self.strength.most + self.damping.most * distance
         torque = self._largest_torques(unsure)
-        # The friction of resting contacts is corrected by no more than what the floors say: first at loose contacts,
-        # for the spheres that exact motions leave out, then at exactly rolling ones. The first correction brings
-        # torques of its own to the spheres of these, from each contact no more than its size.
+        # The friction of resting contacts is corrected in two steps: first at the loose contacts (those that need not
+        # roll exactly), which balances the loose spheres; then at the exactly rolling ones. The size of either is at
+        # most that of its torques over a proven floor. The first also exerts torques on the spheres of the second, each
+        # contact no more than the size of its correction.
         sample, rolls = network.sample_of(self.resting), exact.contacts[self.resting]
         left = self._norms_on_spheres(torque, self._loose_spheres) / self.loose.floor * UP
         change = np.where(rolls, 0.0, self.loose.unit[self.resting] * left[sample] * UP)

@@ -721,7 +721,7 @@ def _largest_of_products(sizes: sparse.csr_array, doubt: sparse.csr_array, steps
     vector = np.ones(sizes.shape[1])
 
     def product() -> np.ndarray:
-        """Return (n,), that matrix times the vector."""
+        """Return (n,), the matrix sizes^T doubt + doubt^T sizes times `vector`."""
         found: np.ndarray = sizes.T @ (doubt @ vector) + doubt.T @ (sizes @ vector)
         return found
 

@@ -138,11 +138,12 @@ class Springs:
 
     @property
     def even_reach(self) -> np.ndarray:
-        """The bound (R,) of :attr:`reach`, proven by springs that are all equally stiff. It may be finite where those
-        of :attr:`reach` differ by so many decades that rounding hides how firmly they resist."""
+        """Upper bound (R,), for each of R samples, on the size of every component of free spins (times radius) at some
+        minimum, as :attr:`reach` is, but proven by springs that are all equally stiff. It may be finite where the
+        springs of :attr:`reach` differ in stiffness by so many decades that rounding hides how firmly they resist."""
         even, by_sample = self.network.counts.astype(float), self.fastest.reshape(self.network.count, -1)
         form = weighed(self.network, slip_rows(self.network, self.number), np.tile(even, 3), self.number)
-        assert form is not None  # no column is 0, as none of `form` is
+        assert form is not None  # it is None only if a column is 0, and then `self.form` would not have been made
         with np.errstate(all="ignore"):
             return self._reach(form, even, np.sqrt((by_sample**2).sum(axis=1)))
 

@@ -171,13 +171,16 @@ class Pulls:
 
     @cached_property
     def welded_slipless(self) -> np.ndarray:
-        """(2, spheres), by component the number of the welded domain of each sphere if slipless domains are welded: 0
-        for those that contain a driven sphere, then 1, 2, ..."""
+        """(2, spheres), for either component the number of the welded domain of each sphere, where slipless domains are
+        welded: 0 for a welded domain with a driven sphere, then 1, 2, ... (:meth:`_welded_domains` says what that is).
+        """
         return np.array([self._welded_domains(self.slipless_domain, slot) for slot in range(2)])
 
     @cached_property
     def welded_locked(self) -> np.ndarray:
-        """(2, spheres), the same numbers if locked domains are welded."""
+        """(2, spheres), for either component the number of the welded domain of each sphere, where locked domains are
+        welded: 0 for a welded domain with a driven sphere, then 1, 2, ... (:meth:`_welded_domains` says what that is).
+        """
         return np.array([self._welded_domains(self.locked_domain, slot) for slot in range(2)])
 
     def _welded_domains(self, label: np.ndarray, slot: int) -> np.ndarray:

@@ -88,12 +88,15 @@ def read_run(run: str | Path) -> Result:
 
 
 def read_claims(run: str | Path) -> tuple[Result, list[str]]:
-    """Return the result in a run file without checking it, and the names of data sets and attributes in the file that
-    were changed after it was written.
+    """Return the result in a run file as the file claims it to be, without checking it; and the names of the data sets
+    and attributes that were changed after the file was written.
 
-    `Result.attributes` has what the file says; the gap of the solution is not-a-number. A method of one's own, and its
-    options, need not be loaded; its settings then have the method "auto". Raises FileError if the file is
-    missing, has an unknown layout, or is so damaged that it holds no run.
+    run : a run directory, or its run.h5.
+
+    `Result.attributes` has what the file says. The gap of the solution, between power and lower bound, is not-a-number
+    until it is proven anew. If the method of the run is not loaded, as one that a user has registered, the settings of
+    the result have the method "auto", without its options. Raises FileError if the file is missing, has an unknown
+    layout, or is so damaged that it holds no run.
     """
     changed: list[str] = []
     with _opened(run, changed) as (path, file, attributes):

@@ -141,10 +141,10 @@ class Cholesky:
         self._factors = dict[int, Factor]()
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the numbers (pairs,) that stored entries have in the list of all stored entries: those that couple
-        pairs of unknowns. It is called before the first call of :meth:`factor`.
+        """Return for each pair of unknowns the index (pairs,), in the list of all stored entries, of the entry that
+        couples them. It is called before the first call of :meth:`factor`.
 
-        first, second : (pairs,), the two unknowns of each pair.
+        first, second : (pairs,), the two unknowns of each pair, in any order.
         """
         assert not isinstance(self.pattern, PlacedPattern)
         return self.pattern.entry(first, second)

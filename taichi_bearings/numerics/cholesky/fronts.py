@@ -340,11 +340,12 @@ def _numbers(members: np.ndarray, begins: np.ndarray, most: int, which: np.ndarr
 
 
 def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_array:
-    """Return the lower triangle of a symmetric pattern, with its diagonal: a sparse matrix (unknowns, unknowns) that
-    has in row k the rows, ascending, of the entries of column k.
+    """Return which entries the lower triangle of a symmetric matrix has, with its diagonal, for unknowns in the order
+    of elimination. The triangle is stored by columns: a sparse array (unknowns, unknowns), whose row k has as `indices`
+    the rows, ascending, of the entries in column k. Its values mean nothing.
 
     place : (unknowns,) position of each unknown in the order of elimination.
-    first, second : (pairs,), the two unknowns of each coupled pair.
+    first, second : (pairs,), the two unknowns of each coupled pair, in any order; a pair may come twice.
     """
     a, b, diagonal = place[first], place[second], np.arange(len(place))
     columns, rows = np.append(np.minimum(a, b), diagonal), np.append(np.maximum(a, b), diagonal)
