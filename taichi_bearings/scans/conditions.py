@@ -24,7 +24,10 @@ def meeting(conditions: Sequence[str], table: Mapping[str, np.ndarray]) -> np.nd
     chosen = np.ones(len(next(iter(table.values()))), dtype=bool)
     for condition in conditions:
         key, equals, value = condition.partition("=")
-        if not equals or key not in table:
+        if key in table and not equals:
+            some = named(key, table[key].tolist()[0])
+            raise InputError(f"--where {condition!r} cannot be used; it must be KEY=VALUE, such as {key}={some}")
+        if key not in table:
             raise InputError(
                 f"--where {condition!r} cannot be used; it must be KEY=VALUE with a KEY of {', '.join(table)}"
                 f"{meant(key, table)}"

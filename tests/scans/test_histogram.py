@@ -160,7 +160,8 @@ def test_conditions_choose_the_samples_that_are_pooled(scan, tmp_path):
     one = pooled([source], where=("spin_bottom=0.1", "shape=8x8"))[None]
     assert one.slipping == both[0.1].slipping < parts[0.1].slipping < whole.slipping
     for condition, sentence in (
-        ("shape", "KEY=VALUE"), ("shape=9x9", "one of 4x4, 8x8, 16x16"), ("shap=4x4", "did you mean 'shape'"),
+        ("shape", "it must be KEY=VALUE, such as shape=4x4"),
+        ("shape=9x9", "one of 4x4, 8x8, 16x16"), ("shap=4x4", "did you mean 'shape'"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=sentence):
             pooled([source], where=(condition,))
