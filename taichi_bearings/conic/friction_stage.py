@@ -26,7 +26,9 @@ from taichi_bearings.scene.scene import vector_length
 
 # torque left, relative to friction and inertia, at which Newton's method ends, and at which linear corrections end
 STAGE_TORQUE, CORRECTED_TORQUE = 1e-10, 1e-15
-MOST_GRADIENTS = 8  # linear corrections by conjugate gradients at most, after REFINEMENTS other ones
+# linear corrections by conjugate gradients at most, after REFINEMENTS other ones; and the largest force over its limit
+# up to which a correction counts as linear: it turns the force of a slipping contact and must hardly lengthen it
+MOST_GRADIENTS, STILL_LINEAR = 8, 1 + 1e-3
 LARGEST_EIGENVALUE = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 GRADIENT_RATIO = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
 GRADIENT_RESIDUAL = 1e-5  # relative residual at which conjugate gradients end
@@ -331,33 +333,55 @@ class FrictionStage:
             force = force + resisted(self._stiffness, self.system.change(step)) / self.radius
             spins = spins + step
         else:
-            force, spins = self._corrected_by_gradients(friction.inertia, base, spins, force, scale)
-        viscosity = friction.viscosity
-        held = force if viscosity is None else force - viscosity * self.radius * self.system.differences(spins)
-        return StageEnd(spins, force, held, friction.slips(trial))
+            force, spins = self._corrected_by_gradients(friction, base, spins, force, scale)
+        return StageEnd(spins, force, self._without_viscosity(friction, force, spins), friction.slips(trial))
+
+    def _without_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
+        """Return the forces (d, n) of the contacts without their viscous part.
+
+        friction : laws of the n contacts, of which the viscosity is used.
+        force : (d, n), with the viscous part.
+        spins : (unknowns,), at which the viscous forces are computed, 1/time.
+        """
+        if friction.viscosity is None:
+            return force
+        found: np.ndarray = force - friction.viscosity * self.radius * self.system.differences(spins)
+        return found
 
     def _corrected_by_gradients(
-        self, inertia: float, base: np.ndarray, spins: np.ndarray, force: np.ndarray, scale: float
+        self, friction: Friction, base: np.ndarray, spins: np.ndarray, force: np.ndarray, scale: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return forces (d, n) and spins (unknowns,) after more linear corrections, by conjugate gradients with the
         factorised matrix as preconditioner. It takes them where the diagonal of that matrix was raised: soft motions
         are corrected only in part then.
 
-        inertia : moment of inertia over the duration of the stage.
+        Of all corrections, and none at all, those that leave the least torque are returned. Corrections end where they
+        are no longer linear, as where friction differs by decades the softest motions are mere rounding: spins would
+        grow without end, and forces beyond their limits.
+
+        friction : laws of the n contacts.
         base : (unknowns,), spins from which inertia acts, 1/time.
         spins : (unknowns,), spins now, 1/time.
         force : (d, n), the contact forces.
         scale : torque by which the rest is judged.
         """
-        direction, before = np.zeros_like(spins), np.inf
-        for _ in range(MOST_GRADIENTS):
-            torque = self._torque(force, inertia, spins - base)
-            if np.abs(torque).max(initial=0.0) <= CORRECTED_TORQUE * scale:
+        rubs, direction, before, least, best = friction.limit > 0, np.zeros_like(spins), np.inf, np.inf, (force, spins)
+        for number in range(MOST_GRADIENTS + 1):
+            held = vector_length(self._without_viscosity(friction, force, spins))
+            if number and (held > STILL_LINEAR * friction.limit)[rubs].any():
+                break
+            torque = self._torque(force, friction.inertia, spins - base)
+            if (left := float(np.abs(torque).max(initial=0.0))) < least:
+                least, best = left, (force, spins)
+            if left <= CORRECTED_TORQUE * scale or number == MOST_GRADIENTS:
                 break
             step = self._solved(-torque)
             now = -float(torque @ step)
             direction = step + now / before * direction
             change, image = self._response(direction)
-            length = now / float(direction @ image)
+            resisted_by_all = float(direction @ image)
+            if not (now > 0 and resisted_by_all > 0):  # both are above 0 but for rounding
+                break
+            length = now / resisted_by_all
             force, spins, before = force + length * change / self.radius, spins + length * direction, now
-        return force, spins
+        return best

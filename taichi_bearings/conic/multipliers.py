@@ -34,9 +34,12 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, add, exactly
 
 # Stiffnesses of the springs one after the other, in units of friction: first ones, and those with which it is begun
-# anew where these are too stiff for Newton's method, as with friction over many decades; then those that follow while
-# slow contacts are not told apart from resting ones. A resting contact creeps by a force over its stiffness.
+# anew where these are too stiff for Newton's method; then those that follow while slow contacts are not told apart from
+# resting ones. A resting contact creeps by a force over its stiffness.
 TRIALS, HOLDS_FOR_SLOW = ((1e8, 1e10), (1e6, 1e8, 1e10, 1e10)), (1e12, 1e13, 1e14)
+# Largest ratio of two frictions up to which the first stiffnesses are tried. Beyond, springs of strong contacts are so
+# stiff that rounding exceeds what weak ones bear, and forces would balance with fewer digits.
+MOST_CONTRAST = 1e6
 # With inertia: stiffnesses of the springs one after the other; first weight of the inertia, in units of friction over
 # spin; factors of the last weight that are tried one after the other at each minimum.
 HOLDS_WITH_INERTIA, FIRST_INERTIA, INERTIA_FACTORS = (1e6, 1e8, 1e8, 1e8, 1e8), 1e-5, (0.1, 1.0, 10.0, 100.0)
@@ -72,13 +75,16 @@ def settled_by_springs(
     contacts that slip; and a mask (n,) of the undecided ones, which slip by more than rounding but bear less than the
     friction limit. If the method fails the masks are None, and spins and forces are those of the path.
     """
-    best = _Multipliers(point, matrix)
-    several = may_have_several_minima(point.friction, np.zeros(0, dtype=bool))
-    trials = TRIALS[1:] if several else TRIALS
-    if not any(all(best.is_settled or best.take(hold * best.firm) for hold in holds) for holds in trials):
+    best, several = _Multipliers(point, matrix), may_have_several_minima(point.friction, np.zeros(0, dtype=bool))
+    begins_softly = several or best.firm.max(initial=1.0) > MOST_CONTRAST * best.firm.min(initial=1.0)
+    for holds in TRIALS[1:] if begins_softly else TRIALS:
+        best = _Multipliers(point, matrix)
+        if all(best.is_settled or best.take(hold * best.firm) for hold in holds):
+            if not several:
+                best.take_while_slow()
+            break
+    else:
         best.take_with_inertia()
-    elif not several:
-        best.take_while_slow()
     powers = (_power(point, of) for of in (exactly(point.spins), best.spins))
     if next(powers) * (1 + WORSE_POWER) < next(powers):
         # with many minima of the same power, springs can lead away from all of them: the path itself is returned

@@ -151,6 +151,23 @@ def test_minima_of_two_frictions_that_tie_are_certified_and_clarabels(kind, cell
     assert found.lower_bound * (1 - 1e-7) <= least <= found.power * (1 + 1e-7)
 
 
+# kind and cells, decades of friction, seed, gap: stiff springs throw the first three off their minima, corrections that
+# are no longer linear the last one, where slow spins alone have a bound
+CONTRASTS = (
+    ("bcc", 3, 12, 0, 1e-12), ("bcc", 3, 14, 0, 1e-10), ("cubic", 4, 18, 0, 1e-14), ("bcc", 3, 24, 2, 1e-9)
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "cells", "decades", "seed", "gap"), CONTRASTS)
+def test_springs_settle_friction_over_twelve_decades_and_more(kind, cells, decades, seed, gap):
+    sides = (cells, cells, cells + (kind == "cubic"))
+    packing, draw = tb.Packing.lattice(kind, sides, seed=seed), np.random.default_rng([decades, seed])
+    friction = 10 ** draw.uniform(-decades / 2, decades / 2, packing.contacts)
+    found = tb.solve(tb.Packing(**packing.arrays() | {"friction": friction}))
+    assert found.gap <= gap
+    assert found.states_proven or decades == 24
+
+
 STILL = {
     "discs that turn alike": lambda: tb.Packing.lattice("square", (4, 5), seed=1, spin_top=1.0, spin_bottom=1.0),
     "spheres that turn alike": lambda: tb.Packing.lattice("bcc", (3, 3, 3), seed=1, spin_top=0.3, spin_bottom=0.3),
