@@ -692,18 +692,21 @@ def _floor_by_guess(
     terms = samples.largest(np.bincount(rows.indices, minlength=rows.shape[1])) + 4
     sizes = _with_values(rows, np.abs(rows.data)) + doubt
     most, off = (largest_eigenvalue(part, steps, samples) for part in (sizes, doubt))
-    # Errors, in the spectral norm: `most` and `off` bound the squared norms of |rows| + doubt and of doubt. The
-    # products A^T A of all these A differ by 2 |A| |doubt| at most. Doubles form them as sums of `terms` products,
-    # each with a rounding of EPS, and round once more where the diagonal, no more than `most`, is shifted.
-    error = 2 * np.sqrt(most * off) + (terms + 2) * EPS * most + EPS
+    # `most` and `off` bound the squared spectral norms of |rows| + doubt and of doubt. Doubles form A^T A as sums of
+    # `terms` products, each with a rounding of EPS, and round once more where the diagonal, no more than `most`, is
+    # shifted. What is eliminated has no eigenvalue below -missed. The products A^T A of all these A differ from each
+    # other by 2 |A| |doubt| at most. So A^T A - guess has no eigenvalue below -(missed + rounding + that difference).
+    rounding = (terms + 2) * EPS * most + EPS
     missed = elimination.distance_from_positive(guess)
-    # A^T A - guess has no eigenvalue below -(missed + error): if that is less than half of it, the other half is a
-    # floor. Where only the first part of the error is too large for that, it is bounded more closely.
-    holds = (found == 0) & (guess - (missed + error) * UP > guess / 2)
-    if not holds.any() and (guess - (missed + error - 2 * np.sqrt(most * off)) * UP > guess / 2).any():
-        error += _largest_of_products(sizes, doubt, steps, samples) - 2 * np.sqrt(most * off)
-        holds = (found == 0) & (guess - (missed + error) * UP > guess / 2)
-    found[holds] = guess[holds] / 2
+
+    def holds(difference: np.ndarray | float) -> np.ndarray:
+        """Return (R,): whether half of the guess is proven if the products differ by `difference` at most."""
+        return (found == 0) & (guess - (missed + rounding + difference) * UP > guess / 2)
+
+    proven = holds(2 * np.sqrt(most * off))
+    if not proven.any() and holds(0.0).any():
+        proven = holds(_largest_of_products(sizes, doubt, steps, samples))
+    found[proven] = guess[proven] / 2
     return found
 
 
