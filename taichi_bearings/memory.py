@@ -22,6 +22,9 @@ MALLOC_OPTIONS = {-4: 0, -1: 2**29, -2: 2**26}
 # new objects after which Python looks for cycles among the youngest ones; how many of these searches go before one
 # among older ones, and of those before one among all
 COLLECTED_AFTER = 20_000, 20, 100
+# Advice to Linux, from 5.14 on: provide memory now, as the first write to it would (MADV_POPULATE_WRITE); and how many
+# bytes at a time, as other threads that want memory wait meanwhile
+POPULATE_WRITE, BYTES_AT_ONCE = 23, 2**22
 ESTIMATE_MARGIN = 1.15  # factor by which estimates of the memory of large solves may be too low
 
 
@@ -125,3 +128,19 @@ def aligned_zeros(count: int, block: int, dtype: DTypeLike = float) -> np.ndarra
     memory = np.zeros(count + block, dtype)
     start = -(memory.ctypes.data // memory.itemsize) % block
     return memory[start : start + count]
+
+
+def provide(array: np.ndarray) -> None:
+    """Have Linux provide the memory of an array, which the first write to each page would do otherwise. Its numbers
+    stay as they are, so that other threads may use it meanwhile. Where the system cannot do so, nothing changes.
+
+    array : any array in C order.
+    """
+    if sys.platform != "linux":
+        return
+    advise, page = ctypes.CDLL(None).madvise, os.sysconf("SC_PAGE_SIZE")
+    first, end = -(-array.ctypes.data // page) * page, (array.ctypes.data + array.nbytes) // page * page
+    for begin in range(first, end, BYTES_AT_ONCE):
+        length = ctypes.c_size_t(min(BYTES_AT_ONCE, end - begin))
+        if advise(ctypes.c_void_p(begin), length, POPULATE_WRITE):  # an older system, or no memory is left
+            return

@@ -110,6 +110,12 @@ class NewtonMatrix:
         if samples == 1:
             _compile(Engine.LAUNCH, 1)
 
+    def reserve(self) -> None:
+        """Take the memory of a large factor before it is needed, so that another thread can have the system provide it
+        while this one prepares other things."""
+        for cholesky in self._choleskys:
+            cholesky.reserve()
+
     def factorise(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
         """Factorise the matrices of all samples. Raises NotPositiveDefinite if one is singular to working precision.
 

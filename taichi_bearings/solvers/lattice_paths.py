@@ -94,6 +94,7 @@ class LatticePaths(Paths):
             # all before the clock starts, but for what a last sample needs if left alone
             compile_passes(self.system.offset.shape[1], together, shared.matrix.is_costly)
             shared.matrix.compile(together)
+            shared.matrix.reserve()
         # the spins to start from, within the interval of the driven ones, and those of the free spheres in `unit`
         inside = scene.clip_to_box(scene.staggered_spin(spin, spin_axes), spin_axes)
         start = free_spins(inside / (self.unit or 1.0))

@@ -1,5 +1,10 @@
 """The lattice factorisation against SciPy's sparse solver, on every kind of lattice and component."""
 
+import platform
+import subprocess
+import sys
+from queue import SimpleQueue
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -189,3 +194,46 @@ def test_a_factorisation_given_up_amid_a_shared_front_ends_and_the_next_is_whole
         matrix.factorise(stiffness)
     matrix.factorise(stiffness)
     assert (matrix.solve(right) == expected).all()
+
+
+@pytest.mark.parametrize(("threads", "asked"), [(1, 0), (2, 1)])
+def test_memory_of_a_large_factor_is_provided_before_it_is_needed_if_there_are_several_threads(
+    monkeypatch, threads, asked
+):
+    narrow_panels(monkeypatch, threads)
+    matrix, stiffness, right = random_system()
+    matrix.factorise(stiffness)
+    expected, provided = matrix.solve(right), SimpleQueue()
+    monkeypatch.setattr(factor, "provide", provided.put)
+    matrix, *_ = random_system()
+    matrix.reserve()
+    arrays = [provided.get(timeout=60) for _ in range(asked)]
+    matrix.factorise(stiffness)
+    assert all(numbers is matrix._choleskys[0].factor()._numbers for numbers in arrays)
+    assert provided.empty()
+    assert (matrix.solve(right) == expected).all()
+
+
+PROVIDED = """
+import resource
+import numpy as np
+from taichi_bearings.memory import provide
+numbers = np.zeros(400_000)  # less than NumPy asks large pages for
+numbers[::1000] = 3.0
+before = numbers.copy()
+provide(numbers)
+assert (numbers == before).all()
+first = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+numbers[:] = 2.0
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - first)
+"""
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux" or tuple(map(int, platform.release().split(".")[:2])) < (5, 14),
+    reason="Linux provides memory on request from 5.14 on",
+)
+def test_memory_that_was_provided_keeps_its_numbers_and_causes_no_page_faults():
+    """3.2 MB are 780 pages."""
+    found = subprocess.run([sys.executable, "-c", PROVIDED], capture_output=True, check=True)
+    assert int(found.stdout) < 20

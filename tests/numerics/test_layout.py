@@ -27,14 +27,20 @@ def spans(layout, parent, branches):
     return found
 
 
+def pattern_of(shape, in_planes=False):
+    """Pattern of the Newton matrix of a lattice; or of that of springs, which falls apart into planes."""
+    lattice = Lattice(shape)
+    system = lattice_system(lattice, (0, 1), np.ones(2))
+    first, second = (system.by_rows() if in_planes else system).terms()[:2]
+    return analyse(dissect(lattice, (0, 1)), first, second, tuning.Price(100, 1, 1))
+
+
 @pytest.mark.parametrize(("work", "grove"), [(0, 1), (0, 10**9), (3e3, 2_000), (3e4, 20_000), (1e12, 10**9)])
-@pytest.mark.parametrize("shape", [(7, 6, 8), (4, 4, 20)])
-def test_updates_that_are_needed_at_one_time_lie_apart(monkeypatch, shape, work, grove):
+@pytest.mark.parametrize(("shape", "in_planes"), [((7, 6, 8), False), ((4, 4, 20), False), ((7, 6, 8), True)])
+def test_updates_that_are_needed_at_one_time_lie_apart(monkeypatch, shape, in_planes, work, grove):
     monkeypatch.setattr(tuning, "BRANCH_OPERATIONS", work)
     monkeypatch.setattr(tuning, "GROVE_NUMBERS", grove)
-    lattice = Lattice(shape)
-    first, second = lattice_system(lattice, (0, 1), np.ones(2)).terms()[:2]
-    pattern = analyse(dissect(lattice, (0, 1)), first, second, tuning.Price(100, 1, 1))
+    pattern = pattern_of(shape, in_planes)
     layout = Layout(pattern, LANES, apart=True)
     assert sorted(np.concatenate([batch.fronts for batch in layout.batches])) == list(range(len(pattern.own)))
     table = layout.tables.tolist()
@@ -60,6 +66,20 @@ def test_updates_that_are_needed_at_one_time_lie_apart(monkeypatch, shape, work,
                 together = place_other < place <= pattern.parent[m]
             apart = layout.update[n] + size[n] <= layout.update[m] or layout.update[m] + size[m] <= layout.update[n]
             assert apart or not together or not size[n] or not size[m], (n, m, above)
+
+
+def test_planes_that_nothing_couples_are_worked_on_at_once_where_their_updates_are_few(monkeypatch):
+    pattern = pattern_of((7, 6, 8), in_planes=True)
+    planes, levels = np.count_nonzero(pattern.parent < 0), pattern.depth.max() + 1
+    assert planes == 7 + 6
+    monkeypatch.setattr(tuning, "BRANCH_OPERATIONS", 0)
+    assert len(Layout(pattern, LANES, apart=True).batches) == levels
+    monkeypatch.setattr(tuning, "BRANCH_OPERATIONS", 1e12)
+    (batch,) = Layout(pattern, LANES, apart=True).batches
+    assert batch.items == (batch.items[0], batch.items[0] + planes)
+    monkeypatch.setattr(tuning, "BRANCH_OPERATIONS", 0)
+    monkeypatch.setattr(tuning, "GROVE_NUMBERS", 1)
+    assert len(Layout(pattern, LANES, apart=True).batches) >= planes
 
 
 def test_runs_end_where_rows_of_the_parent_are_left_out_and_at_the_end_of_a_border():

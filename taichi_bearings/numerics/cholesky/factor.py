@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from enum import Enum
 from functools import lru_cache
+from threading import Thread
 from weakref import WeakSet
 
 import numpy as np
@@ -22,7 +23,7 @@ from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels import elimination, substitution
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.launch import prepared
-from taichi_bearings.memory import aligned_zeros, give_back_freed, refuse_beyond
+from taichi_bearings.memory import aligned_zeros, give_back_freed, provide, refuse_beyond
 from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.dense import DOUBLE_BYTES, DenseFront
 from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, PlacedPattern, SparsePattern, analyse
@@ -176,6 +177,12 @@ class Cholesky:
         factor.substitute()
         return factor.solution[:, :samples].take(self.pattern.place, axis=0)
 
+    def reserve(self) -> None:
+        """Take the memory of a large factor before it is needed, and let another thread have the system provide it, if
+        there are several threads."""
+        if self.engine is Engine.CALLS and runtime.current().threads > 1:
+            self.factor().reserve()
+
     def forget(self) -> None:
         """Give the memory of the factor back if it has more than tuning.LARGE_FACTOR_NUMBERS entries. The matrix has to
         be factorised anew before it is solved with again."""
@@ -203,6 +210,9 @@ class Factor(ABC):
     @abstractmethod
     def substitute(self) -> None:
         """Solve the factorised systems: replace the right-hand sides in `solution` by the solutions."""
+
+    def reserve(self) -> None:  # noqa: B027
+        """Take memory before it is needed; here all of it is taken already."""
 
     def forget(self) -> None:  # noqa: B027
         """Give memory back that others may take; here there is none."""
@@ -349,8 +359,7 @@ class CalledFactor(Factor):
         substitution."""
         if self._seen == self._memory.changes:
             return
-        layout = self._layout
-        numbers = self._memory.take(self, layout.size, f"the factorisation of {self._size:,} unknowns")
+        layout, numbers = self._layout, self._taken_memory()
         self._seen = self._memory.changes
         if numbers is self._numbers:
             return
@@ -372,6 +381,17 @@ class CalledFactor(Factor):
         self._halves = [
             prepared(substitution.substitute_branches, layout.tables, *memory, forth, *stage) for forth, stage in halves
         ]
+
+    def _taken_memory(self) -> np.ndarray:
+        """Return the doubles of the shared memory, as many as this factor needs or more; raise MemoryError if there are
+        too few."""
+        return self._memory.take(self, self._layout.size, f"the factorisation of {self._size:,} unknowns")
+
+    def reserve(self) -> None:
+        """Take the shared memory for the first factorisation, and let a thread of its own have the system provide it,
+        which takes as long as a factorisation. Nothing happens where there is too little memory."""
+        with suppress(MemoryError):
+            Thread(target=provide, args=(self._taken_memory(),), daemon=True).start()
 
     def forget(self) -> None:
         """Give the memory back to the system."""

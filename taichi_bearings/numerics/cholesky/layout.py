@@ -272,7 +272,8 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray
 
     A front is a set of unknowns that are eliminated together. Its update is what that adds to the matrix of later
     unknowns; it waits in memory until the front above takes it. Subtrees whose updates are small enough are worked on
-    depth by depth, from the deepest fronts up, so that each depth is one array; above them each front is an array.
+    depth by depth, from the deepest fronts up, so that each depth is one array; above them each front is an array. If
+    the matrix falls apart into several trees and all of them together are small enough, they count as one subtree.
 
     pattern : the fronts.
     size : (fronts,) doubles of the update of each front.
@@ -283,10 +284,14 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray
     of_branch, lasting = branch_of(len(size), branches), size.copy()
     for first, end in branches.tolist():
         lasting[first : end - 1] = 0
-    small, grove = (_sums_of_branches(pattern.parent, lasting) <= most).tolist(), list(range(len(size)))
+    waiting = _sums_of_branches(pattern.parent, lasting)
+    small, grove = (waiting <= most).tolist(), list(range(len(size)))
+    together = waiting[pattern.parent < 0].sum() <= most
     for n, above in reversed(list(enumerate(pattern.parent.tolist()))):
         if above >= 0 and (small[above] or of_branch[above] >= 0):
             grove[n] = grove[above]
+        elif above < 0 and together:
+            grove[n] = len(grove) - 1
     of_front, level = np.array(grove), np.where(of_branch >= 0, -len(size), -pattern.depth)
     order = np.lexsort((level, of_front))
     ends = np.diff(of_front[order]) | np.diff(level[order])
