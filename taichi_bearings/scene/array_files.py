@@ -17,6 +17,14 @@ from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
 
+class TextFileError(FileError):
+    """Raised for a text file, such as a table, where arrays are to be read."""
+
+
+class LackingArrayError(FileError):
+    """Raised for a file without an array that it must have."""
+
+
 def own_array(name: str, values: ArrayLike) -> np.ndarray:
     """Return a read-only copy of values of the user as an array in double precision.
 
@@ -46,7 +54,8 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         ``viscosity/x`` as ``x_viscosity``.
     optional : names that the file may lack.
 
-    Raises FileError if the file is missing, truncated or of another kind, or lacks an array; it says which.
+    Raises FileError if the file is missing, truncated or of another kind: TextFileError if it is a text file, and
+    LackingArrayError, which names the arrays, if it lacks some of `names`.
     """
     if path.is_dir():
         path = path / "run.h5"
@@ -85,23 +94,23 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
 
 
 def _refuse_text(path: Path) -> None:
-    """Raise FileError if the first line of a file is text, as in a table of numbers.
+    """Raise TextFileError if the first line of a file is text, as in a table of numbers.
 
     path : the file.
     """
     with opened(path) as file:
         begin = file.read(64).split(b"\n")[0].rstrip(b"\r")
     if begin and begin.isascii() and begin.decode().replace("\t", " ").isprintable():
-        raise FileError(f"{path} is a text file; arrays are read from npy, npz or HDF5 files")
+        raise TextFileError(f"{path} is a text file; arrays are read from npy, npz or HDF5 files")
 
 
 def _refuse_lack(path: Path, names: Iterable[str], there: Collection[str]) -> None:
-    """Raise FileError if the file `path` lacks some of the arrays `names`.
+    """Raise LackingArrayError if the file `path` lacks some of the arrays `names`.
 
     there : names of the arrays that it has.
     """
     if lacking := [name for name in names if name not in there]:
-        raise FileError(f"{path} lacks the array{'s' if len(lacking) > 1 else ''} {', '.join(lacking)}")
+        raise LackingArrayError(f"{path} lacks the array{'s' if len(lacking) > 1 else ''} {', '.join(lacking)}")
 
 
 def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.ndarray:

@@ -24,7 +24,7 @@ from taichi_bearings.options import SEED, SHAPE, finite_number
 from taichi_bearings.plain_files import Json, writing
 from taichi_bearings.read_only import read_only
 from taichi_bearings.scene import checks, geometry
-from taichi_bearings.scene.array_files import read_arrays
+from taichi_bearings.scene.array_files import LackingArrayError, TextFileError, read_arrays
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.disorder import Distribution, Draw
 from taichi_bearings.scene.driving import Driving
@@ -751,13 +751,13 @@ class Packing(Bearing):
             )
         try:
             found = read_arrays(path, NEEDED, OPTIONAL)
-        except FileError as error:
-            if "is a text file" in str(error):
-                raise FileError(
-                    f"{path} is a text file, but its name does not end in .csv; a table of centres is a .csv file "
-                    "whose first line names its columns, such as x,y,z,radius"
-                ) from None
-            if "lacks" not in str(error) or path.suffix == ".npz":
+        except TextFileError:
+            raise FileError(
+                f"{path} is a text file, but its name does not end in .csv; a table of centres is a .csv file "
+                "whose first line names its columns, such as x,y,z,radius"
+            ) from None
+        except LackingArrayError:
+            if path.suffix == ".npz":
                 raise
             group = [f"packing/{name}" for name in (*NEEDED, *OPTIONAL)]
             stored = read_arrays(path, group[: len(NEEDED)], group[len(NEEDED) :])
