@@ -95,7 +95,8 @@ class LastDecades:
         )
         smooth, viscosity = (None if v is None else v[tied.kept] for v in (point.smooth, point.viscosity))
         left = Iterate(tied.system, spins[1], friction, bound, difference, dual, smooth, viscosity)
-        matrix = NewtonMatrix(tied.system, tied.order, self._matrix.memory)
+        of_all = self._matrix
+        matrix = NewtonMatrix(tied.system, tied.order, of_all.memory, shared_passes=of_all.shared_passes)
         return LastDecades(left, spins, tied.differences(spins), matrix)
 
     @property

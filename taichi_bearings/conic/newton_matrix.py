@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.conic.contact_system import ContactSystem, lattice_system, stacked
-from taichi_bearings.conic.rows import ContactRows
+from taichi_bearings.conic.rows import ContactRows, are_shared
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, NotPositiveDefinite, dissect
 
@@ -36,6 +36,7 @@ class NewtonMatrix:
 
     memory : work space that another matrix can share.
     raised : index in DIAGONAL_SHIFTS of the largest addition that the last call of :meth:`factorise_rows` tried.
+    shared_passes : True if threads share the passes over the contacts of a single sample.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class NewtonMatrix:
         memory: Memory | None = None,
         engine: Engine | None = None,
         parts: Sequence[slice] | None = None,
+        shared_passes: bool | None = None,
     ) -> None:
         """Analyse the pattern of a system.
 
@@ -54,11 +56,14 @@ class NewtonMatrix:
         memory : memory of another matrix that is not needed as long as this one is; None for its own.
         engine : Engine.LAUNCH if there are to be several samples side by side; if None, the quickest.
         parts : for each sample the range of its unknowns, if samples are parts of the system; None for one pattern.
+        shared_passes : True to let threads share the passes over the contacts of a single sample, as those of another
+            matrix whose kernels are loaded; None to do so if there are many contacts.
         """
         # `_choleskys` : for each part its factorisation; `_entries` : for each part which entries change, and where
         # they stand among those of all parts; `_map` : sparse matrix that turns `stacked` stiffnesses into entries
         self.memory, self._system, self._parts = memory or Memory(), system, parts or [slice(0, system.unknowns)]
-        self.raised = 0
+        self.raised, many = 0, are_shared(system.offset.shape[1])
+        self.shared_passes = many if shared_passes is None else shared_passes
         own_memory = self.memory if len(self._parts) == 1 else None
         # Each term of the matrix belongs to the sample of its first unknown.
         first, second, source, sign = system.terms()
@@ -209,7 +214,7 @@ class NewtonMatrix:
         if samples not in self._kept:
             cholesky = self._choleskys[0]
             solution, place = cholesky.factor(samples).solution, cholesky.pattern.place
-            self._kept[samples] = ContactRows(self._system, solution, place, self._map)
+            self._kept[samples] = ContactRows(self._system, solution, place, self._map, self.shared_passes)
         return self._kept[samples]
 
     def factorise_rows(

@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings import runtime
 from taichi_bearings.conic import by_numpy
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.kernels import central_path as kernels
@@ -19,6 +20,9 @@ from taichi_bearings.memory import aligned_zeros
 
 # padding contacts: finite in every formula, with negligible power
 PADDING = {kernels.FRICTION_ROW: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
+# a sample of more contacts has sums in SUM_PARTS parts, which are then added up; from the second number on threads
+# share the passes over a sample: in smaller ones they gain less time than their kernels take to load
+PARTED_CONTACTS, SHARED_CONTACTS, SUM_PARTS = 16_000, 80_000, 64
 MOST_CONSTANTS = 5  # most numbers of each sample that a pass over the contacts takes
 # tables that say which numbers to add and to subtract, for kernels.add_up; or a matrix of other factors
 Sums: TypeAlias = tuple[np.ndarray, np.ndarray] | sparse.csr_array
@@ -35,6 +39,7 @@ class ContactRows:
     values : (rows, contacts, S), all rows.
     spins : (unknowns or more, S), array that is read as changes of the spins, and overwritten with torques on them.
     samples : S, the number of samples, which stand side by side.
+    shared : True if threads share the passes; bits are the same.
     place : (unknowns,), row of `spins` in which each unknown stands.
     """
 
@@ -44,6 +49,7 @@ class ContactRows:
         spins: np.ndarray,
         place: np.ndarray | None = None,
         laplacian: sparse.csr_matrix | None = None,
+        shared: bool = False,
     ) -> None:
         """Reserve memory for the numbers of all contacts of a system, and prepare the maps between spins and slips.
 
@@ -56,8 +62,10 @@ class ContactRows:
         place : (unknowns,), row of `spins` in which each unknown stands; None if they are in order.
         laplacian : sparse matrix that turns the stiffnesses of the contacts (all entries [0, 0] of their matrices, then
             all [0, 1], ...) into the entries of the Newton matrix; None if :meth:`add_stiffnesses` is not called.
+        shared : True to let threads share the passes over a single sample.
         """
         self.samples, self.spins, d = spins.shape[1], spins, len(system.offset)
+        self.shared = shared and self.samples == 1
         # Contacts with one component come before those with two, each kind padded to a multiple of BLOCK.
         two = system.felt.sum(axis=0) == 2
         kinds = [np.flatnonzero(~two), np.flatnonzero(two)]
@@ -77,8 +85,7 @@ class ContactRows:
         # a block is what a kernel works on at once: each constant is repeated for every place of it, and each result of
         # a reduction (a sum, a least value) has one part for every place
         self._numbers = np.zeros((MOST_CONSTANTS, kernels.BLOCK // self.samples, self.samples))
-        found = aligned_zeros(kernels.FOUND * kernels.BLOCK * self.samples, kernels.BLOCK)
-        self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)
+        self._span, self._found = self._place_of_sums()
         self.place = np.arange(system.unknowns) if place is None else place
         # Maps from spins to slips, and back from forces to torques.
         of_all, rows = system.operator.tocoo(), self._places(d)
@@ -92,6 +99,18 @@ class ContactRows:
         # the `id` of the sums, the matrices that take the place of these kernels
         self._starts: dict[tuple[object, ...], list[Callable[[], None]]] = {}
         self._matrices: dict[int, sparse.csr_array] = {}
+
+    def _place_of_sums(self) -> tuple[int, np.ndarray]:
+        """Return how many successive blocks of contacts add to the same sums; and an array for what passes find,
+        (found, parts * BLOCK, S).
+
+        Blocks of one sample add to the same sums if they are in one part of its contacts. Blocks of several samples, of
+        which successive ones belong to other samples, take turns.
+        """
+        parts = SUM_PARTS if self.samples == 1 and self._contacts > PARTED_CONTACTS else 1
+        span = max(1, -(-self._length // (parts * kernels.BLOCK))) if self.samples == 1 else 1
+        found = aligned_zeros(kernels.FOUND * parts * kernels.BLOCK * self.samples, kernels.BLOCK)
+        return span, found.reshape(kernels.FOUND, parts * kernels.BLOCK, self.samples)
 
     def _places(self, count: int) -> np.ndarray:
         """Return the indices (count * n,) of the numbers of n contacts in `count` successive rows of memory, row by
@@ -130,7 +149,7 @@ class ContactRows:
             blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
             arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), turns, self._numbers.ravel()
             own = kernel.one if self._first_two == blocks else kernel.both if self._first_two else kernel.two
-            ends = self._length, self._first_two, blocks
+            own, ends = kernel.shared if self.shared else own, (self._length, self._first_two, blocks, self._span)
             self._starts[key] = [prepared(own, *arrays, *ends, *slots)] if blocks else []
         for start in self._starts[key]:
             start()
@@ -178,7 +197,8 @@ class ContactRows:
             found.reshape(shape)[to : to + rows] = sums @ values.reshape(shape)[first : first + columns]
             return
         if key not in self._starts:
-            kernel = kernels.add_up_alone if self.samples == 1 else kernels.add_up
+            alone = kernels.add_up_shared if self.shared else kernels.add_up_alone
+            kernel = alone if self.samples == 1 else kernels.add_up
             self._starts[key] = [prepared(kernel, *sums, values.reshape(shape), found.reshape(shape), first, to)]
         self._starts[key][0]()
 
@@ -259,6 +279,11 @@ class ContactRows:
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)
 
 
+def are_shared(contacts: int) -> bool:
+    """Return True if threads share the passes over a single sample with so many contacts."""
+    return contacts > SHARED_CONTACTS and runtime.current().threads > 1
+
+
 def compile_passes(contacts: int, samples: int = 1, costly: bool = False) -> None:
     """Compile the kernels of a Newton step, unless NumPy takes their place at first.
 
@@ -267,18 +292,21 @@ def compile_passes(contacts: int, samples: int = 1, costly: bool = False) -> Non
     costly : True to compile also those that are used where a factorisation takes long.
     """
     if not by_numpy.is_quicker(contacts, samples):
-        _compile_passes(samples, costly)
+        _compile_passes(samples, costly, are_shared(contacts))
 
 
 @lru_cache
-def _compile_passes(samples: int, costly: bool) -> None:
+def _compile_passes(samples: int, costly: bool, shared: bool) -> None:
     """Compile the kernels of a Newton step, by running them on a system of two contacts: they are the same for all
-    systems. The arguments are those of :func:`compile_passes`."""
+    systems. The first two arguments are those of :func:`compile_passes`.
+
+    shared : True for kernels whose work threads share.
+    """
     by_numpy.kernels_are_loaded()
     felt = np.array([[True, True], [False, True]])
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
     spins = aligned_zeros(samples, kernels.BLOCK).reshape(1, samples)
-    rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), spins)
+    rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), spins, shared=shared)
     passes = kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take
     for kernel in (*passes, kernels.between_steps) if costly else passes:
         rows.run(kernel)

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from taichi_bearings.compiler import ti
 from taichi_bearings.kernels.elimination import LANES, NUMBERS, VECTORS
 from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, fill, places
+from taichi_bearings.kernels.team import LEAST_CHUNK
 
 BLOCK = 16  # contacts that are worked on together
 LEAST_DIVISOR = 1e-140  # smallest size by which a slip is divided; its square is still a normal double
@@ -519,7 +520,7 @@ NO_NUMBERS = ((), ())
 
 @ti.func
 def apply_to_block(
-    values: ti.template(), blocks: ti.template(), found: ti.template(), law: ti.template(), length, block,
+    values: ti.template(), blocks: ti.template(), found: ti.template(), law: ti.template(), length, block, span,
     slots: ti.template(), writes: ti.template(), finds: ti.template(), like: ti.template(), numbers: ti.template(),
 ):  # fmt: skip
     """Call `law` for every contact of one block (BLOCK contacts with neighbouring numbers). Of the list of numbers that
@@ -527,13 +528,14 @@ def apply_to_block(
 
     values : numbers of the iterate and of two steps, flat, row by row; a row has one number of each contact.
     blocks : the same memory as vectors of BLOCK numbers.
-    found : flat array of FOUND * n vectors of BLOCK numbers for n samples, changed in place. Result k of block b goes
-        to the vector k * n + b % n, place by place. So a sample has BLOCK sums, made in one order for any n.
+    found : flat array of FOUND * n vectors of BLOCK numbers, changed in place. Result k of block b goes to the vector
+        k * n + b // span % n, place by place: n parts of the contacts, or n samples, have sums of their own.
     law : function law(values, [state, old, like, new], numbers, m) of contact m of the block. Three lists say where its
         numbers stand: in rows of the iterate, of the step that is read, and of the step that is written. It returns a
         list: as many numbers as `writes` has rows, then as many as `finds` has entries.
     length : length of a row.
     block : number of the block.
+    span : how many successive blocks add to the same sums.
     slots : two numbers, 0 or 1: which of the two steps is read, and which is written.
     writes : two tuples: rows of the iterate, and rows of the step that is written, for the first numbers of the list.
     finds : for each further number of the list its k, 0 to FOUND - 1; below LEAST_FOUND the least number is kept, else
@@ -552,10 +554,10 @@ def apply_to_block(
     fill(rows, values, BLOCK, law, [state, old, like, new], numbers)
     for k in ti.static(range(len(to))):
         blocks[to[k] // BLOCK] = rows[k]
-    # of blocks that take the same turn, sums are added up in the order of the blocks
+    # in each of these sums numbers are added up in the order of the blocks
     turns = found.shape[0] // FOUND
     for k in ti.static(range(len(finds))):
-        at, more = finds[k] * turns + block % turns, rows[ti.static(len(to) + k)]
+        at, more = finds[k] * turns + block // span % turns, rows[ti.static(len(to) + k)]
         if ti.static(finds[k] < LEAST_FOUND):
             found[at] = ti.min(found[at], more)
         else:
@@ -564,10 +566,11 @@ def apply_to_block(
 
 @dataclass(frozen=True, eq=False)
 class Passes:
-    """A pass over the contacts, as three kernels. Only those that are used are compiled; the third takes less time to
-    compile than the other two together.
+    """A pass over the contacts, as four kernels. Only those that are used are compiled; the third takes less time to
+    compile than the first two together.
 
     one, two, both : kernels for contacts with one slipping component, for those with two, and for both kinds.
+    shared : kernel for both kinds whose work threads share; its results have the same bits.
     law : name of the function of one contact that is called for every contact.
     iterate, step : rows of the iterate, and of the step that is written, that the first numbers of the law go to; for
         contacts with one slipping component, and for those with two. A row has one number of each contact.
@@ -578,6 +581,7 @@ class Passes:
     one: Callable
     two: Callable
     both: Callable
+    shared: Callable
     law: str
     iterate: tuple
     step: tuple
@@ -600,7 +604,8 @@ def _kernels_over_contacts(
     of_one, of_two = (iterate[0], step[0]), (iterate[1], step[1])
     one, two = _kernel_over_contacts(law, of_one, None, finds), _kernel_over_contacts(law, None, of_two, finds)
     both = _kernel_over_contacts(law, of_one, of_two, finds)
-    return Passes(one, two, both, law.__name__, iterate, step, finds)
+    shared = _shared_kernel_over_contacts(law, of_one, of_two, finds)
+    return Passes(one, two, both, shared, law.__name__, iterate, step, finds)
 
 
 def _kernel_over_contacts(law: Callable, of_one: tuple | None, of_two: tuple | None, finds: tuple) -> Callable:
@@ -620,35 +625,71 @@ def _kernel_over_contacts(law: Callable, of_one: tuple | None, of_two: tuple | N
     @ti.kernel
     def run(
         values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first_two: int, end: int,
-        read_slot: int, write_slot: int,
+        span: int, read_slot: int, write_slot: int,
     ):  # fmt: skip
         """Call `law`, the function of one contact for which this kernel is made, for all contacts. Write what it
         returns into rows, and into sums and least numbers.
 
         values : numbers of the iterate and of two steps, flat, row by row; a row has one number of each contact.
         blocks : the same memory as vectors of BLOCK numbers, one for each contact of a block.
-        found : flat array of FOUND * n vectors of BLOCK numbers for n samples: sums and least numbers, changed in
-            place. Result k of block b goes to the vector k * n + b % n, place by place.
+        found : flat array of FOUND * n vectors of BLOCK numbers: sums and least numbers, changed in place. Result k of
+            block b goes to the vector k * n + b // span % n, place by place.
         numbers : what the law takes besides, such as the length of a step: BLOCK numbers of each kind.
         length : length of a row.
         first_two : number of the first block of contacts with two slipping components; those with one stand before it.
         end : number of all blocks.
+        span : how many successive blocks add to the same sums.
         read_slot, write_slot : which of the two steps in memory is read, and which is written, 0 or 1.
         """
         if ti.static(has_one):
             ti.loop_config(serialize=True)
             for block in range(first_two):
                 apply_to_block(
-                    values, blocks, found, law, length, block, [read_slot, write_slot], ti.static(of_one),
+                    values, blocks, found, law, length, block, span, [read_slot, write_slot], ti.static(of_one),
                     ti.static(finds), ti.static((0,)), numbers,
                 )  # fmt: skip
         if ti.static(has_two):
             ti.loop_config(serialize=True)
             for block in range(first_two, end):
                 apply_to_block(
-                    values, blocks, found, law, length, block, [read_slot, write_slot], ti.static(of_two),
+                    values, blocks, found, law, length, block, span, [read_slot, write_slot], ti.static(of_two),
                     ti.static(finds), ti.static((0, 1)), numbers,
                 )  # fmt: skip
+
+    return run
+
+
+def _shared_kernel_over_contacts(law: Callable, of_one: tuple, of_two: tuple, finds: tuple) -> Callable:
+    """Return a kernel that does for one sample what the kernel of :func:`_kernel_over_contacts` does, on several
+    threads. Its arguments are those there."""
+
+    @ti.kernel
+    def run(
+        values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first_two: int, end: int,
+        span: int, read_slot: int, write_slot: int,
+    ):  # fmt: skip
+        """Call `law`, the function of one contact for which this kernel is made, for all contacts of a sample. The
+        contacts are divided into as many parts as `found` has sums of one kind, and a thread takes one part after the
+        other.
+
+        values, blocks, numbers, length, first_two, end, read_slot, write_slot : as in the kernel for one thread.
+        found : flat array of FOUND * n vectors of BLOCK numbers: the sums and least numbers of n parts.
+        span : number of blocks of each part; the last parts may have fewer, or none.
+        """
+        for item in range(found.shape[0] // FOUND * LEAST_CHUNK):
+            if item % LEAST_CHUNK == 0:
+                begin = item // LEAST_CHUNK * span
+                stop = ti.min(begin + span, end)
+                for block in range(begin, ti.min(stop, first_two)):
+                    apply_to_block(
+                        values, blocks, found, law, length, block, span, [read_slot, write_slot], ti.static(of_one),
+                        ti.static(finds), ti.static((0,)), numbers,
+                    )  # fmt: skip
+                for block in range(ti.max(begin, first_two), stop):
+                    apply_to_block(
+                        values, blocks, found, law, length, block, span, [read_slot, write_slot], ti.static(of_two),
+                        ti.static(finds), ti.static((0, 1)), numbers,
+                    )  # fmt: skip
 
     return run
 
@@ -672,10 +713,11 @@ def zero_of(together: ti.template()):
     return ti.cast(0.0, ti.f64)
 
 
-def _sums(together: bool) -> Callable:
+def _sums(together: bool, shared: bool = False) -> Callable:
     """Return a kernel that computes sums of numbers of an array, each over a list of places in it.
 
     together : True for LANES samples at a time, whose numbers form vectors; False for one sample.
+    shared : True if threads share the sums.
     """
     kind = VECTORS if together else NUMBERS
 
@@ -691,7 +733,8 @@ def _sums(together: bool) -> Callable:
             together.
         first, to : index in `values` of place 0, and in `found` of the first sum.
         """
-        ti.loop_config(serialize=True)
+        if ti.static(not shared):
+            ti.loop_config(serialize=True)
         for i in range(begins.shape[0] - 1):
             total = zero_of(together)
             for k in range(begins[i], begins[i + 1]):
@@ -702,4 +745,4 @@ def _sums(together: bool) -> Callable:
     return run
 
 
-add_up, add_up_alone = _sums(True), _sums(False)
+add_up, add_up_alone, add_up_shared = _sums(True), _sums(False), _sums(False, shared=True)

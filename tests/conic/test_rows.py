@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from taichi_bearings.conic import by_numpy
+from taichi_bearings.conic import by_numpy, rows
 from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.cones import inner, length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem
@@ -37,13 +37,13 @@ def _differences(rng):
 class Contacts:
     """Random points inside their cones, a third of them smooth, with right-hand sides and steps, one of S samples."""
 
-    def __init__(self, samples, seed):
+    def __init__(self, samples, seed, shared=False):
         rng = np.random.default_rng(seed)
         self.operator, self.place = _differences(rng), rng.permutation(SPINS)
         system = ContactSystem(SPINS, np.zeros(FELT.shape), FELT, slips=self.operator)
         spins = aligned_zeros(SPINS * samples, 8).reshape(SPINS, samples)
         stacked = sparse.identity(3 * COUNT, format="csr")  # each stiffness an entry of its own
-        self.rows = ContactRows(system, spins, self.place, stacked)
+        self.rows = ContactRows(system, spins, self.place, stacked, shared)
         self.sample, self.spins = int(rng.integers(samples)), rng.standard_normal((SPINS, samples))
         for sample in range(samples):
             (bound, slip), (friction, dual), smooth = interior(rng), interior(rng), rng.random(COUNT) < 1 / 3
@@ -93,11 +93,33 @@ class Contacts:
         assert (pull == self.dual)[:, self.smooth].all()
 
 
-@pytest.fixture(params=[(1, 0, True), (1, 0, False), (8, 1, False)], ids=["by NumPy", "alone", "of eight"])
+WAYS = {"by NumPy": (1, 0), "alone": (1, 0), "of eight": (8, 1), "in parts": (1, 0), "shared": (1, 0, True)}
+
+
+@pytest.fixture(params=WAYS)
 def contacts(request, monkeypatch):
-    *of_sample, is_first = request.param
+    is_first, in_parts = request.param == "by NumPy", request.param in ("in parts", "shared")
     monkeypatch.setattr(by_numpy.SPENT, "contacts", 0 if is_first else by_numpy.WORTH_LOADING)
-    return Contacts(*of_sample)
+    monkeypatch.setattr(rows, "PARTED_CONTACTS", 0 if in_parts else 10**9)
+    return Contacts(*WAYS[request.param])
+
+
+def test_passes_that_threads_share_leave_the_bits_as_they_are(monkeypatch):
+    monkeypatch.setattr(by_numpy.SPENT, "contacts", by_numpy.WORTH_LOADING)
+    monkeypatch.setattr(rows, "PARTED_CONTACTS", 0)
+    found = []
+    for shared in (False, True, True):
+        contacts = Contacts(1, 5, shared)
+        entries = aligned_zeros(3 * COUNT, 8).reshape(-1, 1)
+        contacts.rows.add_stiffnesses(entries)
+        numbers = [contacts.expand(0)[1]]
+        numbers += [contacts.run(kernel, (0, 1), 0.3) for kernel in (kernels.correct, kernels.between_steps)]
+        numbers.append(contacts.run(kernels.recentre, (0, 1), 0.5, 0.4, 0.1, 2.0, kernels.GO_ON))
+        contacts.rows.torques(kernels.DUAL)
+        numbers.append(contacts.run(kernels.take, (0, 0), 0.1, 0.2))
+        found.append((*numbers, entries, contacts.rows.values, contacts.rows.spins))
+    for other in found[1:]:
+        assert all(np.array_equal(here, there, equal_nan=True) for here, there in zip(found[0], other, strict=True))
 
 
 def test_stiffness_is_that_of_the_scaling_or_of_the_law(contacts):
