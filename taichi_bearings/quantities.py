@@ -283,7 +283,8 @@ SAMPLES = _named(
         Quantity("smallest_slipping_slip", "length/time", "smallest slip speed of a contact that counts as slipping",
                  _of_unique_slips(lambda a: a.separation.smallest_slipping)),
         Quantity("separation_decades", "1", "powers of ten between two slip speeds: the smallest of a contact that"
-                 " counts as slipping and the largest of one that counts as slipless",
+                 " counts as slipping and the largest of one that counts as slipless, or the rounding of the imposed"
+                 " spins if that is larger",
                  _of_unique_slips(_decades)),
         Quantity("slip_threshold", "length/time", "threshold of slip speeds, up to which a contact counts as slipless;"
                  " given by the user, or else chosen by the method and used only where no proof decides",
@@ -335,10 +336,11 @@ FINDINGS = _named(
                  "largest elongation of a contact's spring, divided by the distance that the driven planes slid past "
                  "each other"),
         Quantity("rest_time", "time", "simulated time at which the motion came to rest"),
-        Quantity("yields", "1", "whether the torque is more than friction can withstand, so that the top moves"),
+        Quantity("yields", "1", "whether the torque is more than friction can withstand, so that the top moves in its"
+                 " direction"),
         Quantity("yield_torque", "force*length", "torque above which the top is proven to move"),
         Quantity("yield_torque_lower_bound", "force*length", "torque up to which friction is proven to hold the top"
-                 " at rest"),
+                 " at rest; if the bottom turns, not to move in the direction of the torque"),
         Quantity("amplitude", "1", "spin of the top under the torque, divided by its imposed spin; 0 where friction"
                  " holds the top at rest"),
         Quantity("newton_steps", "1", "number of matrix factorisations made by the method rigid-limit"),

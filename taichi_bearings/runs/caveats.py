@@ -62,6 +62,26 @@ def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
         )
 
 
+def _beside_a_bottom_that_turns(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Yield a sentence if a torque does not turn the top in its direction but the bottom, which turns, may turn it the
+    other way.
+
+    solution : the answer to all samples, with findings on the torque if one was given.
+    settings : settings of the run, with the torque.
+    """
+    found = solution.findings
+    if settings.torque is None or "yields" not in found or not solution.scene.sides[1]:
+        return
+    held = abs(settings.torque) <= found["yield_torque_lower_bound"]
+    if held.any():
+        other = -settings.torque
+        yield (
+            f"the torque {settings.torque:g} does not turn the top in its direction{_in_samples(held)}, but the bottom "
+            f"may turn the top the other way: it does if the yield_torque with --torque {other:g} is below "
+            f"{-abs(other):g}"
+        )
+
+
 def _strength_unknown(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Yield a sentence if, with a law that the user has defined, a torque turns the top with a speed that is not known.
 
@@ -304,7 +324,7 @@ def _stretched_springs(solution: Solution, settings: RunSettings) -> Iterator[st
 
 
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _torque_between, _strength_unknown, _law_of_ones_own, _no_power, _unfinished, _not_proven,
-    _contacts_found_and_idle, _undecided, _hardly_apart, _tied, _long_time_step, _stretched_springs,
+    _torque_between, _beside_a_bottom_that_turns, _strength_unknown, _law_of_ones_own, _no_power, _unfinished,
+    _not_proven, _contacts_found_and_idle, _undecided, _hardly_apart, _tied, _long_time_step, _stretched_springs,
 )  # fmt: skip
 """The warnings, in their order."""

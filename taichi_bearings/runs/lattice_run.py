@@ -307,7 +307,7 @@ def solve_job(
         scene = of_lattice(bearing)
         return solve_job(LatticeJob(free, scene, initial_spin(scene, "linear"), method.options.build()))
 
-    return under_torque(solution, settings.torque, again)
+    return under_torque(solution, settings.torque, settings.tolerance, again)
 
 
 def _better_answer(first: Solution, second: Solution, tolerance: float) -> Solution:

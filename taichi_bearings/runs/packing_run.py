@@ -410,7 +410,9 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
     if settings.torque is not None and found.status is not Status.INTERRUPTED and not found.interrupted:
         free = replace(settings, torque=None, slip_threshold=None)
         alone = {name: others[name] for name in others if name == "density"}  # checkpoints are of the first solve
-        found = under_torque(found, settings.torque, lambda other: solved_packing(free, other, **alone))
+        found = under_torque(
+            found, settings.torque, settings.tolerance, lambda other: solved_packing(free, other, **alone)
+        )
     if (threshold := settings.slip_threshold) is None:
         return found
     by_slip, known = by_threshold(found.slip, found.state, threshold), what_is_proven(found.state, found.proven)

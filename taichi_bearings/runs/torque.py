@@ -15,7 +15,7 @@ In a packing the top is the driven body of the largest number, and the bottom is
 
 If the bottom turns, less torque is needed. With friction the torque at the strength a is the slope of the potential
 Phi(a), which is convex. So for any h > 0 a torque above (Phi(h) - Phi(0)) / h turns the top, and one below turns it by
-no more than h.
+no more than h in its direction; against it, the bottom may turn the top faster.
 """
 
 from collections.abc import Callable
@@ -90,11 +90,12 @@ def _by_friction(solution: Solution, solve: Solve) -> Solution:
     return solve(scene.with_friction_alone()) if scene.law.holds and scene.law.flows else solution
 
 
-def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
+def under_torque(solution: Solution, torque: float, tolerance: float, solve: Solve) -> Solution:
     """Return an answer with four findings on a torque on the top added, (samples R,) each.
 
     solution : the answer with the top moved as imposed.
     torque : force*length, about the axis of the imposed motion; a negative one acts against it.
+    tolerance : relative gap that was asked for; with a larger one no amplitude is given.
     solve : function that solves another scene or packing in the same way.
 
     The findings are:
@@ -102,7 +103,7 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
     * yields: True if the torque exceeds `yield_torque`.
     * yield_torque: force*length; friction is proven not to hold a larger torque.
     * yield_torque_lower_bound: force*length; friction is proven to hold a torque up to this. Between the two neither is
-      proven.
+      proven. If the bottom turns, both are of a motion in the direction of the torque alone.
     * amplitude: factor by which the imposed motion is multiplied, with the sign of the torque: 1 for the motion of the
       solution, 0 where friction is proven to hold the torque, not-a-number (null in `--json`) where nothing limits the
       motion or the factor is not known.
@@ -118,19 +119,22 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
         )
     if others and not _may_turn_both(law := solution.scene.law):
         raise InputError(f"torque is {torque:g}; with the law {law} all driven bodies but the last must be at rest")
-    found = _torque_findings(_with_driven_contacts(solution), torque, lambda other: _with_driven_contacts(solve(other)))
+    found = _torque_findings(
+        _with_driven_contacts(solution), torque, tolerance, lambda other: _with_driven_contacts(solve(other))
+    )
     return replace(solution, findings={**solution.findings, **found})
 
 
-def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
+def _torque_findings(solution: Solution, torque: float, tolerance: float, solve: Solve) -> dict[str, np.ndarray]:
     """Return by name four findings on a torque on the top, (samples R,) each. `yields` is True if friction is proven
     not to hold the torque. `yield_torque` and `yield_torque_lower_bound`, force*length, are proven bounds on the torque
     that friction holds. `amplitude` is the factor by which the imposed motion is multiplied, with the sign of the
-    torque: 1 is the imposed motion, 0 means that the torque is held; not-a-number if nothing limits the motion or the
-    bounds do not decide.
+    torque: 1 is the imposed motion, 0 means that the torque is held; not-a-number if nothing limits the motion, or if
+    the bounds do not decide or are further apart than the tolerance.
 
     solution : the answer for the imposed motion of the top.
     torque : force*length, along the imposed motion of the top; negative against it.
+    tolerance : relative gap that was asked for.
     solve : function that solves another scene or packing in the same way.
     """
     scene = solution.scene
@@ -147,7 +151,7 @@ def _torque_findings(solution: Solution, torque: float, solve: Solve) -> dict[st
     # The torque is held (0), or the factor is still unknown (NaN).
     amplitude = np.where(held, 0.0, np.nan)
     # Viscosity alone: the torque grows in proportion to the motion.
-    limited = yields & (solution.power > 0) & scene.law.flows
+    limited = yields & (solution.power > 0) & (solution.gap <= tolerance) & scene.law.flows
     amplitude[limited] = np.abs(torque) / solution.power[limited]
     if scene.law.holds:
         # Friction and viscosity: solve for the factor, if the torque is clear of both bounds.
@@ -171,7 +175,7 @@ def _findings_above_driven_bottom(scene: Bearing, torque: float, solve: Solve) -
     * yields: True if the torque exceeds `yield_torque`.
     * yield_torque: force*length, in the direction of the torque, perhaps negative: a larger torque turns the top.
     * yield_torque_lower_bound: force*length; up to this torque the top turns by no more than HELD_TURN times the spin
-      of the bottom.
+      of the bottom in the direction of the torque. Against the torque the bottom may turn it faster.
     * amplitude: not-a-number, as it is not known.
 
     scene : what is solved, with the top moved as imposed.

@@ -172,7 +172,9 @@ class NewProof:
         )
         with_torque = self.run.asked.torque
         try:
-            return found if with_torque is None else under_torque(found, with_torque, _refuse_to_solve)
+            if with_torque is None:
+                return found
+            return under_torque(found, with_torque, self.run.asked.tolerance, _refuse_to_solve)
         except _NeedsAnother:
             return found
 

@@ -137,6 +137,31 @@ def test_a_top_that_turns_with_the_bottom_is_held_from_turning_on_by_the_jump_al
     assert along["yield_torque"] == pytest.approx(-limit, rel=1e-6)
 
 
+def test_a_top_that_the_bottom_turns_against_the_torque_is_not_called_held():
+    """A bottom that turns about the same axis takes the top along, against any torque below the whole least power."""
+    scene = Scene.random((3, 3, 4), seed=2, spin_bottom=0.5)
+    limit = solve(replace(scene, spin_bottom=0.0)).power
+    torque = -limit / 2
+    still, along = (solve(replace(scene, spin_top=spin), tolerance=1e-12).power for spin in (0.0, 0.25))
+    assert along - 0.25 * torque < still  # power less the work of the torque falls if the top turns with the bottom
+    against, with_it = (solve(scene, torque=one, tolerance=1e-12) for one in (torque, -torque))
+    (sentence,) = against.warnings
+    assert (
+        "does not turn the top in its direction, but the bottom may turn the top the other way: it does if the "
+        in sentence
+    )
+    assert with_it.findings["yield_torque"] < torque  # what the sentence names
+    assert not with_it.warnings
+
+
+def test_no_amplitude_follows_from_a_power_that_is_not_within_the_tolerance():
+    scene = Scene.random((4, 4, 5), seed=1, law="viscous")
+    early = solve(scene, "gradient-descent", torque=5.0, iterations=2)
+    assert early.gap > early.asked.tolerance
+    assert np.isnan(early.findings["amplitude"])
+    assert solve(scene, torque=5.0).findings["amplitude"] == pytest.approx(5.0 / solve(scene).power)
+
+
 @pytest.mark.parametrize("law", KNOWN_LAWS)
 @pytest.mark.parametrize("shape", [(4, 5), (3, 3, 4)])
 def test_every_double_about_the_yield_torque_is_decided(law, shape, tmp_path):
