@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.exact_flow import exact_flow
-from taichi_bearings.numerics.minimum_cut import MinimumCut, edges_of, graph_of_lattice, within_reach
+from taichi_bearings.numerics.minimum_cut import MinimumCut, edges_of, graph_of_lattice, weight_of_cut, within_reach
 
 
 @dataclass(frozen=True)
@@ -137,15 +137,15 @@ def cuts_between(
 
 
 def with_exact_ties(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: float) -> MinimumCut:
-    """Return the same minimum cuts of R lattices of shape N, with fewer spheres in the mask `between`: those that do
-    not lie, or are not known to lie, on one side of all lightest cuts. A flow in machine numbers left these open; here
-    they are tried again in whole numbers of any size.
+    """Return minimum cuts of R lattices of shape N, with fewer spheres in the mask `between`: those that do not lie, or
+    are not known to lie, on one side of all lightest cuts. A flow in machine numbers left these open; here they are
+    tried again in whole numbers of any size, and the cut becomes the lowest of the lightest ones.
 
     cut : the cuts as :func:`taichi_bearings.numerics.minimum_cut.minimum_cut` found them from these weights.
     weight : weights of the contacts, one array (R, *contacts) for each axis.
     rounding : relative error of the weights; no cut that could be as light within it is taken to be heavier.
     """
-    between = cut.between.copy()
+    sides, between = cut.above.copy(), cut.between.copy()
     for sample in np.flatnonzero(~cut.unique):
         own = tuple(values[sample] for values in weight)
         node, ends = graph_of_lattice(Lattice.of(own))
@@ -153,7 +153,11 @@ def with_exact_ties(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: f
         above[node], open_[node] = cut.above[sample], between[sample]
         found, place = cuts_between(ends, edges_of(own), above, open_, rounding)
         between[sample] &= found.between[place][node]
-    return replace(cut, between=between)
+        sides[sample] = found.above[place][node]
+    found_weight = weight_of_cut(sides, weight)
+    return replace(
+        cut, above=sides, between=between, weight=found_weight, lower_bound=np.minimum(cut.lower_bound, found_weight)
+    )
 
 
 __all__ = ["LightestCuts", "cuts_between", "lightest_cuts", "whole_numbers", "with_exact_ties"]

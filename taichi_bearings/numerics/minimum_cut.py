@@ -84,6 +84,7 @@ def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> Minimu
         above, between, bound, following = _cut_planes(*stacks)
         above, between = (np.moveaxis(spheres, 1, 1 + idle) for spheres in (above, between))
     found = weight_of_cut(above, weight)
+    following = found + (following - bound)  # equal weights stay equal, whatever the rounding of their sums
     # Where another cut is as light within the rounding of the weights, a flow says which spheres may change sides.
     close = np.flatnonzero(~(following > found * (1 + 4 * rounding)))
     if rounding and len(close):

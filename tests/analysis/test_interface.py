@@ -6,6 +6,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
+import taichi_bearings as tb
 from taichi_bearings.analysis.structure import find_interface
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
@@ -157,3 +158,26 @@ def test_the_surface_of_spheres_whose_imposed_spins_grow_is_the_lightest_of_all(
     found = find_interface(scene)
     assert found.lower_bound == pytest.approx(least, rel=1e-12)
     assert objective[found.contacts].sum() == pytest.approx(least, rel=1e-12)
+
+
+def test_a_cut_that_is_unique_by_the_last_digit_is_the_lightest_one():
+    """Two rings of two discs each: 0.25 and 0.25 (1 + 2^-52) with 1 each add up to the same double, not to the same
+    number. The lighter pair is the only minimum, and the one that slips."""
+    more = float(np.nextafter(0.25, 1.0))
+    x = np.array([[0.25, 0.25, 0.25, 0.25], [1.0, 1.0, 0.5, 1.0]])
+    y = np.array([[more, 1.0, 1.0], [1.0, 1.0, 0.25]])
+    best = tb.solve(tb.Scene(coefficients=(x, y), periodic=("x",)), threads=1)
+    numbers = tb.analyse(best).structure.numbers
+    assert best.minimum_is_unique
+    assert numbers["cut_is_unique"]
+    assert numbers["slipping_contacts_are_the_cut"]
+    assert sum(int((of == ContactState.SLIPPING).sum()) for of in best.state) == 2
+
+
+@pytest.mark.parametrize("value", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize("shape", [(2, 4), (3, 4), (4, 4), (3, 5)])
+def test_the_second_lightest_cut_is_never_lighter_than_the_lightest(shape, value):
+    """With equal friction everywhere many cuts tie, whatever the rounding of the sums of their weights."""
+    found = find_interface(Scene.random(shape, seed=0, distribution=f"constant:{value}"))
+    assert not found.unique
+    assert found.next_over == 1.0
