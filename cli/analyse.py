@@ -65,7 +65,8 @@ def describe(report: dict[str, Any], times: str) -> str:
     from taichi_bearings.quantities import COLUMNS, STRUCTURE
     from taichi_bearings.words import counted, listed
 
-    states = {"proven": "proven", "decided": "decided by slip and friction, not proven"}.get(report["states"])
+    named = {"proven": "proven", "decided": "not all proven, the others decided by slip and friction"}
+    states = named.get(report["states"])
     states = states or f"slipless up to a slip of {report['threshold']:g}"
     lines = [f"{solved(report)}; contact states: {states}"]
     ended, seeds = listed(report["status"]), listed(report.get("seed"))
@@ -76,9 +77,9 @@ def describe(report: dict[str, Any], times: str) -> str:
             f"{counted(len(ended), 'sample')} ({statuses})"
         )
     if len(seeds) > 1:
-        samples, first, last = len(seeds), seeds[0], seeds[-1]
+        drawn = "" if report.get("coefficients") else f", seeds {seeds[0]} to {seeds[-1]}"
         lines.append(
-            f"{samples} samples, seeds {first} to {last}: of each number its mean, least and largest value; of each "
+            f"{len(seeds)} samples{drawn}: of each number its mean, least and largest value; of each "
             "fact in how many samples it is true"
         )
     for title, rows in {"contacts": [COLUMNS[name] for name in REPORTED], **STRUCTURE}.items():

@@ -64,7 +64,7 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     """
     from taichi_bearings.plots.page import Page, read_width
     from taichi_bearings.scans.histogram import histogram
-    from taichi_bearings.words import other_contacts
+    from taichi_bearings.words import counted, other_contacts
 
     width, dpi, title = (asked.pop(name) for name in ("width", "dpi", "title"))
     page = Page(None if width is None else read_width(width), dpi, title=title)
@@ -75,7 +75,7 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
         group = f"{by} {part[by]}" if by else "in all"
         left_out = ", ".join([f"{part['slipless']:,} slipless", *other_contacts(part["tied"], part["undecided"])])
         slipping, samples = part["slipping"], part["census"]
-        lines.append(f"{group}: {slipping:,} slipping contacts; contacts left out: {left_out}; from {samples}")
+        lines.append(f"{group}: {counted(slipping, 'slipping contact')}; contacts left out: {left_out}; from {samples}")
     if report["pooled_over"]:
         lines.append(f"pooled over all values of {', '.join(report['pooled_over'])}; --by or --where tells them apart")
     if report["slipping"]:

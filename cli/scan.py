@@ -161,22 +161,22 @@ def describe(report: dict[str, Any]) -> str:
     done, failed, missing, lacking = (report[name] for name in ("done", "failed", "missing", "lacking"))
     again, incomplete = f"bearings scan {report['scan']}", report.get("incomplete_parts", [])
     now = f"{report['solved_now']:,} of them now, " if report["solved_now"] < done else ""
-    have = "has" if report["warned"] == 1 else "have"
+    have, lack = ("has" if report["warned"] == 1 else "have"), ("lacks" if lacking == 1 else "lack")
     unanalysed = 0 if lacking else report["unanalysed"]
     removed = ", ".join(Path(name).name for name in report["removed"])
     lines = {  # a line, and what makes it worth saying
         f"{done:,} of {report['samples']:,} samples have a result, {now}in {report['seconds']:.1f} s": True,
-        f"{done - report['reached']:,} samples stopped short of what was asked for: see the column status": (
+        f"{counted(done - report['reached'], 'sample')} stopped short of what was asked for: see the column status": (
             done > report["reached"]
         ),
-        f"{failed:,} samples failed:": failed,
+        f"{counted(failed, 'sample')} failed:": failed,
         **{printable(f"  {item['sample']}: {item['error']}"): True for item in report["failures"][:10]},
         f"  ... and {failed - 10:,} more: see the column error": failed > 10,
         f"{counted(report['warned'], 'sample')} {have} warnings: see the column `warnings`": report["warned"],
-        **{f"part {item['part']} lacks {item['missing']:,} samples": True for item in incomplete[:20]},
+        **{f"part {item['part']} lacks {counted(item['missing'], 'sample')}": True for item in incomplete[:20]},
         f"... and {len(incomplete) - 20:,} more parts": len(incomplete) > 20,
-        f"{missing:,} samples are missing": missing,
-        f"{lacking:,} samples lack the analysis or the full state that was asked for": lacking,
+        f"{counted(missing, 'sample')} {'is' if missing == 1 else 'are'} missing": missing,
+        f"{counted(lacking, 'sample')} {lack} the analysis or the full state that was asked for": lacking,
         f"{counted(unanalysed, 'sample')} without the numbers of --analyse that the others have; "
         f"`{again} --analyse` adds them": unanalysed,
         f"`{again}` solves what is missing or has failed": failed or missing or lacking,

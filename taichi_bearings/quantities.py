@@ -444,7 +444,8 @@ STRUCTURE = {
     ],
     "forces": [
         Quantity("self_stress_states", "1", "number of independent sets of forces on slipless contacts that balance"
-                 " without driving; 0 if the forces are unique",
+                 " without driving, on lattices in the spin components that the driving needs; 0 if these"
+                 " forces are unique",
                  lambda s: s.self_stress),
         Quantity("driving_torque", "force*length", "torque that the top passes to the bottom, for each spin component",
                  lambda s: s.torque_flow.total.tolist()),

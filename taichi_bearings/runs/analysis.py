@@ -114,6 +114,7 @@ class Analysis:
             "threshold": found_by if threshold is None else threshold,
             "states": proven if threshold is None else "threshold",
             **{name: result.numbers[name] for name in REPEATED_OF_RUN if name in result.numbers},
+            **({"coefficients": result.asked.coefficients} if result.asked.coefficients else {}),
             **result.asked.driving,
             "seconds": time.perf_counter() - began,
         }

@@ -244,9 +244,9 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         all_contacts = int((solution.state != ContactState.DRIVEN).sum())
         faster = f" faster than {solution.slip_threshold:.1e} (slip_threshold)" if solution.slip_threshold else ""
         kinds = {
-            f"slip{faster}, although their friction is below its limit": held,
-            "are at their friction limit, and slip too slowly to be told from rest": number - held - passing,
-            "slip, but perhaps not in every state of least power": passing,
+            f"slipping{faster}, although with friction below its limit": held,
+            "at the friction limit, and slipping too slowly to be told from rest": number - held - passing,
+            "slipping, but perhaps not in every state of least power": passing,
         }
         reasons = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)
         yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {reasons}"

@@ -4,6 +4,7 @@ import json
 import re
 import sys
 
+import numpy as np
 import pytest
 
 from tests.cli.commands import bearings, refused
@@ -54,6 +55,19 @@ def test_several_samples_are_summed_up(tmp_path):
     assert "planes_crossed" not in done.stdout  # no path joins bottom and top
     report = json.loads(bearings("analyse", tmp_path / "run", "--no-figures", "--json").stdout)
     assert report["slipping_contacts_are_the_cut"] == [True] * 5
+
+
+def test_samples_whose_coefficients_are_given_have_no_seeds_and_proven_states_are_not_called_unproven(tmp_path):
+    rng = np.random.default_rng(1)
+    np.savez(tmp_path / "own.npz", x=rng.uniform(0.1, 1.0, (2, 4, 5)), y=rng.uniform(0.1, 1.0, (2, 5, 4)))
+    given = ("--coefficients", tmp_path / "own.npz", "--replicas", 2, "--figures", "none")
+    few = ("--method", "interior-point", "--iterations", 1)  # too few steps to prove all states
+    assert bearings("run", *given, *few, "--out", tmp_path / "run").returncode == 1
+    unproven = json.loads((tmp_path / "run" / "summary.json").read_text())["unproven"]
+    assert 0 < sum(unproven) < 2 * 31
+    first, _, second = bearings("analyse", tmp_path / "run", "--no-figures").stdout.splitlines()[:3]
+    assert first.endswith("contact states: not all proven, the others decided by slip and friction")
+    assert second.startswith("2 samples: of each number")
 
 
 @pytest.mark.parametrize("replicas", [1, 2])

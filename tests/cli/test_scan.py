@@ -99,7 +99,7 @@ def test_failed_samples_are_named_and_exit_code_1(scan_file, tmp_path):
     done = bearings("scan", file, "--out", tmp_path / "s")
     assert done.returncode == 1
     assert "start.npz" in done.stderr
-    assert "1 samples failed" in done.stdout
+    assert "1 sample failed" in done.stdout
     assert "goes on" not in done.stderr
     assert [row["status"] for row in rows(tmp_path / "s")] == ["failed", "certified"]
 
