@@ -439,7 +439,7 @@ STRUCTURE = {
                  " top run through, (sum s)^2 / sum s^2 with the share s of these paths through each contact",
                  lambda s: s.bottlenecks.effective_links),
         Quantity("most_loaded", "1", "the contacts that most shortest slipless paths from bottom to top run through,"
-                 " each named by its lower sphere and its axis (0 x, 1 y, 2 z)",
+                 " each named by its lower sphere and its axis (0 x, 1 y, 2 z), in packings by its number and spheres",
                  lambda s: s.bottlenecks.most_loaded()),
     ],
     "forces": [

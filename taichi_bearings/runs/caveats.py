@@ -238,14 +238,16 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         scene, full = solution.scene, SATURATED * solution.scene.strength
         undecided = solution.state == ContactState.UNDECIDED
         fast = undecided & (solution.slip > solution.slip_threshold)
-        bears_all = solution.force >= full * scene.coefficient
+        # contacts without friction have no limit, so slip alone says what they do
+        holds = scene.law.holds
+        bears_all = solution.force >= full * scene.coefficient if holds else fast
         held = int((fast & ~bears_all).sum())
-        passing = int((fast & bears_all & ~unresolved(solution)).sum())
+        passing = int((fast & bears_all & ~(unresolved(solution) & holds)).sum())
         all_contacts = int((solution.state != ContactState.DRIVEN).sum())
         faster = f" faster than {solution.slip_threshold:.1e} (slip_threshold)" if solution.slip_threshold else ""
         kinds = {
             f"slipping{faster}, although with friction below its limit": held,
-            "at the friction limit, and slipping too slowly to be told from rest": number - held - passing,
+            f"{'at the friction limit, and ' * holds}slipping too slowly to be told from rest": number - held - passing,
             "slipping, but perhaps not in every state of least power": passing,
         }
         reasons = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)

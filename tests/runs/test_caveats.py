@@ -49,6 +49,14 @@ def test_what_remains_after_a_limit(solved):
     assert f"torques of {found.summary['largest_balance_residual']:.1e} were" in words_of(found, "the limit of")[0]
 
 
+def test_undecided_contacts_of_a_film_have_no_friction_limit():
+    """A film resists every slip; without a proof one only knows that a contact slips in the answer."""
+    found = tb.solve(tb.Packing.lattice("fcc", (2, 2, 2), seed=3, law="viscous"), "gradient-descent", iterations=2)
+    assert found.undecided > 0
+    (sentence,) = (words for words in found.warnings if "undecided" in words)
+    assert sentence.endswith(f": {found.undecided} slipping, but perhaps not in every state of least power")
+
+
 def test_undecided_contacts_are_counted(solved):
     found = solved(method="gradient-descent", iterations=50)
     number = found.summary["undecided"]
