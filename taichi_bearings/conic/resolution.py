@@ -46,7 +46,8 @@ Steps of :func:`resolve`.
 2. Find the minimum of the smooth power by Newton's method (:class:`_SmoothPower`). A slip that has shrunk below a
    hundredth and would be reversed leaves S; a larger one only shortens the step. The last Newton steps are in twice the
    precision (polish.py), as slips go down to 1e-15 of the jump and below.
-3. Look for the forces (c) (slipless_forces.py). If they exist and no slip is as small as rounding, the sample is done.
+3. Look for the forces (c) (slipless_forces.py), after step 1 more persistently, as a guess that is right would fail
+   otherwise. If they exist and no slip is as small as rounding, the sample is done.
 4. Else, if the path has ended or minima may tie, follow it on until slip and margin of each contact have parted
    (last_decades.py), and repeat steps 2 and 3 with the contacts that slip there, up to four times with different
    contacts tied (:func:`_minimum_along_path`).
@@ -70,7 +71,12 @@ from taichi_bearings.conic.iterate import Iterate, whole_dual
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import balanced_inside, may_have_several_minima, nearly_borne
+from taichi_bearings.conic.slipless_forces import (
+    balanced_by_barrier,
+    balanced_inside,
+    may_have_several_minima,
+    nearly_borne,
+)
 from taichi_bearings.conic.ties import sometimes_slipping
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
@@ -193,6 +199,21 @@ class Surroundings:
             return self.matrix
         return NewtonMatrix(self.system.by_rows(), self.order, self.matrix.memory)
 
+    def copies(self, samples: int) -> ContactSystem:
+        """Return the contacts of several samples as one system, in which no contact joins two samples. It is kept for
+        later calls, as samples are settled in groups of the same size.
+
+        samples : number of samples.
+        """
+        if samples not in self._copies:
+            self._copies[samples] = self.system.copies(samples)
+        return self._copies[samples]
+
+    @cached_property
+    def _copies(self) -> dict[int, ContactSystem]:
+        """What :meth:`copies` has returned, by the number of samples."""
+        return {}
+
     @property
     def has_quick_springs(self) -> bool:
         """True if `springs` is a matrix of its own, whose factorisation takes far less time than a Newton step."""
@@ -252,7 +273,7 @@ def _guessed(
     steps = zip(iterates, before, wanted, strict=True)
     slipping = [~_seem_to_stick(here, there) if own and there is not None else None for here, there, own in steps]
     minima = _smooth_minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, shared)
-    return _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], shared)
+    return _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], shared, persists=True)
 
 
 def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resolved | None:
@@ -476,7 +497,11 @@ def _smooth_minimum_with_tied(
 
 
 def _with_slipless_forces(
-    iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[np.ndarray], shared: Surroundings
+    iterates: Sequence[Iterate],
+    minima: Sequence[Resolved | None],
+    near: Sequence[np.ndarray],
+    shared: Surroundings,
+    persists: bool = False,
 ) -> list[Resolved | None]:
     """Return for each sample its minimum, completed by forces of the slipless contacts: forces within friction that
     balance all torques together with those of the slipping ones. None for a sample that has no minimum, or for which no
@@ -487,6 +512,8 @@ def _with_slipless_forces(
     near : for each sample minus the forces (d, n) of n contacts with up to d slip components; the forces that are
         looked for are sought close to these.
     shared : what all samples share: contacts and Newton matrix.
+    persists : True to look for such forces by a barrier as well, where balancing by springs finds none and no slipless
+        contact may bear all its friction.
     """
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
@@ -498,6 +525,11 @@ def _with_slipless_forces(
         friction = np.concatenate([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
         duals, fine = nearly_borne(shared.system, shared.springs, friction, dual, slipping, at_limit, heads)
+        left = ~fine & ~at_limit.reshape(len(some), -1).any(axis=1)
+        if persists and left.any():
+            of_barrier = balanced_by_barrier(shared.system, shared.springs, friction, dual, slipping, heads, left)
+            of_contacts = np.repeat(left, at_limit.size // len(some))
+            duals, fine = np.where(of_contacts, of_barrier[0], duals), np.where(left, of_barrier[1], fine)
         for (number, found), whole, inside in zip(some, np.split(duals, len(some), axis=1), fine, strict=True):
             dual = np.where(found.slipping, found.dual, whole)
             settled[number] = replace(found, dual=dual, borne=True) if inside else None
@@ -577,7 +609,7 @@ class _SmoothPower:
         order : (unknowns,), an order that suits the tied contacts; None for that of all samples.
         """
         # `tied.kept` : (kept,), indices of the contacts that are left, all samples one after the other
-        self.iterates, self.samples, whole = iterates, len(iterates), shared.system.copies(len(iterates))
+        self.iterates, self.samples, whole = iterates, len(iterates), shared.copies(len(iterates))
         suits, order = order is not None, shared.order if order is None else order
         self.tied = Contraction(whole, order, ~np.concatenate(slipping), self.samples, suits)
         self.slipping = self.everywhere(np.ones(len(self.tied.kept), dtype=bool))

@@ -8,9 +8,11 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.shared import surroundings_of_lattice
-from taichi_bearings.conic.slipless_forces import balanced_inside, nearly_borne
+from taichi_bearings.conic.slipless_forces import balanced_by_barrier, balanced_inside, nearly_borne
 from taichi_bearings.lattice.incidence import contact_differences
+from taichi_bearings.numerics.cholesky import Engine
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint, lattice_paths
 from taichi_bearings.solvers.drive import solve
@@ -105,6 +107,40 @@ def test_contacts_are_overloaded_where_their_cluster_cannot_bear_what_others_pul
     assert inside(side_by_side(), friction, [0.0, 0.0, 0.0, 0.0, -0.5, -0.1], slipping) == (None, overloaded)
 
 
+def by_barrier(second, wanted=(True, True)):
+    """The forces of :func:`balanced_by_barrier` of two samples of :func:`pulled`, (2, contacts), and where they are
+    found. The first sample is such that springs find no forces within friction.
+
+    second : friction of the second contact in the second sample.
+    wanted : mask of the samples whose forces are looked for.
+    """
+    system, order = pulled()
+    friction, slipping = np.array([0.9, 1e-3, 0.5, 0.3, second, 0.5]), np.tile([False, False, True], 2)
+    dual, heads = np.array([[-0.1, 0.9e-3, -0.5, -0.29, -0.19, -0.5]]), [np.zeros(1, dtype=bool)] * 2
+    matrix = NewtonMatrix(system, order, engine=Engine.LAUNCH)
+    given = system, matrix, friction, dual, slipping, heads, np.array(wanted)
+    found, fine = balanced_by_barrier(*given)
+    return found[0].reshape(2, -1), fine.tolist()
+
+
+@pytest.mark.parametrize(("second", "enough"), [(0.3, True), (0.2001, True), (0.2, False), (0.1, False)])
+def test_a_barrier_finds_the_forces_of_samples_side_by_side(second, enough):
+    found, fine = by_barrier(second)
+    assert fine == [True, enough]
+    for dual, friction in ((found[0], (0.9, 1e-3)), (found[1], (0.3, second)))[: sum(fine)]:
+        assert (np.abs(dual[:2]) < friction).all()
+        assert dual[:2].sum() == pytest.approx(-0.5, abs=1e-11)
+    assert (found[:, 2] == -0.5).all()
+
+
+def test_what_a_barrier_finds_does_not_depend_on_other_samples():
+    both, alone = by_barrier(0.3), by_barrier(0.3, (True, False))
+    assert alone[1] == [True, False]
+    assert (both[0][0] == alone[0][0]).all()
+    assert (by_barrier(0.1)[0][0] == alone[0][0]).all()
+    assert (alone[0][1] == [-0.29, -0.19, -0.5]).all()
+
+
 def minimum_of(scene, start="linear"):
     return solve(scene, InteriorPoint().build(), initial_spin(scene, start), StopRule(1e-10))
 
@@ -184,6 +220,19 @@ def test_where_contacts_that_are_tied_stay_overloaded_the_path_is_followed_with_
     other = minimum_of(scene)
     assert (one.state == other.state).all()
     assert followed[0] < 0.8 * len(scene.coefficient[0]) < followed[1]
+
+
+def test_samples_whose_forces_only_a_barrier_finds_are_settled_at_the_first_trial(monkeypatch):
+    """Of 10^3 spheres, seed 1026: springs find no forces for the right states, and more steps along the path would."""
+    scene = Scene.random((10, 10, 10), seed=1026)
+    one = minimum_of(scene)
+    monkeypatch.setattr(resolution, "balanced_by_barrier", lambda *given: (given[3], np.zeros(1, dtype=bool)))
+    other = minimum_of(scene)
+    assert one.states_proven[0]
+    assert other.states_proven[0]
+    assert (one.state == other.state).all()
+    assert one.objective == pytest.approx(other.objective, rel=1e-14)
+    assert one.own["iterations"][0] <= other.own["iterations"][0] - 2
 
 
 def test_springs_of_a_large_lattice_fall_apart_into_planes():
