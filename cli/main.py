@@ -122,6 +122,7 @@ def main() -> None:
     interrupts.ignore_signals()
     if code == leaving.EXIT_CODE:
         leaving.end_now()
+    leaving.note_exit_code(code)
     sys.exit(code)
 
 

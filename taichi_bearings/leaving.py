@@ -6,6 +6,7 @@ Therefore a thread hears of each signal too (:func:`watch`). Where the process i
 is being saved, the thread removes the temporary files, says one sentence and ends the process.
 """
 
+import atexit
 import contextlib
 import os
 import signal
@@ -31,6 +32,7 @@ _heard = threading.Event()
 _raised = False  # True while an exception that a signal has raised is on its way, perhaps as another one
 _own_signals = 0  # signals that this process has sent to itself and that have not come yet
 _watched = False
+_exit_code: int | None = None  # with which the command ends; None as long as it is not known
 _last_word = threading.Lock()  # whoever holds it ends the process
 
 
@@ -239,6 +241,7 @@ def watch() -> None:
     if _watched or sys.platform == "win32":
         return
     _watched = True
+    atexit.register(_end_without_clearing)  # the first to be registered is the last to be called
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
@@ -262,6 +265,30 @@ def _end_the_deaf(reading: int) -> None:
     with contextlib.suppress(OSError):
         os.write(2, f"{AS_BEFORE if os.isatty(2) else ''}bearings: {_sentences[-1]}\n".encode(errors="replace"))
     _leave()
+
+
+def note_exit_code(code: int) -> None:
+    """Note that the command is done and ends with this exit code: Python then ends without clearing its memory."""
+    global _exit_code
+    _exit_code = code
+
+
+def _end_without_clearing() -> None:
+    """End the process of a command that is done, after Python has joined its threads and called what was registered for
+    its end.
+
+    Python would now free all modules one by one, and the libraries all that they hold: a tenth of a second, for memory
+    that the system takes back at once. Taichi is ended before, so that it writes what it has compiled.
+    """
+    if _exit_code is None:  # an error that is still to be shown
+        return
+    if (runtime := sys.modules.get("taichi_bearings.runtime")) is not None:
+        runtime.end()
+    with contextlib.suppress(OSError, ValueError):  # a stream that cannot be written is left to Python, which says so
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
+        os._exit(_exit_code)
 
 
 def end_now(sentence: str = "") -> None:

@@ -25,7 +25,15 @@ try:
 except AssertionError:
     print("unequal", *sorted(loaded))
 """
-LOADED = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); "
+ALL_LOADED = """
+import sys
+sys.argv = {words}
+from taichi_bearings_cli.__main__ import main
+try:
+    main()
+finally:
+    print(*sys.modules, file=sys.stderr)
+"""
 
 
 def output(code: str) -> subprocess.CompletedProcess[str]:
@@ -56,8 +64,7 @@ def test_taichi_loads_dill_when_it_is_used_and_others_get_the_package_itself():
 
 def test_a_command_does_without_them(tmp_path):
     words = ["bearings", "run", "--shape", "3,3,4", "--figures", "none", "--out", str(tmp_path / "out")]
-    code = f"{LOADED}sys.argv = {words}; from taichi_bearings_cli.__main__ import main; main()"
-    loaded = set(output(code).stderr.split())
+    loaded = set(output(ALL_LOADED.format(words=words)).stderr.split())
     assert {"scipy.sparse.csgraph", "h5py"} <= loaded
     assert not {"dill", "numpy.f2py", "numpy.testing", "numpy.polynomial", "unittest", "http.client", "ssl"} & loaded
 

@@ -198,3 +198,25 @@ def test_a_file_system_without_locks_is_read_and_written(stored, tmp_path, monke
     best.save(tmp_path / "saved")
     assert tb.load(tmp_path / "saved").power == best.power
     assert power > 0
+
+
+CLEARED = """
+import sys, threading, time
+class Kept:
+    def __del__(self):
+        print("cleared")
+sys.modules["kept"] = Kept()
+sys.argv = ["bearings", *{words}]
+from taichi_bearings_cli import __main__
+threading.Thread(target=lambda: (time.sleep(0.3), print("thread"))).start()
+__main__.main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="commands are not watched there")
+def test_a_command_ends_with_its_code_and_all_its_output_and_does_not_clear_memory():
+    for words, code in (["--version"], 0), (["info", "nowhere"], 2):
+        done = subprocess.run([sys.executable, "-c", CLEARED.format(words=words)], capture_output=True, text=True)
+        assert done.returncode == code
+        assert done.stdout.splitlines()[-1:] == ["thread"]
+        assert len(done.stdout.splitlines()) == 2 - code // 2
