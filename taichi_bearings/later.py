@@ -1,28 +1,54 @@
 """Parts of other packages that hardly any command uses: they are loaded when something of them is first used.
 
 SciPy takes all that NumPy names, and with it loads the tools for tests and for Fortran; Taichi loads what asks a server
-for its newest version. That is a tenth of the time in which a command loads the program. Matplotlib describes every
+for its newest version. That is a tenth of the time in which a command loads the program. SciPy's sparse matrices load
+all its linear algebra, for the Laplacian of a graph, which takes another tenth. Matplotlib describes every
 setting of each of its classes, for whoever asks for help, which takes half of the time in which it is loaded.
 """
 
 import importlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
 RARELY_USED = "numpy.ctypeslib", "numpy.f2py", "numpy.polynomial", "numpy.testing", "urllib.request"
+LAPLACIAN = "scipy.sparse.csgraph._laplacian", "laplacian"  # the module that takes SciPy's linear algebra; its function
 
 
 class Later(ModuleType):
     """Stands in for a module of the same name, and loads it when something of it is first asked for."""
 
+    def __init__(self, name: str, functions: tuple[str, ...] = ()) -> None:
+        """Load nothing yet.
+
+        name : name of the module.
+        functions : names of functions in it, if it is a single file. Asking for one of these loads nothing, only
+            calling it does.
+        """
+        super().__init__(name)
+        self._is_file = bool(functions)
+        for function in functions:
+            setattr(self, function, self._called_later(function))
+
     def __getattr__(self, name: str) -> Any:
-        """Return what the module has under a name; the module is loaded if it is not yet."""
+        """Return what the module has under a name; the module is loaded if it is not yet. One with `functions` is no
+        package, which the statement `import` asks for by the name __path__."""
+        if name == "__path__" and self._is_file:
+            raise AttributeError(name)
         if sys.modules.get(self.__name__) is self:
             del sys.modules[self.__name__]
         return getattr(importlib.import_module(self.__name__), name)
+
+    def _called_later(self, function: str) -> Callable[..., Any]:
+        """Return a function that calls the one of this name in the module, which is loaded by the first call."""
+
+        def called(*arguments: Any, **options: Any) -> Any:
+            """Return what the function of the module returns for the same arguments and options."""
+            return Later.__getattr__(self, function)(*arguments, **options)
+
+        return called
 
 
 _commands: list[bool] = []  # an entry if this process runs a command, and not the program of a user
@@ -41,6 +67,9 @@ def postpone(names: tuple[str, ...] = RARELY_USED) -> None:
         if name not in sys.modules:
             package, _, part = name.rpartition(".")
             setattr(importlib.import_module(package), part, Later(name))
+    module, function = LAPLACIAN
+    if module.rpartition(".")[0] not in sys.modules:
+        sys.modules[module] = Later(module, (function,))
 
 
 def leave_out_descriptions() -> None:

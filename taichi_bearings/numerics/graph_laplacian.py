@@ -1,10 +1,12 @@
 """The weighted Laplacian of a graph as a sparse matrix, and its factorisation by SuperLU."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array
-from scipy.sparse.linalg import SuperLU, splu
+
+from taichi_bearings.numerics.blas import SPARSE
 
 Edges = tuple[np.ndarray, np.ndarray, np.ndarray]  # node at either end, weight: (E,) each
 
@@ -28,7 +30,7 @@ def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc
     return csc_array(whole[free][:, free])
 
 
-def factorised(laplacian: csc_array) -> SuperLU:
+def factorised(laplacian: csc_array) -> Any:
     """Return SuperLU's factorisation of a Laplacian, by minimum degree and without pivoting; its method `solve` solves
     with it.
 
@@ -36,4 +38,4 @@ def factorised(laplacian: csc_array) -> SuperLU:
 
     Raises RuntimeError if the matrix is singular in float64.
     """
-    return splu(laplacian, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return SPARSE.splu(laplacian, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dpstrf
 
-from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.blas import BLAS, LAPACK, one_thread
 
 # Pivots are squares of slips over spins. Up to the first number they count as 0; above the second they surely are not.
 NO_PIVOT, SURELY_ONE = 1e-10, 1e-9
@@ -89,7 +87,7 @@ class Motions:
         for front in reversed(self.fronts):
             if len(front.kept):
                 rest = found[np.concatenate([front.free, front.border])]
-                found[front.kept] = -dtrsm(1.0, front.top, front.below.T @ rest, lower=1, trans_a=1)
+                found[front.kept] = -BLAS.dtrsm(1.0, front.top, front.below.T @ rest, lower=1, trans_a=1)
         return found
 
 
@@ -212,13 +210,13 @@ def _eliminated(
         full[np.ix_(at, at)] += update
     # pivoted Cholesky of the own block, up to its rank; then the Schur complement of the border
     factor, pivot, rank, _ = (
-        dpstrf(full[:n, :n], lower=1, tol=NO_PIVOT) if n else (full[:0, :0], np.zeros(0, int), 0, 0)
+        LAPACK.dpstrf(full[:n, :n], lower=1, tol=NO_PIVOT) if n else (full[:0, :0], np.zeros(0, int), 0, 0)
     )
     pivot = np.asarray(pivot) - 1
     kept, free = pivot[:rank], pivot[rank:]
     top = np.tril(factor[:rank, :rank])
     rest = np.concatenate([free, np.arange(n, len(both))]).astype(np.int64)
-    below = dtrsm(1.0, top, full[np.ix_(kept, rest)], lower=1).T if rank else np.zeros((len(rest), 0))
+    below = BLAS.dtrsm(1.0, top, full[np.ix_(kept, rest)], lower=1).T if rank else np.zeros((len(rest), 0))
     outer = below[len(free) :]
     update = full[n:, n:] - outer @ outer.T
     return _Front(own[kept], own[free], border, top, below), update

@@ -48,8 +48,8 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import lu_factor, lu_solve
 
+from taichi_bearings.numerics.blas import DENSE
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosure import UP, length
@@ -172,7 +172,7 @@ class ExactlyRolling:
     @cached_property
     def products(self) -> tuple[np.ndarray, np.ndarray]:
         """The scalar products of the z motions in `motions`, a matrix (z, z), as its factors by SciPy's `lu_factor`."""
-        found: tuple[np.ndarray, np.ndarray] = lu_factor((self.motions.T @ self.motions).toarray())
+        found: tuple[np.ndarray, np.ndarray] = DENSE.lu_factor((self.motions.T @ self.motions).toarray())
         return found
 
     @cached_property
@@ -500,5 +500,5 @@ class SpringsUnderLoad:
         motions = self.loaded.motions
         if not motions.shape[1]:
             return load, np.zeros((0, load.shape[1]))
-        amounts = lu_solve(self.loaded.products, motions.T @ load, check_finite=False)
+        amounts = DENSE.lu_solve(self.loaded.products, motions.T @ load, check_finite=False)
         return load - motions @ amounts, amounts

@@ -21,7 +21,8 @@ half of their limits.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from taichi_bearings.numerics.blas import DENSE
 
 MOST_BARRIER_STEPS, ENOUGH = 60, 0.999  # Newton steps; largest friction over limit at which they end
 # factor by which t - (largest |G| / w) falls from step to step, and t over the largest |G| / w at the start
@@ -99,8 +100,8 @@ def _step(matrix: np.ndarray, compliance: np.ndarray, slope: np.ndarray, load: n
     normal = matrix.T @ eased
     normal[np.diag_indices(len(load))] *= 1 + RAISED
     try:
-        spins = cho_solve(cho_factor(normal), -load - matrix.T @ down.ravel())
-    except (LinAlgError, ValueError):
+        spins = DENSE.cho_solve(DENSE.cho_factor(normal), -load - matrix.T @ down.ravel())
+    except (np.linalg.LinAlgError, ValueError):
         return np.full_like(slope, np.nan)
     found: np.ndarray = down + (eased @ spins).reshape(count, 2)
     return found

@@ -23,10 +23,9 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg.blas import dsyrk, dtrsm
-from scipy.linalg.lapack import dpotrf, dpstrf
 
 from taichi_bearings.dissection import Part, dissected
+from taichi_bearings.numerics.blas import BLAS, LAPACK
 from taichi_bearings.proof.enclosure import UP
 
 EPS = np.finfo(np.float64).eps
@@ -191,14 +190,14 @@ class Elimination:
                 _add_at(below, at[own:] - front.own, at[:own], update[own:, :own])
                 _add_at(rest, at[own:] - front.own, at[own:] - front.own, update[own:, own:])
             if held is not None:
-                _, order, rank, _ = dpstrf(pivots, tol=least, lower=True)
+                _, order, rank, _ = LAPACK.dpstrf(pivots, tol=least, lower=True)
                 out = order[rank:] - 1
                 pivots[out], pivots[:, out], pivots[out, out], below[:, out] = 0.0, 0.0, 1.0, 0.0
                 held[front.first + out] = True
-            pivots, fault = dpotrf(pivots, lower=True, overwrite_a=True)
+            pivots, fault = LAPACK.dpotrf(pivots, lower=True, overwrite_a=True)
             if below.size and not fault:
-                below = dtrsm(1.0, pivots, below, side=1, lower=1, trans_a=1, overwrite_b=True)
-                rest = dsyrk(-1.0, below, 1.0, rest, lower=1, overwrite_c=True)
+                below = BLAS.dtrsm(1.0, pivots, below, side=1, lower=1, trans_a=1, overwrite_b=True)
+                rest = BLAS.dsyrk(-1.0, below, 1.0, rest, lower=1, overwrite_c=True)
             updates[number] = rest
             yield front, None if fault else (pivots, below)
 
@@ -359,7 +358,7 @@ class Factor:
         x = right.reshape(len(right), -1)[self.order]
         for front, (pivots, below) in self.columns:  # forward with L
             own = slice(front.first, front.first + front.own)
-            x[own] = dtrsm(1.0, pivots, x[own], lower=1)
+            x[own] = BLAS.dtrsm(1.0, pivots, x[own], lower=1)
             x[front.border] -= below @ x[own]
         return self._backward(x).reshape(right.shape)
 
@@ -378,7 +377,7 @@ class Factor:
         for front, (pivots, below) in reversed(self.columns):
             own = slice(front.first, front.first + front.own)
             x[own] -= below.T @ x[front.border]
-            x[own] = dtrsm(1.0, pivots, x[own], lower=1, trans_a=1)
+            x[own] = BLAS.dtrsm(1.0, pivots, x[own], lower=1, trans_a=1)
         found = np.empty_like(x)
         found[self.order] = x
         return found

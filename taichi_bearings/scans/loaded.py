@@ -7,14 +7,15 @@ import importlib
 from taichi_bearings.later import postpone
 
 MODULES = (
-    "scans.sample", "solvers.interior_point", "solvers.lattice_paths", "solvers.on_strides", "solvers.answer",
-    "proof.states",
+    "taichi_bearings.scans.sample", "taichi_bearings.solvers.interior_point", "taichi_bearings.solvers.lattice_paths",
+    "taichi_bearings.solvers.on_strides", "taichi_bearings.solvers.answer", "taichi_bearings.proof.states",
+    "scipy.linalg.lapack",
 )  # fmt: skip
 
 postpone()
 gc.disable()  # modules make many objects and hardly any cycles: looking for them takes a tenth of the time
 for name in MODULES:
     with contextlib.suppress(Exception):  # a worker that needs it will say what is wrong
-        importlib.import_module(f"taichi_bearings.{name}")
+        importlib.import_module(name)
 gc.freeze()  # no copy looks through all this for cycles, which would copy its memory
 gc.enable()

@@ -28,7 +28,7 @@ import numpy as np
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import Index
-from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.blas import SPARSE, one_thread
 from taichi_bearings.numerics.double_double import (
     Pair,
     add,
@@ -211,7 +211,6 @@ class Driving:
         """
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import connected_components, laplacian
-        from scipy.sparse.linalg import spsolve
 
         from taichi_bearings.numerics.minimum_cut import number_bodies
 
@@ -224,7 +223,7 @@ class Driving:
         matrix, height = laplacian(graph)[inside], np.zeros(size)
         height[-1] = 1.0
         if len(inside):
-            height[inside] = spsolve(matrix[:, inside].tocsc(), -matrix[:, [-1]].toarray()[:, 0])
+            height[inside] = SPARSE.spsolve(matrix[:, inside].tocsc(), -matrix[:, [-1]].toarray()[:, 0])
         return np.asarray(height[node])
 
     def shown(self, spin: np.ndarray) -> np.ndarray:
@@ -325,15 +324,13 @@ class Driving:
         They solve a linear least-squares problem. It is solved by conjugate gradients, as the factors of its matrix
         would take much memory.
         """
-        from scipy.sparse.linalg import cg
-
         network = self.network
         every = np.arange(network.spheres * network.components).reshape(-1, network.components)
         moved, whole = np.repeat(network.free, network.components), network.operator(self.contact, every)
         matrix, given = whole[:, moved], np.where(moved, 0.0, self.speed.ravel())
         found = given.copy()
         with one_thread():  # sums do not depend on the number of threads
-            found[moved], _ = cg(matrix.T @ matrix, -(matrix.T @ (whole @ given)), rtol=EVEN_RESIDUAL)
+            found[moved], _ = SPARSE.cg(matrix.T @ matrix, -(matrix.T @ (whole @ given)), rtol=EVEN_RESIDUAL)
         return self.impose(found.reshape(-1, network.components).T[:, None].copy(), self.every)
 
     def with_exact_imposed(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:

@@ -20,10 +20,10 @@ from functools import cached_property, lru_cache
 from math import comb
 
 import numpy as np
-from scipy.sparse.linalg import eigsh
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.laplacian import eigenvalues
+from taichi_bearings.numerics.blas import SPARSE
 from taichi_bearings.numerics.graph_laplacian import graph_laplacian
 from taichi_bearings.scene import Scene
 
@@ -152,7 +152,7 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...], slopes
                 found = np.linalg.eigvalsh(matrix.toarray())
             else:
                 start = np.cos(np.arange(matrix.shape[0]))  # fixed, so that the default time step is reproducible
-                found = eigsh(matrix, k=1, tol=1e-3, v0=start, return_eigenvectors=False)
+                found = SPARSE.eigsh(matrix, k=1, tol=1e-3, v0=start, return_eigenvectors=False)
             largest = max(largest, float(found.max()))
     return largest * (1 + 1e-3)
 

@@ -16,30 +16,23 @@ from functools import cache, partial
 from threading import Event
 from typing import Any
 
-from scipy.linalg import cython_blas, cython_lapack
-
 from taichi_bearings.interrupts import look_up
+from taichi_bearings.numerics.blas import COMPILED_BLAS, COMPILED_LAPACK
 from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.layout import begin_of_column, size_in_panels
 
 
-def _routine(module: object, name: str) -> Callable[..., None]:
-    """Return a routine of SciPy's compiled BLAS or LAPACK as a function of ctypes.
-
-    module : cython_blas or cython_lapack of SciPy.
-    name : name of the routine, such as "dgemm".
-    """
-    capsule = module.__pyx_capi__[name]  # type: ignore[attr-defined]
+@cache
+def _routine(name: str) -> Callable[..., None]:
+    """Return a routine of SciPy's compiled LAPACK ("dpotrf") or BLAS (any other name, such as "dgemm") as a function of
+    ctypes."""
+    capsule = (COMPILED_LAPACK if name == "dpotrf" else COMPILED_BLAS).__pyx_capi__[name]
     read_name, read_pointer = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
     read_name.restype, read_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
     read_pointer.restype, read_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     return ctypes.CFUNCTYPE(None)(read_pointer(capsule, read_name(capsule)))
 
 
-_dpotrf = _routine(cython_lapack, "dpotrf")
-_dtrsm = _routine(cython_blas, "dtrsm")
-_dsyrk = _routine(cython_blas, "dsyrk")
-_dgemm = _routine(cython_blas, "dgemm")
 _LEFT_OUT, _LOWER, _RIGHT, _TRANSPOSED = (ctypes.byref(ctypes.c_char(letter)) for letter in (b"N", b"L", b"R", b"T"))
 _ONE, _MINUS_ONE = (ctypes.byref(ctypes.c_double(value)) for value in (1.0, -1.0))
 _address = ctypes.c_void_p
@@ -187,13 +180,15 @@ def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fau
     for number, before in enumerate(range(0, first, tuning.PANEL_COLUMNS)):
         start, pitch = _entry(first, before, height, columns)
         left, ld_left = _address(start), _count(pitch)
-        calls.append((number, _dgemm, _product(rows, width, tuning.PANEL_COLUMNS, left, left, ld_left, at, ld)))
-    calls.append((None, _dpotrf, (_LOWER, _count(width), at, ld, ctypes.byref(fault))))
+        calls.append(
+            (number, _routine("dgemm"), _product(rows, width, tuning.PANEL_COLUMNS, left, left, ld_left, at, ld))
+        )
+    calls.append((None, _routine("dpotrf"), (_LOWER, _count(width), at, ld, ctypes.byref(fault))))
     divide = (
         _RIGHT, _LOWER, _TRANSPOSED, _LEFT_OUT, _count(rows - width), _count(width), _ONE,
         at, ld, _address(corner + DOUBLE_BYTES * width), ld,
     )  # fmt: skip
-    return [*calls, (None, _dtrsm, divide)] if rows > width else calls
+    return [*calls, (None, _routine("dtrsm"), divide)] if rows > width else calls
 
 
 def _sheet_calls(own: int, rows: int, first: int, height: int, columns: int, pitch: int, target: int) -> list[Call]:
@@ -220,13 +215,13 @@ def _sheet_calls(own: int, rows: int, first: int, height: int, columns: int, pit
         square = (
             _LOWER, _LEFT_OUT, _count(width), _count(depth), _MINUS_ONE, _address(left), ld, _ONE, to, ld_to
         )  # fmt: skip
-        calls.append((last, _dsyrk, square))
+        calls.append((last, _routine("dsyrk"), square))
         if rows > width:
             below = _product(
                 rows - width, width, depth, _address(left + DOUBLE_BYTES * width), _address(left), ld,
                 _address(target + DOUBLE_BYTES * width), ld_to,
             )  # fmt: skip
-            calls.append((None, _dgemm, below))
+            calls.append((None, _routine("dgemm"), below))
     return calls
 
 

@@ -11,12 +11,11 @@ from contextlib import suppress
 from enum import Enum
 from functools import lru_cache
 from threading import Thread
+from typing import Any
 from weakref import WeakSet
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg.lapack import dpotrf, dpotrs
-from scipy.sparse.linalg import SuperLU, splu
 
 from taichi_bearings import runtime
 from taichi_bearings.interrupts import look_up
@@ -24,6 +23,7 @@ from taichi_bearings.kernels import elimination, substitution
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros, give_back_freed, provide, refuse_beyond
+from taichi_bearings.numerics.blas import LAPACK, SPARSE
 from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.dense import DOUBLE_BYTES, DenseFront
 from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, PlacedPattern, SparsePattern, analyse
@@ -235,13 +235,13 @@ class DenseFactor(Factor):
         if not self._size:
             return np.ones(1, dtype=bool)
         matrix = self.entries.reshape(self._size, self._size, order="F")
-        self._factor, fault = dpotrf(matrix, lower=True, clean=False)
+        self._factor, fault = LAPACK.dpotrf(matrix, lower=True, clean=False)
         return np.array([fault == 0])
 
     def substitute(self) -> None:
         """Replace the right-hand side in `solution` by the solution."""
         if self._size:
-            self.solution[:, 0] = dpotrs(self._factor, self.solution[:, 0], lower=True)[0]
+            self.solution[:, 0] = LAPACK.dpotrs(self._factor, self.solution[:, 0], lower=True)[0]
 
 
 class SciPyFactor(Factor):
@@ -255,7 +255,7 @@ class SciPyFactor(Factor):
         """
         # `entries` : values of the stored entries; `solution` : (unknowns, lanes), right-hand sides, then solutions
         self.entries, self.solution = np.zeros((pattern.entries, lanes)), np.zeros((pattern.size, lanes))
-        self._pattern, self._factors = pattern, list[SuperLU | None]()
+        self._pattern, self._factors = pattern, list[Any]()
 
     def factorise(self) -> np.ndarray:
         """Factorise each matrix; return a mask (lanes,), True for those that are positive definite."""
@@ -265,7 +265,7 @@ class SciPyFactor(Factor):
             lower = sparse.csc_array((values, (pattern.row, pattern.column)), shape=(pattern.size, pattern.size))
             symmetric = (lower + sparse.tril(lower, -1).T).tocsc()
             with suppress(RuntimeError):  # raised where a pivot is exactly zero
-                factor = splu(symmetric, "NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+                factor = SPARSE.splu(symmetric, "NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
                 if (factor.U.diagonal() > 0).all():
                     self._factors.append(factor)
                     continue
