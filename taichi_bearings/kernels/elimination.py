@@ -156,7 +156,7 @@ def add_run(numbers: ti.template(), vectors: ti.template(), to, source, length, 
 
 @ti.func
 def gather(
-    alone: ti.template(), unit: ti.template(), packed: ti.template(), tables: ti.template(), at, first, end,
+    in_runs: ti.template(), unit: ti.template(), packed: ti.template(), tables: ti.template(), at, first, end,
     entries: ti.template(), numbers: ti.template(), vectors: ti.template(),
 ):  # fmt: skip
     """Fill some columns of a front with the entries of the matrix, and add the updates that its children leave.
@@ -164,7 +164,8 @@ def gather(
     A front is the dense matrix of some unknowns that are eliminated together, and of later ones; an update is what is
     left for the later ones. Children are fronts whose update goes into this one.
 
-    alone : True for one matrix, False for LANES of them; then an entry is a vector with one number of each.
+    in_runs : True to add what follows each other in memory as vectors: for one matrix with large fronts. That is code
+        which a process takes 20 ms to load, and small fronts gain nothing by it.
     unit : number of rows that make a vector in `vectors`, 1 for LANES matrices; columns are cleared from a multiple of
         it on.
     packed : True if own columns are stored in panels, each from its diagonal down.
@@ -204,7 +205,7 @@ def gather(
             source = own + column_of(tables, child, own + j, packed)
             i = j
             while i < length:
-                if ti.static(alone):
+                if ti.static(in_runs):
                     run = tables[runs + i]
                     add_run(numbers, vectors, start + tables[places + i], source + i, run, step)
                     i += run
@@ -389,7 +390,7 @@ def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vector
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
         rows = tables[at + OWN] + tables[at + BORDER]
-        gather(True, LANES, False, tables, at, 0, rows, entries, numbers, vectors)
+        gather(False, LANES, False, tables, at, 0, rows, entries, numbers, vectors)
         reduce(tables, at, numbers, vectors, LANES)
 
 
