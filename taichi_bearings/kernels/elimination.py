@@ -164,8 +164,7 @@ def gather(
     A front is the dense matrix of some unknowns that are eliminated together, and of later ones; an update is what is
     left for the later ones. Children are fronts whose update goes into this one.
 
-    in_runs : True to add what follows each other in memory as vectors: for one matrix with large fronts. That is code
-        which a process takes 20 ms to load, and small fronts gain nothing by it.
+    in_runs : True to add neighbouring numbers as vectors: for one matrix with large fronts, as it takes 20 ms to load.
     unit : number of rows that make a vector in `vectors`, 1 for LANES matrices; columns are cleared from a multiple of
         it on.
     packed : True if own columns are stored in panels, each from its diagonal down.
