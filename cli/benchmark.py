@@ -27,7 +27,7 @@ USED_BY = (
 @click.option(
     "--parts",
     metavar="NAME[,NAME...]",
-    help="Only for `speed`: parts to measure, of kernels, methods, scans, growth and dynamics. [default: all]",
+    help="Only for `speed`: parts to measure, of kernels, methods, scans, growth, start and dynamics. [default: all]",
 )
 @click.option(
     "--law",

@@ -14,7 +14,7 @@ from taichi_bearings.options import COUNT, chosen
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers import METHODS
 
-from . import dynamics, growth, kernels, methods, scans
+from . import dynamics, growth, kernels, methods, scans, start
 from .baselines import find_compiler
 from .harness import Benchmark, Measurements, Plan, elsewhere
 from .peers import find_peers
@@ -71,6 +71,11 @@ def _scans(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
         yield f"of {'x'.join(map(str, shape))}", partial(scans.measure, shape, samples, min(3, plan.rounds), workers)
 
 
+def _start(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
+    """Yield the one part of the benchmark of starts: a name and a function that yields its rows."""
+    yield "of commands", partial(start.measure, min(5, plan.rounds))
+
+
 def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
     """Yield the parts of the benchmark of dynamics: for each lattice of the plan a name and a function that yields its
     rows.
@@ -115,6 +120,7 @@ BENCHMARKS = {
         findings=growth.words,
         figure=growth.draw_growth,
     ),
+    "start": Benchmark("Whole commands that solve a sample of 36 spheres, beside the start of the compiler", _start),
     "dynamics": Benchmark("Time steps on one processor, beside LAMMPS and YADE", _dynamics, missing=dynamics.missing),
 }
 
